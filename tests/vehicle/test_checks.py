@@ -13,8 +13,10 @@ from delfim.vehicle import console
 from delfim.vehicle.checks import Check, checks, refusal
 from delfim.vehicle.failsafe import Rules
 from delfim.vehicle.fence import Fence
-from delfim.vehicle.state import HANDSET, ClockStatus, HandsetReport, StartConditions
+from delfim.vehicle.inputhealth import InputHealth
+from delfim.vehicle.state import HANDSET, ClockStatus, HandsetReport, StartConditions, State, ThrusterReport
 from delfim.vehicle.troubles import Inputs
+from tests.vehicle.test_pause import MISSION
 
 AROUND = config.FenceTable(
     keep_in=(config.Area(polygon=((38.692, -9.216), (38.693, -9.216), (38.693, -9.214), (38.692, -9.214))),)
@@ -122,6 +124,8 @@ def test_a_computer_that_nobody_watches_over_yet_turns_nothing(boat):
 
 def test_a_last_charge_is_for_the_way_home_and_for_the_hand(boat):
     boat.ready()
+    charge(boat, 0.11)
+    assert lines(boat)["battery"] == (True, "batteries port at 11%")
     charge(boat, 0.06)
     assert lines(boat)["battery"] == (False, "batteries port at 6%")
     assert boat.vehicle.on_command(console.Heading(0.0)) == "heading refused: batteries port at 6%"
@@ -150,6 +154,10 @@ def test_what_is_only_told_keeps_nobody_on_the_quay(boat):
     boat.ready()
     boat.state.computer = StartConditions(last_shutdown="the power was cut")
     assert lines(boat)["last shutdown"] == (False, "the power was cut")
+    boat.state.computer = StartConditions(image="not confirmed yet")
+    assert lines(boat)["image"] == (False, "not confirmed yet")
+    assert boat.vehicle.on_command(MISSION) is None
+    assert lines(boat)["mission"] == (True, "survey, 3 waypoints")
     assert boat.vehicle.on_command(console.Heading(0.0)) is None
     assert boat.state.mode is Mode.HEADING
 
@@ -314,6 +322,20 @@ def test_the_line_of_the_fence_says_what_it_waits_for(make_boat):
     assert [line[1:] for line in told if line.name == "fence"] == [(False, "its zones are still being prepared: wait a moment")]
 
 
+@pytest.mark.parametrize(
+    ("reports", "told"),
+    [
+        ({"bow": ThrusterReport(100.0)}, (True, "it answers")),
+        ({}, (False, "the motors may turn: the outlet, which writes their pulses, has not answered yet")),
+    ],
+)
+def test_the_line_of_the_outlet_is_there_for_motors_that_pulses_turn(reports, told):
+    bow = config.ThrusterTable(name="bow", driver="pwm", address=3, thrust_n=(-10.0, 10.0))
+    rules = Rules(msgspec.structs.replace(PLAIN, thrusters=(*config.DELFIMX, bow)))
+    found = checks(rules, State(thrusters=reports), WELL, 100.0, 0)
+    assert [line[1:] for line in found if line.name == "outlet"] == [told]
+
+
 def test_the_line_of_navigation_is_right_up_to_its_age(boat):
     boat.ready()
     stale_s = boat.vehicle.helm.rules.settings.navigation.stale_s
@@ -321,10 +343,16 @@ def test_the_line_of_navigation_is_right_up_to_its_age(boat):
     assert lines(boat)["navigation"] == (True, f"dsor, {stale_s:.1f} s old")
     boat.state.navigation_s -= 0.1
     assert lines(boat)["navigation"] == (False, f"navigation silent for {stale_s + 0.1:.1f} s")
+    boat.state.navigation_s = now_s = boat.clock.monotonic_s()
+    boat.state.inputs = {boat.state.source: (InputHealth("position", now_s - stale_s - 0.1, heard=1),)}
+    assert lines(boat)["navigation"] == (False, f"position silent for {stale_s + 0.1:.1f} s")
+    boat.state.inputs = {boat.state.source: (InputHealth("velocity", now_s - 8.0, heard=1),)}
+    assert lines(boat)["navigation"] == (True, "dsor, 0.0 s old; velocity silent for 8 s")
 
 
 def test_a_clock_is_set_from_2009_on_and_five_seconds_are_in_order(boat):
     boat.ready()
+    boat.clock.advance(0.5)
     helm, navigation = boat.vehicle.helm, boat.state.navigation
     now_s = boat.clock.monotonic_s()
 
@@ -350,3 +378,9 @@ def test_the_hand_set_says_whether_it_has_the_boat_and_how_good_its_radio_is(mak
     assert lines(boat)["hand-set"] == (True, "heard")
     boat.state.handset, boat.state.operator = report._replace(quality_pct=0), HANDSET
     assert lines(boat)["hand-set"] == (True, "has the boat, radio 0%")
+    for age_s, told in ((0.5, (True, "has the boat, radio 0%")), (0.6, (False, "hand-set silent for 0.6 s"))):
+        boat.state.handset = boat.state.handset._replace(heard_s=boat.clock.monotonic_s() - age_s)
+        assert lines(boat)["hand-set"] == told
+    without = make_boat()
+    without.state.handset = report
+    assert lines(without)["hand-set"] == (True, "the boat has none")
