@@ -3,6 +3,7 @@
 An unknown key, a wrong type and a value out of range are refused with file, key, reason and what is allowed.
 """
 
+import json
 import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -96,6 +97,36 @@ def _value(text: str) -> Any:
         if not text or text[0] in "\"'[{":
             raise
         return text
+
+
+def inline(value: Any) -> str:
+    """A value as TOML has it in one line; what is None is left out."""
+    if isinstance(value, dict):
+        return "{" + ", ".join(f"{_key(key)} = {inline(each)}" for key, each in value.items() if each is not None) + "}"
+    if isinstance(value, list | tuple):
+        return "[" + ", ".join(map(inline, value)) + "]"
+    return repr(value) if isinstance(value, float) else json.dumps(value, ensure_ascii=False, default=str)
+
+
+def text_of(tree: dict[str, Any], path: str = "") -> str:
+    """A tree as the text of a TOML file; what is None is left out."""
+    lines, below = list[str](), list[str]()
+    for key, value in tree.items():
+        place = f"{path}{_key(key)}"
+        if isinstance(value, dict):
+            below.append(f"\n[{place}]\n{text_of(value, f'{place}.')}")
+        elif isinstance(value, list | tuple) and value and all(isinstance(each, dict) for each in value):
+            rows = [
+                "".join(f"{_key(name)} = {inline(each)}\n" for name, each in row.items() if each is not None) for row in value
+            ]
+            below += [f"\n[[{place}]]\n{row}" for row in rows]
+        elif value is not None:
+            lines.append(f"{_key(key)} = {inline(value)}\n")
+    return "".join([*lines, *below])
+
+
+def _key(name: str) -> str:
+    return name if re.fullmatch("[A-Za-z0-9_-]+", name) else json.dumps(name, ensure_ascii=False)
 
 
 def decode(tree: dict[str, object], kind: type[T], file: str) -> T:

@@ -5,7 +5,7 @@ import time
 from pathlib import Path
 from typing import Any, Final
 
-from delfim.campaign import findings
+from delfim.campaign import findings, pairtable, shrinking
 from delfim.campaign.runplan import CampaignFile, Plan
 from delfim.campaign.sailing import VERSION
 from delfim.campaign.store import Store
@@ -13,6 +13,7 @@ from delfim.campaign.workers import by_cluster, by_processes
 from delfim.errors import DelfimError
 
 TELL_S: Final = 2.0  # between two lines of progress on a terminal; elsewhere ten times as much
+SHRUNK: Final = 3  # kinds of failures of which a run is shrunken without being asked
 YEAR_S: Final = 365.25 * 86400.0
 
 
@@ -81,11 +82,14 @@ def tell(file: CampaignFile, plan: Plan, folder: Path, command: str, against: Pa
     verdicts = findings.verdicts(database, file.must)
     for name, holds, where in verdicts:
         print(f"  {'holds' if holds else 'FAILS':6} {name}" + (f" (points {', '.join(map(str, where[:10]))})" if where else ""))
-    for words, many, point, seed in findings.failed(database)[:10]:
-        print(f"  {many:6} failed: {words}; again: {command} --again {point}:{seed}")
+    for number, (words, many, point, seed) in enumerate(findings.failed(database)[:10]):
+        print(f"  {many:6} failed: {words}; again: {command} --again {point}:{seed}", flush=True)
+        if number < SHRUNK and plan.stories[plan.points[point][0]].mission == "":
+            shrinking.run(plan, folder, point, seed)
     answers = findings.answered(database, file.answers)
     for name, columns, rows in answers:
         print(f"\n  {name}\n", *(f"  {line}" for line in findings.shown(columns, rows).splitlines()), "", sep="\n")
+    searched = not file.pairs or pairtable.tell(database, file.pairs, folder)
     from delfim.campaign import report  # its pictures take half a second to import, which nobody waits for before the first run
 
     earlier = findings.connect(against) if against else None
@@ -93,7 +97,7 @@ def tell(file: CampaignFile, plan: Plan, folder: Path, command: str, against: Pa
     print(f"  report {page}")
     if database.execute("select count(distinct (point, seed)) from runs").fetchone() != (plan.runs,):
         raise DelfimError("runs are missing")
-    return int(not all(holds for _, holds, _ in verdicts))
+    return int(not (searched and all(holds for _, holds, _ in verdicts)))
 
 
 def _clock(seconds: float) -> str:

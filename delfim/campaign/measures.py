@@ -99,6 +99,7 @@ class Sailed(NamedTuple):
     truth: Truth
     events: list[Event]
     end: str  # in words
+    pairs: str | None = None  # where the campaign counts them
 
 
 class Measure(NamedTuple):
@@ -216,5 +217,6 @@ MEASURES: Final = (
     Measure("end_east_m", "DOUBLE", "true place of the end", lambda s: s.truth.at and s.truth.at[1]),
     Measure("mode", "VARCHAR", "mode at the end", lambda s: s.truth.mode.name.lower() if s.truth.mode is not None else ""),
     Measure("end", "VARCHAR", "how it ended, in words", lambda s: s.end),
+    Measure("pairs", "VARCHAR", "pairs that it met, where they are counted", lambda s: s.pairs),
     Measure("digest", "VARCHAR", "of each cycle, and of the notes of the log", lambda s: s.tape.hash.hexdigest()),
 )

@@ -18,9 +18,9 @@ import msgspec
 from delfim import config, tables
 from delfim.errors import ConfigError, FormatError
 from delfim.outside import read_text
-from delfim.simulator.chased import DRAWN
 from delfim.simulator.encounters import staged_of
 from delfim.simulator.scenario import FaultAt, Scenario, fault_of, load_scenario
+from delfim.simulator.searching import DRAWN
 from delfim.vehicle.mission import load_mission
 
 POINTS_MAX: Final = 100_000
@@ -77,7 +77,7 @@ class Seeds(tables.Table, frozen=True):
 
 class CampaignFile(tables.Table, frozen=True):
     """The file. `vehicle`, `scenario` and `mission` are files beside it, one or several: each boat sails each of the others.
-    The scenarios "mixed" and "chased" are drawn from the seed."""
+    The scenarios "mixed", "chased" and "searching" are drawn from the seed."""
 
     version: Literal[1]
     name: Name
@@ -88,6 +88,7 @@ class CampaignFile(tables.Table, frozen=True):
     limit_s: Annotated[float, msgspec.Meta(gt=0.0, le=86_400.0)] = 300.0  # of computing for a run
     seeds: Seeds = Seeds()
     audit: bool = False  # each run's log is judged by the second auditor: what it finds is a failure
+    pairs: Annotated[float, msgspec.Meta(ge=0.0, le=1.0)] = 0.0  # part of the possible pairs that must be met; 0: not counted
     latin: bool = False  # draw evenly: each of as many slices of a range as there are seeds is met once
     vary: dict[Key, Annotated[tuple[Scalar, ...], msgspec.Meta(min_length=1)] | Steps] = msgspec.field(default_factory=dict)
     draw: dict[Key, Draw] = msgspec.field(default_factory=dict)
@@ -102,7 +103,7 @@ class CampaignFile(tables.Table, frozen=True):
 
 
 class Story(NamedTuple):
-    """What is sailed: a boat, and a scenario's file, "mixed", "chased", or a mission, with the texts that belong to it."""
+    """What is sailed: a boat, and a scenario's file, one that a seed draws, or a mission, with the texts that belong to it."""
 
     name: str
     boat: str  # name of the vehicle's file
@@ -131,6 +132,7 @@ class Plan(NamedTuple):
     seconds: float
     limit_s: float
     audit: bool = False
+    pairs: bool = False
 
     @property
     def runs(self) -> int:
@@ -197,9 +199,11 @@ def read(path: str | Path) -> tuple[CampaignFile, Plan]:
     points = tuple((story, row) for story in range(len(stories)) for row in rows)
     kept = {"stories": stories, "points": points, "draw": file.draw, "latin": file.latin}
     kept |= {"audit": True} if file.audit else {}
+    kept |= {"pairs": True} if file.pairs else {}
     sailed = msgspec.json.encode(kept | {"seeds": file.seeds, "seconds": file.seconds}, order="sorted")
     digest = hashlib.sha256(sailed).hexdigest()[:16]
-    plan = Plan(file.name, digest, stories, points, file.draw, file.latin, file.seeds, file.seconds, file.limit_s, file.audit)
+    how = file.draw, file.latin, file.seeds, file.seconds, file.limit_s, file.audit, file.pairs > 0.0
+    plan = Plan(file.name, digest, stories, points, *how)
     for number in range(len(points)):
         try:
             _try(plan, number, str(place))

@@ -9,7 +9,7 @@ import time
 from collections.abc import Callable
 from importlib.util import find_spec
 from tempfile import TemporaryDirectory
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import delfim
 from delfim import config, tables
@@ -17,12 +17,13 @@ from delfim.campaign.measures import MEASURES, RunTape, Sailed, Truth
 from delfim.campaign.runplan import Batch, Plan, broken_of, laid, parted
 from delfim.clock import ManualClock
 from delfim.errors import DelfimError
-from delfim.simulator.chased import DRAWN
 from delfim.simulator.encounters import OWN_MPS, RANDOM, drawn, staged
 from delfim.simulator.lockstep import Lockstep
 from delfim.simulator.mixed import mixed_mission
+from delfim.simulator.pairs import PairTape
 from delfim.simulator.scenario import Scenario, laid_upon
-from delfim.simulator.trial import sail
+from delfim.simulator.searching import DRAWN
+from delfim.simulator.trial import Event, sail
 from delfim.simulator.watch import TruePlace
 from delfim.vehicle.logbook import Logbook
 from delfim.vehicle.state import NoLog, StateLog
@@ -37,9 +38,10 @@ class TooLong(DelfimError):
 class _Watch:
     """Looks at a run after each cycle."""
 
-    def __init__(self, limit_s: float, look: Callable[[Lockstep], object], beside: Callable[[ManualClock], StateLog]) -> None:
-        self._until_s, self._limit_s = time.process_time() + limit_s, limit_s
+    def __init__(self, plan: Plan, look: Callable[[Lockstep], object], beside: Callable[[ManualClock], StateLog]) -> None:
+        self._until_s, self._limit_s = time.process_time() + plan.limit_s, plan.limit_s
         self._look, self._beside = look, beside
+        self._pairs = PairTape() if plan.pairs else None
         self.begun: Lockstep
         self.log: RunTape
         self.truth: Truth
@@ -55,8 +57,15 @@ class _Watch:
         self._cycles += 1
         self.truth.look(place)
         self._look(run)
+        if self._pairs is not None:
+            self._pairs.look(run)
         if self._cycles % LOOK_CYCLES == 0 and time.process_time() > self._until_s:
             raise TooLong(f"not over after {self._limit_s:g} s of computing, {run.elapsed_s:.0f} s at sea")
+
+    def sailed(self, events: list[Event], end: str) -> Sailed:
+        """The run when it has ended, in words."""
+        pairs = None if self._pairs is None else " ".join(map(str, sorted(self._pairs.met)))
+        return Sailed(self.begun, self.log, self.truth, events, end, pairs)
 
 
 def code() -> str:
@@ -96,7 +105,7 @@ def one(plan: Plan, number: int, point: int, seed: int) -> dict[str, Any]:
     story = plan.stories[plan.points[point][0]]
     row: dict[str, Any] = {"batch": number, "point": point, "seed": seed, "vehicle": story.boat, "story": story.name} | values
     try:
-        sailed, failures = (_audited if plan.audit else sailed_run)(plan, point, seed)
+        sailed, failures = judged(plan, drawn_run(plan, point, seed), seed)
         row |= {"ok": not failures, "failures": failures, "error": ""}
         row |= {measure.name: measure.value(sailed) for measure in MEASURES}
     except Exception as error:  # a defect, or a limit: a result of this run, not the end of the campaign
@@ -110,23 +119,36 @@ def one(plan: Plan, number: int, point: int, seed: int) -> dict[str, Any]:
     }
 
 
-def _audited(plan: Plan, point: int, seed: int) -> tuple[Sailed, list[str]]:
-    """The same with its log, which the second auditor judges; what it finds is among the failures."""
+def judged(plan: Plan, drawn: "Drawn", seed: int) -> tuple[Sailed, list[str]]:
+    """What a run sails, and what failed in it; where the campaign asks the second auditor, what he finds in its log, too."""
+    if not plan.audit:
+        return sailed_drawn(plan, drawn, seed)
     from delfim.audit import auditor  # it needs numpy, which a run that nobody audits does not
 
     with TemporaryDirectory(prefix="delfim-audit-") as folder:
-        sailed, failures = sailed_run(plan, point, seed, log=folder)
+        sailed, failures = sailed_drawn(plan, drawn, seed, log=folder)
         return sailed, [*failures, *(f"audit: {words}" for words in auditor.complaints(folder))]
 
 
-def sailed_run(
-    plan: Plan, point: int, seed: int, look: Callable[[Lockstep], object] = lambda run: None, log: str = ""
-) -> tuple[Sailed, list[str]]:
-    """The run of a point and a seed, and what failed in it, in words. `look` is called after each cycle; `log` is a folder for
-    its state log. Raises DelfimError."""
+class Drawn(NamedTuple):
+    """What a run sails."""
+
+    boat: dict[str, Any]  # the vehicle's file as a tree, with the campaign's values over it
+    values: dict[str, Any]  # they lie over what the scenario lays upon it, too
+    scenario: Scenario | None
+    mission: str  # its text
+
+    def settings(self, name: str, log: str = "") -> config.Vehicle:
+        """`log`: a folder for the state log. Raises ConfigError in the name of what is wrong."""
+        tree = self.boat if self.scenario is None else laid(laid_upon(self.boat, self.scenario), self.values)
+        kept = {"log.directory": log, "log.state_method": "write"} if log else {}
+        return tables.decode(laid(tree, kept), config.Vehicle, name)
+
+
+def drawn_run(plan: Plan, point: int, seed: int) -> Drawn:
+    """Raises DelfimError."""
     story, (values, faults) = plan.stories[plan.points[point][0]], parted(plan.values(point, seed))
-    tree = laid(story.vehicle, values | ({"log.directory": log, "log.state_method": "write"} if log else {}))
-    scenario, mission, patient = None, story.mission, True
+    boat, scenario, mission = laid(story.vehicle, values), None, story.mission
     if story.scenario is not None:
         scenario = tables.decode(story.scenario, Scenario, story.name)
         if scenario.encounters == RANDOM:
@@ -134,12 +156,25 @@ def sailed_run(
         if faults:
             scenario = broken_of(scenario, faults, plan.name)
     elif not story.mission:
-        settings = tables.decode(tree, config.Vehicle, plan.name)
-        scenario, mission, patient = DRAWN[story.name](seed, settings), mixed_mission(settings.simulation), False
-    if scenario is not None:
-        tree = laid(laid_upon(tree, scenario), values)  # the campaign's values lie uppermost
-    settings = tables.decode(tree, config.Vehicle, plan.name)
-    watch = _Watch(plan.limit_s, look, lambda clock: Logbook(settings, clock) if log else NoLog())
+        settings = tables.decode(boat, config.Vehicle, plan.name)
+        scenario, mission = DRAWN[story.name](seed, settings), mixed_mission(settings.simulation)
+    return Drawn(boat, values, scenario, mission)
+
+
+def sailed_run(
+    plan: Plan, point: int, seed: int, look: Callable[[Lockstep], object] = lambda run: None, log: str = ""
+) -> tuple[Sailed, list[str]]:
+    """The run of a point and a seed, and what failed in it, in words. `look` is called after each cycle; `log` is a folder for
+    its state log. Raises DelfimError."""
+    return sailed_drawn(plan, drawn_run(plan, point, seed), seed, look, log)
+
+
+def sailed_drawn(
+    plan: Plan, drawn: Drawn, seed: int, look: Callable[[Lockstep], object] = lambda run: None, log: str = ""
+) -> tuple[Sailed, list[str]]:
+    """The same of what a run sails."""
+    settings, scenario = drawn.settings(plan.name, log), drawn.scenario
+    watch = _Watch(plan, look, lambda clock: Logbook(settings, clock) if log else NoLog())
     if scenario is None:
         run = Lockstep(settings, seed, watch.tape)
         place = TruePlace(run)
@@ -148,8 +183,8 @@ def sailed_run(
             place.look()
             watch(run, place)
 
-        end = run.sail(mission, plan.seconds, looks)
+        end = run.sail(drawn.mission, plan.seconds, looks)
         run.close()
-        return Sailed(run, watch.log, watch.truth, [], end), [] if end.startswith("mission done") else [end]
-    result = sail(scenario, settings, seed, mission, watch.tape, patient=patient, look=watch)
-    return Sailed(watch.begun, watch.log, watch.truth, result.events, watch.truth.reason), result.failures
+        return watch.sailed([], end), [] if end.startswith("mission done") else [end]
+    result = sail(scenario, settings, seed, drawn.mission, watch.tape, look=watch)
+    return watch.sailed(result.events, watch.truth.reason), result.failures

@@ -22,6 +22,8 @@ def options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--cluster", metavar="ADDRESS", help="Sail on this Dask cluster instead, as tcp://host:8786.")
     parser.add_argument("--batch", type=int, default=20, metavar="RUNS", help="Runs that are handed out together.")
     parser.add_argument("--again", metavar="POINT:SEED", help="Sail one run here once more, with its log and a picture.")
+    shrunk = "Leave out of a run that failed all without which it fails as well, and write the rest as a scenario."
+    parser.add_argument("--shrink", metavar="POINT:SEED", help=shrunk)
     parser.add_argument("--against", metavar="DIRECTORY", help="Compare with the results of an earlier campaign.")
 
 
@@ -32,13 +34,15 @@ def run(asked: argparse.Namespace) -> int:
         raise DelfimError("SQL is for delfim campaign query")
     if not 1 <= asked.workers <= 1024 or not 1 <= asked.batch <= 10_000:
         raise DelfimError("--workers is 1 to 1024, --batch 1 to 10000")
-    from delfim.campaign import again, conduct, findings
+    from delfim.campaign import again, conduct, findings, shrinking
     from delfim.campaign.runplan import read
 
     file, plan = read(asked.file)
     folder = Path(asked.output) if asked.output else FOLDER / f"{_slug(plan.name)}-{plan.digest[:8]}"
     if asked.again:
         return again.sail(plan, folder, *_run(asked.again, len(plan.points)))
+    if asked.shrink:
+        return shrinking.run(plan, folder, *_run(asked.shrink, len(plan.points)))
     findings.rehearse(file, plan)
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # as Ctrl-C, which a shell keeps from what runs in the background
     conduct.sail(plan, folder, asked.batch, asked.workers, asked.cluster)
@@ -53,7 +57,7 @@ def _slug(name: str) -> str:
 def _run(text: str, points: int) -> tuple[int, int]:
     point, colon, seed = text.partition(":")
     if not (colon and point.isdecimal() and seed.isdecimal() and int(point) < points):
-        raise DelfimError(f"--again {text}: not POINT:SEED with a point up to {points - 1}")
+        raise DelfimError(f"{text}: not POINT:SEED with a point up to {points - 1}")
     return int(point), int(seed)
 
 

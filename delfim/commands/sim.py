@@ -40,7 +40,10 @@ def options(parser: argparse.ArgumentParser) -> None:
     example_file(parser, nargs="?", default=OWN_FILE)
     parser.add_argument("--mission", metavar="FILE", type=shipped, help="Sail this one instead of simulation.mission of FILE.")
     parser.add_argument(
-        "--scenario", metavar="FILE", type=shipped, help='Sail this scenario in lock step; the seed draws "mixed" and "chased".'
+        "--scenario",
+        metavar="FILE",
+        type=shipped,
+        help='Sail this scenario in lock step; the seed draws "mixed", "chased" and "searching".',
     )
     parser.add_argument(
         "--for", type=seconds, dest="for_s", metavar="SECONDS", help="End after this time, not with the mission."
@@ -78,11 +81,11 @@ def run(asked: argparse.Namespace) -> int:
 
 def _scenario(asked: argparse.Namespace) -> int:
     from delfim.logging.statelog import columns
-    from delfim.simulator import chased, mixed, trial
+    from delfim.simulator import mixed, searching, trial
 
     logged = bool(asked.output)
     overrides = (*asked.set, *(_kept(asked) if logged else ()))
-    if draw := chased.DRAWN.get(asked.scenario):
+    if draw := searching.DRAWN.get(asked.scenario):
         result = mixed.sail_mixed(asked.file, asked.seed, overrides, draw, logged=logged)
     else:
         result = trial.run_file(asked.scenario, asked.file, asked.seed, overrides, logged=logged)

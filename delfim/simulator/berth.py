@@ -19,7 +19,7 @@ from typing import Any, Final, NamedTuple
 
 import msgspec
 
-from delfim import config
+from delfim import config, tables
 from delfim.errors import DelfimError
 from delfim.logging.blackbox import device
 from delfim.logging.keptwriter import VOYAGE
@@ -154,7 +154,7 @@ def settings_of(vehicle: config.Vehicle, its: Berth, named: Collection[str]) -> 
     texts = {key: text for key, text in texts.items() if not (key.startswith("nmea0183.") and f"{key}.".startswith(given))}
     if not set(vehicle.drivers) <= set(PLAYED):
         texts["pwm.chip"] = f"{place}/pwmchip0"
-        values |= {"pwm.arm_s": "0.5", "pwm.channel": "{}", "thrusters": _toml(_by_pulses(vehicle.thrusters))}
+        values |= {"pwm.arm_s": "0.5", "pwm.channel": "{}", "thrusters": tables.inline(_by_pulses(vehicle.thrusters))}
     texts = {key: text for key, text in texts.items() if not (key in OWN_PLACES and key in named)}
     if own := sorted({*texts, *values}.intersection(named) - HEEDED):
         raise DelfimError(f"--set {own[0]}: each simulation has its own; --output DIRECTORY names its folder")
@@ -221,15 +221,6 @@ def _by_pulses(rows: Sequence[config.ThrusterTable]) -> list[Any]:
     if next(channels) > CHANNELS:
         raise DelfimError(f"a simulation has {CHANNELS} channels for motors and what turns them: these thrusters need more")
     return told
-
-
-def _toml(value: Any) -> str:
-    """A value as TOML has it in one line; what is None is left out."""
-    if isinstance(value, dict):
-        return "{" + ", ".join(f"{key} = {_toml(each)}" for key, each in value.items() if each is not None) + "}"
-    if isinstance(value, list | tuple):
-        return "[" + ", ".join(map(_toml, value)) + "]"
-    return json.dumps(value, ensure_ascii=False)
 
 
 def found(folder: str | None) -> Path:

@@ -9,7 +9,7 @@ from random import Random
 from typing import Any, Final
 
 from delfim import config
-from delfim.simulator.mixed import MIXED, mixed, place_of
+from delfim.simulator.mixed import place_of
 from delfim.simulator.scenario import Scenario
 
 CHASED: Final = "chased"
@@ -39,6 +39,7 @@ def chased(seed: int, vehicle: config.Vehicle) -> Scenario:
         vehicle=tree | ({"fence": fence} if random.random() < 0.75 else {}),
         command=tuple(_orders(random, place)),
         vessel=tuple(_fleet(random)),
+        patient=False,
     )
 
 
@@ -78,6 +79,3 @@ def _orders(random: Random, place: Callable[[float, float], list[float]]) -> lis
         orders.append({"at_s": at_s, **random.choice(choices)})
         at_s += random.uniform(15.0, 60.0)
     return orders
-
-
-DRAWN: Final = {MIXED: mixed, CHASED: chased}  # what a seed draws, by the name of the scenario

@@ -5,7 +5,7 @@ same seed gives the same bytes. It leaves out event loop, sockets and processes,
 """
 
 from collections.abc import Callable, Iterator
-from typing import Final, Protocol, Self, runtime_checkable
+from typing import Final, NamedTuple, Protocol, Self, runtime_checkable
 
 import msgspec
 
@@ -39,6 +39,14 @@ class OrderLog(Protocol):
     """A log that keeps orders, as the Logbook does."""
 
     def command(self, command: console.Commands, refused: str | None, state: State, operator: str) -> None: ...
+
+
+class Ordered(NamedTuple):
+    """An order of the operator."""
+
+    mode: Mode  # in which the boat was when it came
+    name: str
+    refused: str  # why, in words; empty: it was obeyed
 
 
 class Lockstep:
@@ -77,6 +85,8 @@ class Lockstep:
         self.faults.is_outlet = self._outlet is not None
         self._cycle_s = 1.0 / settings.navigation.rate_hz
         self._watchdog_s = self._console_s = 0.0
+        self.judged_in = self.state.mode  # the mode in which the failsafe looked for troubles last
+        self.ordered: Ordered | None = None  # the last one
 
     def _start(self) -> None:
         """The boat's program, from its beginning."""
@@ -154,7 +164,9 @@ class Lockstep:
 
     def order(self, command: console.Commands, operator: str) -> str | None:
         """The same, and it is logged, as the doors of the boat do with each."""
+        mode = self.state.mode
         why = self.command(command)
+        self.ordered = Ordered(mode, str(command.__struct_config__.tag), why or "")
         if isinstance(self.log, OrderLog):
             self.log.command(command, why, self.state, operator)
         return why
@@ -207,7 +219,7 @@ class Lockstep:
             self._console_s = now_s + CONSOLE_S
             vehicle.on_command(_ALIVE)
         if now_s >= self._watchdog_s:
-            self._watchdog_s = now_s + WATCHDOG_S
+            self._watchdog_s, self.judged_in = now_s + WATCHDOG_S, self.state.mode
             vehicle.on_watchdog()
         for actuator in vehicle.propulsion.actuators:
             if actuator.period_s:

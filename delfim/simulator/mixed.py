@@ -56,6 +56,7 @@ def mixed(seed: int, vehicle: config.Vehicle) -> Scenario:
         guest=ScenarioGuest(heading_deg=random.uniform(0.0, 360.0), speed_mps=1.5) if random.random() < 0.3 else None,
         command=tuple(_orders(random, seconds, place)),
         fault=tuple(_fault(random, seconds, places) for _ in range(random.randint(1, 5))),
+        patient=False,
     )
 
 
@@ -115,7 +116,7 @@ def sail_mixed(
     scenario = draw(seed, here)
     settings = settings_of(scenario, vehicle, overrides)
     log = partial(Logbook, settings) if logged else None
-    return sail(scenario, settings, seed, mixed_mission(here.simulation), log, patient=False)
+    return sail(scenario, settings, seed, mixed_mission(here.simulation), log)
 
 
 def again(vehicle: str, scenario: str, seed: int, overrides: Sequence[str]) -> str:

@@ -74,6 +74,7 @@ class Scenario(tables.Table, frozen=True):
     encounters: str = ""  # a file of them, beside this one, each a scenario of its own; or "random": one by the seed
     speed_mps: Annotated[float, msgspec.Meta(ge=0.0, le=30.0)] = 0.0  # of the boat; encounters are scaled to it; 0: their own
     handset: tuple[HandsetAt, ...] = ()  # of the boat's hand-set, which `vehicle.handset` then describes
+    patient: bool = True  # the operator gives a refused order again; false: he gives each once, and it may be refused
     expect: tuple[Expect, ...] = ()
 
 

@@ -94,14 +94,13 @@ def sail(
     mission: str = "",
     make_log: Callable[[ManualClock], StateLog] | None = None,
     *,
-    patient: bool = True,
     look: Callable[[Lockstep, TruePlace], object] | None = None,
 ) -> Result:
-    """One run. `mission` is the text of the scenario's mission file. The same seed gives the same bytes. An operator who is not
-    patient gives an order once and accepts a refusal. `look` is called after each cycle.
+    """One run. `mission` is the text of the scenario's mission file. The same seed gives the same bytes. `look` is called after
+    each cycle.
     """
     run = Lockstep(settings, seed, make_log or (lambda clock: NoLog()), handset=scenario.handset)
-    watch, recorder, operator = Onlooker(run), Recorder(run), Operator(run, scenario, mission, patient)
+    watch, recorder, operator = Onlooker(run), Recorder(run), Operator(run, scenario, mission)
     faults = [(each.at_s, fault_of(each, run.faults.thrusters)) for each in scenario.fault]
     broken = deque(sorted(faults, key=lambda pair: pair[0]))
     guest_s, counts_waypoints = 0.0, any(expected.waypoints for expected in scenario.expect)
@@ -128,8 +127,8 @@ def sail(
 class Operator:
     """Gives a scenario's orders: each until it is obeyed, refused as expected, or given up."""
 
-    def __init__(self, run: Lockstep, scenario: Scenario, mission: str, patient: bool) -> None:
-        self._run, self._patience_s = run, PATIENCE_S if patient else 0.0
+    def __init__(self, run: Lockstep, scenario: Scenario, mission: str) -> None:
+        self._run, self._patience_s = run, PATIENCE_S if scenario.patient else 0.0
         orders = [OperatorWord.of(words) for words in scenario.command]
         if mission:
             orders.append(OperatorWord(-1.0, console.LoadMission(mission)))

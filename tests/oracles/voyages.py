@@ -26,7 +26,7 @@ MODES_S: Final = 7.0  # a boat is told another mode so often
 
 
 class Voyage(NamedTuple):
-    """A run. `patient`: an operator who gives a refused order again."""
+    """A run."""
 
     name: str
     settings: config.Vehicle
@@ -34,7 +34,6 @@ class Voyage(NamedTuple):
     scenario: Scenario
     mission: str
     layout: Layout
-    patient: bool = True
 
     def sail(self, groups: dict[str, tuple[str, ...]], seconds: float = math.inf) -> Trace:
         """Its trace in these fields, or in all; whole, or for a time."""
@@ -48,7 +47,7 @@ class Voyage(NamedTuple):
             tapes[0].look(run)
 
         scenario = msgspec.structs.replace(self.scenario, seconds=min(seconds, self.scenario.seconds))
-        result = sail(scenario, self.settings, self.seed, self.mission, tape, patient=self.patient, look=look)
+        result = sail(scenario, self.settings, self.seed, self.mission, tape, look=look)
         for event in result.events:
             if event.kind == "command":
                 tapes[0].told.append((event.t_s, f"operator: {event.name} {event.text}".rstrip()))
@@ -94,7 +93,7 @@ def mixed_seeds() -> Iterator[Voyage]:
         scenario, mission = mixed(seed, here), mixed_mission(here.simulation)
         settings = settings_of(scenario, DELFIMX)
         layout = Layout(settings.navigation.rate_hz, 25.0, 10.0)
-        yield Voyage(f"mixed, seed {seed}", settings, seed, scenario, mission, layout, patient=False)
+        yield Voyage(f"mixed, seed {seed}", settings, seed, scenario, mission, layout)
 
 
 def encounters() -> Iterator[Voyage]:

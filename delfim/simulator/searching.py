@@ -1,0 +1,352 @@
+"""Runs that search: each seed aims at a pair of `delfim.simulator.pairs`, and draws what may bring about both at once.
+
+The aim is the seed's place in the list of the possible pairs, so that a run is repeated by its seed alone. All else is drawn:
+the parts of the boat, what its failsafe does, and some faults and orders beside those that are aimed at.
+"""
+
+from functools import partial
+from operator import itemgetter
+from random import Random
+from typing import Any, Final
+
+import msgspec
+
+from delfim import config
+from delfim.modes import Mode
+from delfim.simulator.chased import CHASED, chased
+from delfim.simulator.faults import OF_AIS, OF_COMPASS, OF_PULSES, OF_THRUSTERS, VALUES
+from delfim.simulator.handset import HandsetAt
+from delfim.simulator.mixed import MIXABLE, MIXED, mixed, place_of
+from delfim.simulator.nodes import nodes_of
+from delfim.simulator.ordering import Operator, Words
+from delfim.simulator.pairs import PAIRS, kind_of
+from delfim.simulator.scenario import FaultAt, Scenario, ScenarioGuest, laid_over
+
+SEARCHING: Final = "searching"
+AT_S: Final = 4.0  # the boat is ready
+SWIFT: Final[Words] = {  # troubles that need not last as long as at sea
+    "console_silent": {"after_s": 1.5},
+    "manual_silent": {"after_s": 1.9},
+    "guest_silent": {"after_s": 1.0},
+    "battery_low": {"after_s": 1.0},
+    "battery_critical": {"after_s": 1.0},
+    "fence_left": {"after_s": 0.5},
+    "thruster": {"after_s": 1.0},
+    "gnss_poor": {"after_s": 1.0},
+    "shallow": {"after_s": 0.5},
+    "ais_silent": {"after_s": 2.0},
+    "log": {"after_s": 1.0},
+    "navigation_frozen": {"after_s": 1.0},
+    "clear_s": 1.0,
+}
+EASY: Final = ("log", "gnss_poor", "battery_low", "sensor_bad", "sensor_bad", "handset_silent")  # come when they are asked for
+WITHOUT_TABLE: Final = ("control", "kill", "restarted")  # what the boat does for them is not a matter of its file
+OF_VESSELS: Final = ("traffic", "traffic_close", "traffic_unclear", "ais_silent")
+AT_REST: Final = ("actuate", "reset", "arm refused", "pause refused")  # orders to a boat in idle
+UNFIT: Final = ("heading refused", "course refused", "manual refused", "play refused", "mode refused", "arm refused")
+ON_A_BUS: Final[Words] = {"navigation": {"sources": ["nmea2000"], "rate_hz": 10.0, "estimator": True}}
+PLAINLY: Final[Words] = {"navigation": {"sources": ["nmea2000"]}}  # without an estimator a lost heading is lost at once
+ON_A_LINE: Final[Words] = {
+    "navigation": {"sources": ["nmea0183"], "stale_s": 1.5},
+    "nmea0183": {"ports": {"gnss": {"device": "/dev/gnss", "baud": 115200}}},
+    "failsafe": {"gnss_poor": {"corrections_s": 5.0, "accuracy_m": 5.0}},
+}
+HANDSET: Final[Words] = {"device": "/dev/receiver", "kill": {"channel": 6}}
+AIMS: Final = tuple(Random("aims").sample(PAIRS, len(PAIRS)))  # so that any stretch of seeds tries something of all
+
+
+def searching(seed: int, vehicle: config.Vehicle) -> Scenario:
+    """The run of a seed."""
+    return _Search(Random(f"searching {seed}"), vehicle, AIMS[seed % len(AIMS)]).scenario(seed)
+
+
+class _Search:
+    """A run while it is drawn."""
+
+    def __init__(self, random: Random, vehicle: config.Vehicle, aim: tuple[str, str]) -> None:
+        self.random, self.vehicle, self.aim = random, vehicle, aim
+        self.place, self.thrusters = partial(place_of, vehicle.simulation), [row.name for row in vehicle.thrusters]
+        self.operator = Operator(random, self.place, self.thrusters[0])
+        self.has_nodes = vehicle.navigation.sources == ("dsor",) and vehicle.drivers == ("dsor",)  # its parts may be others
+        self.at_s, self.tree = random.uniform(8.0, 13.0), dict[str, Any]()
+        self.end_s = self.at_s + random.uniform(10.0, 24.0)
+        self.orders, self.faults, self.vessels = list[Words](), list[FaultAt](), list[Words]()
+        self.handset: tuple[HandsetAt, ...] = ()
+        self.is_led = self.is_carried = self.is_plain = False  # by the guest computer; by the current; without an estimator
+        named = {kind: [each.partition(" ")[2] for each in aim if kind_of(each) == kind] for kind in map(kind_of, aim)}
+        self.modes, self.troubles = named.get("mode", []), named.get("trouble", [])
+        self.action, self.order = (named.get(kind, [""])[0] for kind in ("action", "order"))
+        self.silences = {"manual_silent", "guest_silent", "console_silent", "restarted"} & {*self.troubles}
+        self.rests = self.order in AT_REST and bool(self.troubles or self.action in ("hold", "back", "home"))
+
+    def scenario(self, seed: int) -> Scenario:
+        self._parts()
+        self._sea()
+        self._aim()
+        self._sail()
+        if self.order:
+            self._ask()
+        self._chance()
+        orders = sorted((each for each in self.orders if each["at_s"] < self.end_s), key=itemgetter("at_s"))
+        return Scenario(
+            version=1,
+            name=f"searching for {self.aim[0]} with {self.aim[1]}, seed {seed}",
+            seconds=self.end_s,
+            vehicle=self.tree,
+            guest=ScenarioGuest(heading_deg=self.random.uniform(0.0, 360.0), speed_mps=1.0) if self.is_led else None,
+            command=tuple(orders),
+            fault=tuple(self.faults if self.has_nodes else self._breakable()),
+            vessel=tuple(self.vessels),
+            handset=self.handset,
+            patient=False,
+        )
+
+    def _breakable(self) -> list[FaultAt]:
+        """What the boat does not have does not break."""
+        settings = msgspec.convert(laid_over(msgspec.to_builtins(self.vehicle), self.tree), config.Vehicle)
+        nodes = nodes_of(settings, 0)
+        lacks = {*(() if nodes.compasses else OF_COMPASS), *(() if nodes.shipping else OF_AIS)}
+        lacks |= {*(() if "pwm" in settings.drivers else OF_PULSES)}
+        places = {"", *self.thrusters, *nodes.sensors, *(["compass"] if nodes.compasses else [])}
+        return [each for each in self.faults if each.kind not in lacks and each.where in places]
+
+    def _lay(self, tree: Words) -> None:
+        self.tree = laid_over(self.tree, tree)
+
+    def _does(self, trouble: str, action: str) -> None:
+        """The boat's file says so for all modes."""
+        modes = {mode.name.lower(): "same" for mode in Mode if mode is not Mode.IDLE}
+        self._lay({"failsafe": {trouble: {**modes, "action": action}}})
+
+    def _break(self, kind: str, at_s: float, where: str = "", value: float | None = None, for_s: float | None = None) -> None:
+        self.faults.append(FaultAt(at_s=at_s, kind=kind, where=where, value=value, for_s=for_s))
+
+    def _blink(self, kind: str, at_s: float, for_s: float, every_s: float, where: str = "") -> None:
+        """Again and again: what happens in the one cycle in which a trouble begins gets as many chances."""
+        while at_s < self.end_s:
+            self._break(kind, at_s, where, None, for_s)
+            at_s += every_s
+
+    def _parts(self) -> None:
+        """The boat may have other sensors and motors than its file says, as far as those leave what is aimed at."""
+        random, others = self.random, "navigation_twice" not in self.troubles and self.has_nodes
+        self.is_plain = others and ("control" in self.troubles or (self.rests and bool(self.action)))
+        on_a_line = others and not self.is_plain and random.random() < 0.2
+        if self.is_plain:
+            self._lay(PLAINLY)
+        elif others and random.random() < 0.3:
+            self._lay(ON_A_LINE if on_a_line else ON_A_BUS)
+        if self.has_nodes and ("outlet" in self.troubles or random.random() < 0.1):
+            kept, *rows = map(msgspec.to_builtins, self.vehicle.thrusters)  # one stays on the bus
+            self._lay({"thrusters": [kept, *(row | {"driver": "pwm"} for row in rows)]})
+        self._lay({"log": {"required": random.random() < 0.2}, "failsafe": SWIFT})
+        self._lay({"failsafe": {"pause_s": 0.0 if self.action == "home" else random.choice((0.0, 5.0)), "back_m": 10.0}})
+        self._lay({"failsafe": {"restarted": {"action": random.choice(("hold", "resume", "resume", "home", "idle"))}}})
+
+    def _sea(self) -> None:
+        random, wide_m = self.random, 65.0
+        is_near = bool({"fence", "fence_left"} & {*self.troubles})
+        self.is_carried = "fence_left" in self.troubles or (is_near and random.random() < 0.5)
+        sea = {
+            "current_mps": random.uniform(1.2, 2.4) if self.is_carried else random.uniform(0.0, 0.4),
+            "current_to_deg": random.uniform(0.0, 360.0),
+            "wind_mps": random.uniform(0.0, 6.0),
+            "wind_from_deg": random.uniform(0.0, 360.0),
+        }
+        self._lay({"simulation": {"sea": sea, "heading_deg": random.uniform(0.0, 360.0)}})
+        if self.is_carried:  # out of its fence, which nobody blames on a boat with a broken motor
+            self._does("thruster", "warn")
+            self._break("thruster_dead", AT_S + 1.0, self.thrusters[-1])
+            if self.modes != ["hold"]:
+                self._does("fence", "warn")
+        if is_near:
+            area = {"centre": [self.place(0.0, random.uniform(-4.0, 4.0))], "radius_m": random.uniform(21.0, 26.0)}
+            self._lay({"fence": {"keep_in": [area]}})
+        elif random.random() < 0.3:
+            corners = [self.place(n * wide_m, e * wide_m) for n, e in ((1, -1), (1, 1), (-1, 1), (-1, -1))]
+            rock = {"centre": [self.place(45.0, 0.0)], "radius_m": 10.0}
+            self._lay({"fence": {"keep_in": [{"polygon": corners}], "keep_out": [rock]}})
+
+    def _aim(self) -> None:
+        """The troubles, and what the boat does for them: as its file says, what is aimed at, or nothing, so that they last."""
+        random, carriers = self.random, [each for each in self.troubles if each not in WITHOUT_TABLE]
+        if self.action == "disconnect":
+            self._break("thruster_stuck", self.at_s, self.thrusters[0])
+            self.orders += [{"at_s": self.at_s + random.uniform(0.5, 4.0), "command": "stop"}]
+        elif self.action:
+            carrier = random.choice(carriers if carriers and random.random() < 0.5 else EASY)
+            if carrier not in carriers:
+                self._bring(carrier, self.at_s + random.uniform(-1.0, 4.0))
+            if carrier not in ("fence", "navigation_silent") or self.action != "warn":
+                self._does(carrier, self.action)
+            carriers = [each for each in carriers if each != carrier]
+        for each in carriers if len(self.aim) > len(self.modes) + 1 else []:
+            if self.rests and not self.action:
+                self._does(each, "stop")
+            elif each not in ("fence", "navigation_silent") and random.random() < 0.75:
+                self._does(each, "warn")
+        for each in self.troubles:
+            self._bring(each, self.at_s + random.uniform(0.0, 4.0))
+        if self.is_plain and "control" not in self.troubles:  # by hand it needs no heading, to hold it does
+            self._break("navigation_silent", AT_S, "compass")
+
+    def _bring(self, trouble: str, at_s: float) -> None:
+        """What leads to a trouble about this time."""
+        random, often = self.random, self.random.random() < 0.6
+        match trouble:
+            case "control":
+                self._blink("navigation_silent", at_s, 2.0, 4.0, "compass" if self.has_nodes else "")
+            case "navigation_jumping":
+                self._blink("navigation_jumping", at_s, 3.0, 6.0)
+            case "navigation_silent" if often and len(self.aim) > len(self.modes) + 1:  # so short that nobody sails blind
+                self._does("navigation_silent", "warn")
+                self._blink("navigation_silent", at_s, 1.15, 3.0)
+            case "navigation_silent":
+                self._blink("navigation_silent", at_s, 4.0, 7.0)
+            case "navigation_frozen":
+                self._blink(random.choice(("navigation_frozen", "navigation_repeating")), at_s, 4.0 if often else 2.0, 6.0)
+            case "navigation_twice":
+                self._blink("navigation_forged", at_s, 2.0, 12.0)
+            case "sensor_bad":
+                kind, where = random.choice(("sensor_bad", "sensor_silent")), random.choice(self._nodes())
+                self._blink(kind, at_s, 1.6 if often else 60.0, 4.0 if often else 60.0, where)
+            case "battery_low" | "battery_critical":
+                charge = random.uniform(0.15, 0.24) if trouble == "battery_low" else random.uniform(0.01, 0.08)
+                self._break("battery_sag", at_s, self.thrusters[0], charge)
+            case "thruster":
+                kind = random.choice(("thruster_dead", "thruster_stuck", "thruster_reversed"))
+                self._break(kind, at_s, self.thrusters[0])
+            case "gnss_poor":
+                kinds = ("gnss_poor", "accuracy_poor", "corrections_lost") if "nmea0183" in self.tree else ("gnss_poor",)
+                self._break(random.choice(kinds), at_s)
+            case "log":
+                self._break(random.choice(("disk_full", "disk_full", "disk_slow")), at_s)
+            case "shallow":
+                self._hears()
+                self._lay({"failsafe": {"shallow": {"min_depth_m": 1.0}}})
+                self._break("shallow", at_s)
+            case _ if trouble in OF_VESSELS:
+                self._meets(trouble, at_s)
+            case "restarted":
+                self._blink("restarted", at_s, 1.0, 7.0)
+            case "handset_silent":
+                self._by_hand(HandsetAt(at_s=at_s, radio=False))
+            case "kill" if self.order == "clear refused" or random.random() < 0.3:
+                self._by_hand(HandsetAt(at_s=at_s, kill=True), HandsetAt(at_s=at_s + random.uniform(1.0, 9.0)))
+            case "kill":
+                self.orders += [{"at_s": at_s, "command": "kill"}]
+            case "console_silent" | "guest_silent" | "outlet":
+                self._break(
+                    {"console_silent": "console_lost", "guest_silent": "guest_lost", "outlet": "outlet_silent"}[trouble], at_s
+                )
+
+    def _nodes(self) -> tuple[str, ...]:
+        return ("propeller_starboard", "batteries_starboard", "gps")
+
+    def _hears(self) -> None:
+        self._lay({"sensors": {"names": [*dict.fromkeys((*self.vehicle.sensors.names, "nmea2000"))]}})
+
+    def _by_hand(self, *rows: HandsetAt) -> None:
+        """What somebody does with a hand-set."""
+        self._lay({"handset": HANDSET})
+        self.handset = tuple(sorted((*(self.handset or (HandsetAt(at_s=0.0),)), *rows), key=lambda row: row.at_s))
+
+    def _meets(self, trouble: str, at_s: float) -> None:
+        """Other vessels."""
+        random = self.random
+        self._hears()
+        self.end_s += 15.0
+        self._lay({"simulation": {"traffic": {"heard": "perfect"}}})
+        row: Words = {"transponder": "A", "length_m": random.choice((12.0, 60.0)), "beam_m": 5.0}
+        if trouble == "traffic_unclear":
+            row |= {"speed_mps": 12.0, "course_deg": 180.0, "north_m": 900.0, "east_m": 300.0}
+            self._break("ais_wrong", at_s - 5.0, "", 200.0)
+        elif trouble == "ais_silent":
+            row |= {"north_m": 2000.0}
+            self._break("ais_silent", at_s)
+        elif random.random() < 0.5:
+            row |= {"chases": True, "turn_dps": 10.0, "speed_mps": 4.0, "north_m": 60.0, "east_m": random.uniform(-60.0, 60.0)}
+        else:
+            row |= {"follows_m": random.uniform(5.0, 60.0), "follows_deg": random.uniform(0.0, 360.0)}
+            row |= {"speed_mps": 2.0, "course_deg": (row["follows_deg"] + 180.0) % 360.0}
+        self.vessels.append(row)
+
+    def _sail(self) -> None:
+        """The mode that is aimed at, and again whenever the boat may have left it."""
+        random, at_s = self.random, AT_S
+        some = (
+            ("heading", "course")
+            if "navigation_frozen" in self.troubles
+            else ("heading", "course", "hold", "play", "goto", "manual")
+        )
+        self.mode = (self.modes or [random.choice(some)])[0]
+        if "manual_silent" in self.troubles or (self.is_plain and "control" not in self.troubles):
+            self.mode = "manual"
+        elif "guest_silent" in self.troubles:
+            self.mode = "grex"
+        self.is_led = self.mode == "grex" or random.random() < 0.2
+        self.orders.append({"at_s": 1.0, **self.operator.word("mission")})
+        if self.mode in ("home", "hold", "idle"):
+            self.orders.append({"at_s": at_s, **self.operator.word("heading")})
+            at_s += 4.0
+        every_s = random.choice((1.2, 3.0, 6.0))
+        if self.silences:
+            every_s = 4.0
+        elif self.mode == "manual":
+            every_s = 0.9
+        until_s = self.at_s if self.silences & {"guest_silent", "console_silent", "restarted"} else self.end_s
+        while at_s < until_s:
+            self.orders.append({"at_s": at_s, **self._enters()})
+            at_s += every_s
+
+    def _enters(self) -> Words:
+        """By hand without thrust where silence is aimed at, or where the failsafe took the thrust away."""
+        is_still = self.mode == "manual" and (self.silences or self.rests)
+        return {"command": "mode", "mode": "manual"} if is_still else self.operator.enters(self.mode)
+
+    def _ask(self) -> None:
+        """The order that is aimed at, as a stream: a moment that lasts one cycle is not missed then."""
+        random, order = self.random, self.operator.word(self.order)
+        words, every_s = [order], random.choice((0.2, 0.2, 0.4, 1.0, 2.5))
+        if self.order in UNFIT and random.random() < 0.8:
+            self._unfit(self.order.partition(" ")[0])
+        if "restarted" in self.troubles:
+            words, every_s = [order, self.operator.enters(self.mode)], random.choice((2.5, 3.5))
+        elif "console_silent" in self.troubles:
+            words, every_s = [self._enters(), order], random.uniform(1.5, 1.8) if self.rests else 2.0
+        elif "manual_silent" in self.troubles and not self.rests:
+            words, every_s = [self._enters(), order], 2.5
+        elif self.rests:
+            words, every_s = [self._enters(), order] if self.action or "control" in self.troubles else [order], 0.2
+        elif self.silences:
+            every_s = random.choice((0.2, 1.0))
+        elif random.random() < 0.8 and (before := self.operator.before(self.order)):
+            words = [*before, order]
+        elif random.random() < 0.7:
+            words = [self._enters(), order]
+        at_s = self.at_s + (random.uniform(4.0, 7.0) if "guest_silent" in self.silences else random.uniform(-1.0, 7.0))
+        for i in range(int(random.uniform(6.0, 15.0) / every_s) + 1):
+            self.orders.append({"at_s": at_s + i * every_s, **words[i % len(words)]})
+
+    def _unfit(self, asked: str) -> None:
+        """Poor navigation, for which the boat refuses this mode, and for which it would not stop in another one."""
+        mode = {"arm": "manual", "mode": "hold"}.get(asked, asked)
+        self._does("gnss_poor", "warn")
+        self._lay({"failsafe": {"gnss_poor": {mode: "hold", **({} if "gnss_poor" in self.troubles else {"after_s": 30.0})}}})
+        self._break("gnss_poor", self.at_s - 1.0)
+
+    def _chance(self) -> None:
+        """Faults and orders that nobody aims at; each run has some kinds of them alone."""
+        random = self.random
+        but = ("sensor_", *OF_THRUSTERS, *(("frames_", "bus_", "navigation_") if "navigation_silent" in self.troubles else ()))
+        kinds = random.sample([kind for kind in MIXABLE if not kind.startswith(but)], 3)
+        for _ in range(random.choice((0, 0, 0, 1, 2))):
+            kind = random.choice(kinds)
+            value = VALUES[kind][0] * random.uniform(0.5, 1.5) if kind in VALUES else None
+            self._break(kind, random.uniform(8.0, self.end_s), "", value, random.uniform(0.5, 10.0))
+        if random.random() < 0.3:
+            word = self.operator.word(random.choice(("stop", "goto", "pause", "set", "take", "arm", "unload", "mission")))
+            self.orders.append({"at_s": random.uniform(8.0, self.end_s), **word})
+
+
+DRAWN: Final = {MIXED: mixed, CHASED: chased, SEARCHING: searching}  # what a seed draws, by the name of the scenario
