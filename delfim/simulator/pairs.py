@@ -56,9 +56,11 @@ _SAILING: Final = _all_but(MODES.values(), "mode idle")
 _KILL: Final = _troubles("kill")
 _UNDER_WAY: Final = _troubles("control navigation_frozen manual_silent console_silent guest_silent fence_left")
 _MOVING: Final = frozenset({"action hold", "action back", "action home"})
+_STOPPED: Final = frozenset({"action stop", "action disconnect"}) | _KILL | _troubles("control")
 _BEGIN: Final = _orders("manual heading course goto continue play")  # orders that enter a mode
 IMPOSSIBLE: Final = (
     Never(frozenset({"mode idle"}), _UNDER_WAY, "these are looked at under way alone"),
+    Never(frozenset({"mode home"}), frozenset({"action home"}), "it is on its way"),
     Never(_troubles("manual_silent"), _all_but(MODES.values(), "mode manual"), "nobody steers by hand in another mode"),
     Never(_troubles("guest_silent"), _all_but(MODES.values(), "mode grex"), "nobody asks the guest in another mode"),
     Never(_troubles("manual_silent"), _troubles("guest_silent"), "each is of a mode of its own"),
@@ -67,7 +69,7 @@ IMPOSSIBLE: Final = (
     Never(_troubles("control"), _MOVING | {"action warn"}, "its action is a stop, and nothing graver is done under way"),
     Never(frozenset({"mode idle"}), _MOVING, "a boat in idle stays there"),
     Never(frozenset({"action disconnect"}), _SAILING | _UNDER_WAY, "what turns is disconnected where all was switched off"),
-    Never(_KILL, _BEGIN | _orders("arm pause actuate"), "until a kill is cleared the boat is idle, and nothing turns"),
+    Never(_KILL, _BEGIN | _orders("arm actuate"), "until a kill is cleared the boat is idle, and nothing turns"),
     Never(_orders("clear"), _SAILING | _UNDER_WAY | _MOVING | {"action warn"}, "there is a kill to clear"),
     Never(_orders("pause"), frozenset({"mode idle"}), "there is nothing to pause"),
     Never(_orders("pause-refused"), _SAILING, "it is refused in idle alone"),
@@ -80,9 +82,28 @@ IMPOSSIBLE: Final = (
         frozenset({"mode manual"}) | _troubles("manual_silent kill") | _orders("clear"),
         "thrust by hand is not gone on with, a killed boat was in idle, and any order ends it",
     ),
-    Never(_KILL, _orders("reset-refused"), "a killed boat is in idle"),
+    Never(
+        _STOPPED,
+        _orders("pause continue reset-refused unload-refused"),
+        "the boat is in idle by then, and these are for one that sails",
+    ),
+    Never(
+        _troubles("manual_silent guest_silent"),
+        _orders("continue unload-refused"),
+        "neither by hand nor for a guest is a mission sailed, and only a guest who is heard is followed again",
+    ),
+    Never(
+        _troubles("control"),
+        _orders("heading course goto play"),
+        "of all that a mode needs the heading alone can be lost without the rest, and each of these needs it",
+    ),
+    Never(
+        _troubles("control"),
+        _troubles("navigation_twice"),
+        "who speaks twice is the navigation node, which tells the heading with all else or tells nothing",
+    ),
     Never(_orders("unload"), frozenset({"mode play", "mode path"}), "what is sailed is kept"),
-    Never(_orders("unload-refused"), _all_but(MODES.values(), "mode play", "mode path") | _KILL, "no mission is being sailed"),
+    Never(_orders("unload-refused"), _all_but(MODES.values(), "mode play", "mode path"), "no mission is being sailed"),
 )
 
 

@@ -141,20 +141,27 @@ class _Search:
             self._lay({"thrusters": [kept, *(row | {"driver": "pwm"} for row in rows)]})
         self._lay({"log": {"required": random.random() < 0.2}, "failsafe": SWIFT})
         self._lay({"failsafe": {"pause_s": 0.0 if self.action == "home" else random.choice((0.0, 5.0)), "back_m": 10.0}})
-        self._lay({"failsafe": {"restarted": {"action": random.choice(("hold", "resume", "resume", "home", "idle"))}}})
+        self._lay(
+            {
+                "failsafe": {
+                    "restarted": {"action": random.choice(("idle",) if self.rests else ("hold", "resume", "resume", "home"))}
+                }
+            }
+        )
 
     def _sea(self) -> None:
         random, wide_m = self.random, 65.0
         is_near = bool({"fence", "fence_left"} & {*self.troubles})
         self.is_carried = "fence_left" in self.troubles or (is_near and random.random() < 0.5)
         sea = {
-            "current_mps": random.uniform(1.2, 2.4) if self.is_carried else random.uniform(0.0, 0.4),
+            "current_mps": random.uniform(1.8, 2.4) if self.is_carried else random.uniform(0.0, 0.4),
             "current_to_deg": random.uniform(0.0, 360.0),
             "wind_mps": random.uniform(0.0, 6.0),
             "wind_from_deg": random.uniform(0.0, 360.0),
         }
         self._lay({"simulation": {"sea": sea, "heading_deg": random.uniform(0.0, 360.0)}})
         if self.is_carried:  # out of its fence, which nobody blames on a boat with a broken motor
+            self.at_s, self.end_s = self.at_s + 6.0, self.end_s + 8.0
             self._does("thruster", "warn")
             self._break("thruster_dead", AT_S + 1.0, self.thrusters[-1])
             if self.modes != ["hold"]:
@@ -174,7 +181,8 @@ class _Search:
             self._break("thruster_stuck", self.at_s, self.thrusters[0])
             self.orders += [{"at_s": self.at_s + random.uniform(0.5, 4.0), "command": "stop"}]
         elif self.action:
-            carrier = random.choice(carriers if carriers and random.random() < 0.5 else EASY)
+            easy = ("sensor_bad",) if self.action == "home" else EASY
+            carrier = random.choice(carriers if carriers and random.random() < 0.5 else easy)
             if carrier not in carriers:
                 self._bring(carrier, self.at_s + random.uniform(-1.0, 4.0))
             if carrier not in ("fence", "navigation_silent") or self.action != "warn":
@@ -192,10 +200,10 @@ class _Search:
 
     def _bring(self, trouble: str, at_s: float) -> None:
         """What leads to a trouble about this time."""
-        random, often = self.random, self.random.random() < 0.6
+        random, often = self.random, self.random.random() < 0.6 or self.action == "home"
         match trouble:
             case "control":
-                self._blink("navigation_silent", at_s, 2.0, 4.0, "compass" if self.has_nodes else "")
+                self._blink("navigation_silent", at_s, 2.0, 4.0, "compass" if self.is_plain else "")
             case "navigation_jumping":
                 self._blink("navigation_jumping", at_s, 3.0, 6.0)
             case "navigation_silent" if often and len(self.aim) > len(self.modes) + 1:  # so short that nobody sails blind
@@ -207,9 +215,10 @@ class _Search:
                 self._blink(random.choice(("navigation_frozen", "navigation_repeating")), at_s, 4.0 if often else 2.0, 6.0)
             case "navigation_twice":
                 self._blink("navigation_forged", at_s, 2.0, 12.0)
+            case "sensor_bad" if often:
+                self._blink("sensor_bad", at_s, 2.0, 4.5, random.choice(self._nodes()))
             case "sensor_bad":
-                kind, where = random.choice(("sensor_bad", "sensor_silent")), random.choice(self._nodes())
-                self._blink(kind, at_s, 1.6 if often else 60.0, 4.0 if often else 60.0, where)
+                self._break(random.choice(("sensor_bad", "sensor_silent")), at_s, random.choice(self._nodes()))
             case "battery_low" | "battery_critical":
                 charge = random.uniform(0.15, 0.24) if trouble == "battery_low" else random.uniform(0.01, 0.08)
                 self._break("battery_sag", at_s, self.thrusters[0], charge)
@@ -287,7 +296,8 @@ class _Search:
         self.is_led = self.mode == "grex" or random.random() < 0.2
         self.orders.append({"at_s": 1.0, **self.operator.word("mission")})
         if self.mode in ("home", "hold", "idle"):
-            self.orders.append({"at_s": at_s, **self.operator.word("heading")})
+            self.orders.append({"at_s": at_s, **self.operator.word("heading"), "speed_mps": 2.0})
+            self._lay({"control": {"home": {"speed_mps": 0.4}}})
             at_s += 4.0
         every_s = random.choice((1.2, 3.0, 6.0))
         if self.silences:
@@ -308,6 +318,7 @@ class _Search:
         """The order that is aimed at, as a stream: a moment that lasts one cycle is not missed then."""
         random, order = self.random, self.operator.word(self.order)
         words, every_s = [order], random.choice((0.2, 0.2, 0.4, 1.0, 2.5))
+        in_a_moment = self.rests or self.action == "home" or "control" in self.troubles
         if self.order in UNFIT and random.random() < 0.8:
             self._unfit(self.order.partition(" ")[0])
         if "restarted" in self.troubles:
@@ -316,14 +327,17 @@ class _Search:
             words, every_s = [self._enters(), order], random.uniform(1.5, 1.8) if self.rests else 2.0
         elif "manual_silent" in self.troubles and not self.rests:
             words, every_s = [self._enters(), order], 2.5
-        elif self.rests:
-            words, every_s = [self._enters(), order] if self.action or "control" in self.troubles else [order], 0.2
+        elif in_a_moment:
+            before = [self._enters()] if self.action or "control" in self.troubles or random.random() < 0.3 else []
+            words, every_s = [*before, order], 0.2
         elif self.silences:
             every_s = random.choice((0.2, 1.0))
         elif random.random() < 0.8 and (before := self.operator.before(self.order)):
             words = [*before, order]
         elif random.random() < 0.7:
             words = [self._enters(), order]
+        if self.order == "actuate":  # who holds on while he is refused is refused again
+            every_s = max(every_s, 1.0)
         at_s = self.at_s + (random.uniform(4.0, 7.0) if "guest_silent" in self.silences else random.uniform(-1.0, 7.0))
         for i in range(int(random.uniform(6.0, 15.0) / every_s) + 1):
             self.orders.append({"at_s": at_s + i * every_s, **words[i % len(words)]})
