@@ -7,7 +7,7 @@ from typing import Any, Final
 
 from delfim.campaign import findings, pairtable, shrinking
 from delfim.campaign.runplan import CampaignFile, Plan
-from delfim.campaign.sailing import VERSION
+from delfim.campaign.sailing import VERSION, TooLong
 from delfim.campaign.store import Store
 from delfim.campaign.workers import by_cluster, by_processes
 from delfim.errors import DelfimError
@@ -84,8 +84,11 @@ def tell(file: CampaignFile, plan: Plan, folder: Path, command: str, against: Pa
         print(f"  {'holds' if holds else 'FAILS':6} {name}" + (f" (points {', '.join(map(str, where[:10]))})" if where else ""))
     for number, (words, many, point, seed) in enumerate(findings.failed(database)[:10]):
         print(f"  {many:6} failed: {words}; again: {command} --again {point}:{seed}", flush=True)
-        if number < SHRUNK and plan.stories[plan.points[point][0]].mission == "":
-            shrinking.run(plan, folder, point, seed)
+        if number < SHRUNK and not words.startswith(TooLong.__name__):
+            try:
+                shrinking.run(plan, folder, point, seed)
+            except DelfimError as error:
+                print(f"  not shrunken: {error}")
     answers = findings.answered(database, file.answers)
     for name, columns, rows in answers:
         print(f"\n  {name}\n", *(f"  {line}" for line in findings.shown(columns, rows).splitlines()), "", sep="\n")

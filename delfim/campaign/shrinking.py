@@ -43,12 +43,11 @@ def alike(words: str) -> str:
 
 
 def shrink(drawn: Drawn, failures: Callable[[Drawn], list[str]], tell: Callable[[str], None], most: int = RUNS_MAX) -> Shrunk:
-    """`failures` sails a run and says what failed, in words. Raises DelfimError where nothing does, or nothing can be left
-    out."""
+    """`failures` sails a run and says what failed, in words. Raises DelfimError where nothing does, or where there is nothing
+    to leave out."""
     if drawn.scenario is None:
         raise DelfimError("a mission has no faults and no orders to leave out")
-    found = failures(drawn)
-    if not found:
+    if not (found := failures(drawn)):
         raise DelfimError("this run does not fail")
     search = _Search(drawn, drawn.scenario, alike(found[0]), failures, tell, most)
     search.shorten()
@@ -143,7 +142,7 @@ def written(shrunk: Shrunk, folder: Path) -> list[Path]:
     if drawn.mission:
         (folder / "mission.toml").write_text(drawn.mission, encoding="utf-8")
         tree["mission"] = "mission.toml"
-    kept = {key: value for key, value in tree.items() if value not in (None, "", (), [], {}, 0.0)}
+    kept = {key: value for key, value in tree.items() if value or value is False}
     texts = {"boat.toml": tables.text_of(drawn.boat), "scenario.toml": f"# {shrunk.words}\n{tables.text_of(kept)}"}
     for name, text in texts.items():
         (folder / name).write_text(text, encoding="utf-8")

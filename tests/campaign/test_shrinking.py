@@ -2,13 +2,15 @@
 
 import re
 import shlex
+from pathlib import Path
 
 import pytest
 
 from delfim.__main__ import main
-from delfim.campaign import shrinking
-from delfim.campaign.runplan import read
+from delfim.campaign import conduct, report, shrinking
+from delfim.campaign.runplan import Plan, read
 from delfim.campaign.sailing import Drawn, drawn_run
+from delfim.campaign.store import Store
 from delfim.errors import DelfimError
 from delfim.simulator.trial import run_file
 from delfim.simulator.watch import Onlooker
@@ -53,6 +55,26 @@ def test_it_gives_up_after_so_many_runs_and_tells_those_who_wait(plan, monkeypat
         shrinking.shrink(drawn_run(plan, 0, SEED), lambda now: [], told.append)
 
 
+def test_a_campaign_shrinks_what_failed_by_itself_and_ends_whatever_comes_of_it(tmp_path, monkeypatch, capsys):
+    file, plan = read(written(tmp_path, 'scenario = "mixed"', f"seeds = {{ first = {SEED}, count = 2 }}"))
+    asked = list[tuple[int, int]]()
+
+    def run(plan: Plan, folder: Path, point: int, seed: int) -> int:
+        asked.append((point, seed))
+        raise DelfimError("this run does not fail")
+
+    monkeypatch.setattr(shrinking, "run", run)
+    monkeypatch.setattr(report, "write", lambda *given: "report.html")
+    told = {"batch": 0, "point": 0, "ok": False, "failures": ["wrong at 3.0 s"], "error": ""}
+    rows = [told | {"seed": SEED}, told | {"seed": SEED + 1, "failures": [], "error": "TooLong: not over after 300 s"}]
+    store = Store(tmp_path / "out", plan, 2, "")
+    store.add(0, rows)
+    store.flush()
+    assert conduct.tell(file, plan, tmp_path / "out", "delfim campaign", None) == 0
+    assert asked == [(0, SEED)], "not one that takes too long"
+    assert "  not shrunken: this run does not fail\n" in capsys.readouterr().out
+
+
 def test_a_boat_that_is_wrong_on_purpose_is_shrunken_by_its_campaign_to_a_command_that_repeats_it(
     tmp_path, monkeypatch, capsys
 ):
@@ -72,6 +94,7 @@ def test_a_boat_that_is_wrong_on_purpose_is_shrunken_by_its_campaign_to_a_comman
         r"wrong on purpose at .* s \(operator\): shrunken to 1 of 4 faults, 1 of \d commands, \d of 75 s in \d+ runs", told
     )
     boat, _, file, _, seed = shlex.split(told.rpartition("again: delfim sim ")[2])
+    assert "\npatient = false\n" in Path(file).read_text()
     (words,) = run_file(file, boat, int(seed)).failures
     assert words.startswith("wrong on purpose at ")
 

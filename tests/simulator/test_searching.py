@@ -2,7 +2,6 @@
 
 from pathlib import Path
 
-import msgspec
 import pytest
 
 from delfim import config
@@ -44,8 +43,7 @@ def test_a_run_is_repeated_by_its_seed_and_the_list_is_gone_through():
 
 @pytest.mark.parametrize("boat", sorted(ETC.glob("boats/*.toml")), ids=lambda boat: boat.stem)
 def test_other_boats_search_with_the_parts_that_they_have(boat):
-    for seed in (1, 5):
-        assert not sail_mixed(boat, seed, (), searching).failures
+    assert not sail_mixed(boat, 1, (), searching).failures
 
 
 @pytest.mark.parametrize("never", IMPOSSIBLE, ids=lambda never: never.why)
@@ -57,12 +55,3 @@ def test_what_is_impossible_is_named_as_it_is_elsewhere(never):
 def test_each_order_of_a_console_is_looked_for_or_left_out_by_name():
     assert {thing.split()[1] for thing in pairs.ORDERS} | {*pairs.NO_ORDERS} == {*KINDS}
     assert {*pairs.OBEYED_ALWAYS} <= {*KINDS}
-
-
-def test_a_scenario_is_written_and_read_again(tmp_path):
-    from delfim.simulator.scenario import Scenario, load_scenario
-    from delfim.tables import text_of
-
-    scenario = searching(3, config.load(VEHICLE))
-    (tmp_path / "scenario.toml").write_text(text_of(msgspec.to_builtins(scenario)))
-    assert load_scenario(tmp_path / "scenario.toml") == msgspec.convert(msgspec.to_builtins(scenario), Scenario)
