@@ -42,6 +42,10 @@ SWIFT: Final[Words] = {  # troubles that need not last as long as at sea
 EASY: Final = ("log", "gnss_poor", "battery_low", "sensor_bad", "sensor_bad", "handset_silent")  # come when they are asked for
 WITHOUT_TABLE: Final = ("control", "kill", "restarted")  # what the boat does for them is not a matter of its file
 OF_VESSELS: Final = ("traffic", "traffic_close", "traffic_unclear", "ais_silent")
+HARMLESS: Final = (  # orders after which the boat goes on as before
+    *("take", "set", "rally", "speed", "leg", "arm", "goto refused", "mode refused", "mission refused", "upload refused"),
+    *("play refused", "leg refused", "fence refused", "set refused", "actuate refused"),
+)
 AT_REST: Final = ("actuate", "reset", "arm refused", "pause refused")  # orders to a boat in idle
 UNFIT: Final = ("heading refused", "course refused", "manual refused", "play refused", "mode refused", "arm refused")
 ON_A_BUS: Final[Words] = {"navigation": {"sources": ["nmea2000"], "rate_hz": 10.0, "estimator": True}}
@@ -78,6 +82,8 @@ class _Search:
         self.action, self.order = (named.get(kind, [""])[0] for kind in ("action", "order"))
         self.silences = {"manual_silent", "guest_silent", "console_silent", "restarted"} & {*self.troubles}
         self.rests = self.order in AT_REST and bool(self.troubles or self.action in ("hold", "back", "home"))
+
+        self.in_a_moment = self.rests or self.action == "home" or "control" in self.troubles  # both meet in one cycle alone
 
     def scenario(self, seed: int) -> Scenario:
         self._parts()
@@ -283,12 +289,9 @@ class _Search:
     def _sail(self) -> None:
         """The mode that is aimed at, and again whenever the boat may have left it."""
         random, at_s = self.random, AT_S
-        some = (
-            ("heading", "course")
-            if "navigation_frozen" in self.troubles
-            else ("heading", "course", "hold", "play", "goto", "manual")
-        )
-        self.mode = (self.modes or [random.choice(some)])[0]
+        steady = self.in_a_moment or "navigation_frozen" in self.troubles
+        some = ("heading", "course") if steady else ("heading", "course", "hold", "play", "goto", "manual")
+        self.mode = (self.modes or [random.choice(some if self.order != "unload refused" else ("play", "path"))])[0]
         if "manual_silent" in self.troubles or (self.is_plain and "control" not in self.troubles):
             self.mode = "manual"
         elif "guest_silent" in self.troubles:
@@ -311,14 +314,13 @@ class _Search:
 
     def _enters(self) -> Words:
         """By hand without thrust where silence is aimed at, or where the failsafe took the thrust away."""
-        is_still = self.mode == "manual" and (self.silences or self.rests)
+        is_still = self.mode == "manual" and (self.silences or self.in_a_moment)
         return {"command": "mode", "mode": "manual"} if is_still else self.operator.enters(self.mode)
 
     def _ask(self) -> None:
         """The order that is aimed at, as a stream: a moment that lasts one cycle is not missed then."""
         random, order = self.random, self.operator.word(self.order)
         words, every_s = [order], random.choice((0.2, 0.2, 0.4, 1.0, 2.5))
-        in_a_moment = self.rests or self.action == "home" or "control" in self.troubles
         if self.order in UNFIT and random.random() < 0.8:
             self._unfit(self.order.partition(" ")[0])
         if "restarted" in self.troubles:
@@ -327,7 +329,7 @@ class _Search:
             words, every_s = [self._enters(), order], random.uniform(1.5, 1.8) if self.rests else 2.0
         elif "manual_silent" in self.troubles and not self.rests:
             words, every_s = [self._enters(), order], 2.5
-        elif in_a_moment:
+        elif self.in_a_moment:
             before = [self._enters()] if self.action or "control" in self.troubles or random.random() < 0.3 else []
             words, every_s = [*before, order], 0.2
         elif self.silences:
@@ -358,6 +360,8 @@ class _Search:
             kind = random.choice(kinds)
             value = VALUES[kind][0] * random.uniform(0.5, 1.5) if kind in VALUES else None
             self._break(kind, random.uniform(8.0, self.end_s), "", value, random.uniform(0.5, 10.0))
+        for _ in range(0 if self.silences else 8):
+            self.orders.append({"at_s": random.uniform(self.at_s, self.end_s), **self.operator.word(random.choice(HARMLESS))})
         if random.random() < 0.3:
             word = self.operator.word(random.choice(("stop", "goto", "pause", "set", "take", "arm", "unload", "mission")))
             self.orders.append({"at_s": random.uniform(8.0, self.end_s), **word})
