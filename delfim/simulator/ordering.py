@@ -15,7 +15,7 @@ SMALL_M: Final = 7.0  # half the side of the mission that is sailed around the s
 SWIM: Final[Words] = {"command": "mode", "mode": "swim"}
 
 
-class Operator:
+class DrawnOperator:
     """Draws orders to a boat. `thruster`: the name of one."""
 
     def __init__(self, random: Random, place: Place, thruster: str) -> None:
@@ -27,7 +27,7 @@ class Operator:
         self._made: dict[str, Callable[[], Words]] = {
             "mode": lambda: {
                 "command": "mode",
-                "mode": random.choice(("hold", "home", "heading", "course", "goto", "path", "idle")),
+                "mode": random.choice(("hold", "home", "heading", "course", "goto", "path", "manual", "idle")),
             },
             "manual": lambda: {"command": "manual", "starboard": self._part(), "port": self._part()},
             "actuate": lambda: {"command": "actuate", "thruster": thruster, "part": 0.08},

@@ -60,7 +60,7 @@ _STOPPED: Final = frozenset({"action stop", "action disconnect"}) | _KILL | _tro
 _BEGIN: Final = _orders("manual heading course goto continue play")  # orders that enter a mode
 IMPOSSIBLE: Final = (
     Never(frozenset({"mode idle"}), _UNDER_WAY, "these are looked at under way alone"),
-    Never(frozenset({"mode home"}), frozenset({"action home"}), "it is on its way"),
+    Never(frozenset({"mode home"}), frozenset({"action home"}), "it is on its way already"),
     Never(_troubles("manual_silent"), _all_but(MODES.values(), "mode manual"), "nobody steers by hand in another mode"),
     Never(_troubles("guest_silent"), _all_but(MODES.values(), "mode grex"), "nobody asks the guest in another mode"),
     Never(_troubles("manual_silent"), _troubles("guest_silent"), "each is of a mode of its own"),
@@ -70,7 +70,11 @@ IMPOSSIBLE: Final = (
     Never(frozenset({"mode idle"}), _MOVING, "a boat in idle stays there"),
     Never(frozenset({"action disconnect"}), _SAILING | _UNDER_WAY, "what turns is disconnected where all was switched off"),
     Never(_KILL, _BEGIN | _orders("arm actuate"), "until a kill is cleared the boat is idle, and nothing turns"),
-    Never(_orders("clear"), _SAILING | _UNDER_WAY | _MOVING | {"action warn"}, "there is a kill to clear"),
+    Never(
+        _orders("clear"),
+        _SAILING | _UNDER_WAY | _MOVING | {"action warn"},
+        "only a killed boat obeys it, and that stays in idle",
+    ),
     Never(_orders("pause"), frozenset({"mode idle"}), "there is nothing to pause"),
     Never(_orders("pause-refused"), _SAILING, "it is refused in idle alone"),
     Never(_orders("continue"), _all_but(MODES.values(), "mode hold"), "only a hold remembers what it interrupted"),
@@ -101,6 +105,11 @@ IMPOSSIBLE: Final = (
         _troubles("control"),
         _troubles("navigation_twice"),
         "who speaks twice is the navigation node, which tells the heading with all else or tells nothing",
+    ),
+    Never(
+        _troubles("fence_left"),
+        _orders("heading course goto play continue"),
+        "a boat outside its fence is driven by hand alone",
     ),
     Never(_orders("unload"), frozenset({"mode play", "mode path"}), "what is sailed is kept"),
     Never(_orders("unload-refused"), _all_but(MODES.values(), "mode play", "mode path"), "no mission is being sailed"),

@@ -18,7 +18,7 @@ from delfim.simulator.faults import OF_AIS, OF_COMPASS, OF_PULSES, OF_THRUSTERS,
 from delfim.simulator.handset import HandsetAt
 from delfim.simulator.mixed import MIXABLE, MIXED, mixed, place_of
 from delfim.simulator.nodes import nodes_of
-from delfim.simulator.ordering import Operator, Words
+from delfim.simulator.ordering import DrawnOperator, Words
 from delfim.simulator.pairs import PAIRS, kind_of
 from delfim.simulator.scenario import FaultAt, Scenario, ScenarioGuest, laid_over
 
@@ -26,12 +26,12 @@ SEARCHING: Final = "searching"
 AT_S: Final = 4.0  # the boat is ready
 SWIFT: Final[Words] = {  # troubles that need not last as long as at sea
     "console_silent": {"after_s": 1.5},
-    "manual_silent": {"after_s": 1.9},
+    "manual_silent": {"after_s": 1.4},
     "guest_silent": {"after_s": 1.0},
     "battery_low": {"after_s": 1.0},
     "battery_critical": {"after_s": 1.0},
     "fence_left": {"after_s": 0.5},
-    "thruster": {"after_s": 1.0},
+    "thruster": {"after_s": 3.0},  # a motor that is stopped coasts for two seconds
     "gnss_poor": {"after_s": 1.0},
     "shallow": {"after_s": 0.5},
     "ais_silent": {"after_s": 2.0},
@@ -70,7 +70,7 @@ class _Search:
     def __init__(self, random: Random, vehicle: config.Vehicle, aim: tuple[str, str]) -> None:
         self.random, self.vehicle, self.aim = random, vehicle, aim
         self.place, self.thrusters = partial(place_of, vehicle.simulation), [row.name for row in vehicle.thrusters]
-        self.operator = Operator(random, self.place, self.thrusters[0])
+        self.operator = DrawnOperator(random, self.place, self.thrusters[0])
         self.has_nodes = vehicle.navigation.sources == ("dsor",) and vehicle.drivers == ("dsor",)  # its parts may be others
         self.at_s, self.tree = random.uniform(8.0, 13.0), dict[str, Any]()
         self.end_s = self.at_s + random.uniform(10.0, 24.0)
@@ -83,7 +83,8 @@ class _Search:
         self.silences = {"manual_silent", "guest_silent", "console_silent", "restarted"} & {*self.troubles}
         self.rests = self.order in AT_REST and bool(self.troubles or self.action in ("hold", "back", "home"))
 
-        self.in_a_moment = self.rests or self.action == "home" or "control" in self.troubles  # both meet in one cycle alone
+        brief = {"control", "navigation_silent"} & {*self.troubles}
+        self.in_a_moment = self.rests or self.action == "home" or bool(brief)  # both meet in a cycle or two alone
 
     def scenario(self, seed: int) -> Scenario:
         self._parts()
@@ -150,7 +151,15 @@ class _Search:
         self._lay(
             {
                 "failsafe": {
-                    "restarted": {"action": random.choice(("idle",) if self.rests else ("hold", "resume", "resume", "home"))}
+                    "restarted": {
+                        "action": random.choice(
+                            ("idle",)
+                            if self.rests
+                            else ("hold",)
+                            if self.order == "continue"
+                            else ("hold", "resume", "resume", "home")
+                        )
+                    }
                 }
             }
         )
@@ -197,7 +206,7 @@ class _Search:
         for each in carriers if len(self.aim) > len(self.modes) + 1 else []:
             if self.rests and not self.action:
                 self._does(each, "stop")
-            elif each not in ("fence", "navigation_silent") and random.random() < 0.75:
+            elif each not in ("fence", "navigation_silent") and (each in self.silences or random.random() < 0.75):
                 self._does(each, "warn")
         for each in self.troubles:
             self._bring(each, self.at_s + random.uniform(0.0, 4.0))
@@ -212,7 +221,9 @@ class _Search:
                 self._blink("navigation_silent", at_s, 2.0, 4.0, "compass" if self.is_plain else "")
             case "navigation_jumping":
                 self._blink("navigation_jumping", at_s, 3.0, 6.0)
-            case "navigation_silent" if often and len(self.aim) > len(self.modes) + 1:  # so short that nobody sails blind
+            case "navigation_silent" if (
+                (often or self.order) and not self.rests and len(self.aim) > len(self.modes) + 1
+            ):  # so short that nobody sails blind
                 self._does("navigation_silent", "warn")
                 self._blink("navigation_silent", at_s, 1.15, 3.0)
             case "navigation_silent":
@@ -226,7 +237,9 @@ class _Search:
             case "sensor_bad":
                 self._break(random.choice(("sensor_bad", "sensor_silent")), at_s, random.choice(self._nodes()))
             case "battery_low" | "battery_critical":
-                charge = random.uniform(0.15, 0.24) if trouble == "battery_low" else random.uniform(0.01, 0.08)
+                charge = random.uniform(0.15, 0.24) if trouble == "battery_low" else random.uniform(0.06, 0.09)
+                if trouble == "battery_critical" and "sensor_bad" not in self.troubles:
+                    self._does("sensor_bad", "warn")  # or the voltage, which is low then, stops the boat before the charge does
                 self._break("battery_sag", at_s, self.thrusters[0], charge)
             case "thruster":
                 kind = random.choice(("thruster_dead", "thruster_stuck", "thruster_reversed"))
@@ -314,7 +327,7 @@ class _Search:
 
     def _enters(self) -> Words:
         """By hand without thrust where silence is aimed at, or where the failsafe took the thrust away."""
-        is_still = self.mode == "manual" and (self.silences or self.in_a_moment)
+        is_still = self.mode == "manual" and (self.silences or self.in_a_moment) and "navigation_frozen" not in self.troubles
         return {"command": "mode", "mode": "manual"} if is_still else self.operator.enters(self.mode)
 
     def _ask(self) -> None:
@@ -330,8 +343,9 @@ class _Search:
         elif "manual_silent" in self.troubles and not self.rests:
             words, every_s = [self._enters(), order], 2.5
         elif self.in_a_moment:
-            before = [self._enters()] if self.action or "control" in self.troubles or random.random() < 0.3 else []
-            words, every_s = [*before, order], 0.2
+            before = [] if self.order in AT_REST else self.operator.before(self.order)
+            is_steady = self.order == "arm refused" or (self.rests and not self.action and "control" not in self.troubles)
+            words, every_s = [*(before or ([] if is_steady else [self._enters()])), order], 0.2
         elif self.silences:
             every_s = random.choice((0.2, 1.0))
         elif random.random() < 0.8 and (before := self.operator.before(self.order)):
@@ -340,8 +354,10 @@ class _Search:
             words = [self._enters(), order]
         if self.order == "actuate":  # who holds on while he is refused is refused again
             every_s = max(every_s, 1.0)
-        at_s = self.at_s + (random.uniform(4.0, 7.0) if "guest_silent" in self.silences else random.uniform(-1.0, 7.0))
-        for i in range(int(random.uniform(6.0, 15.0) / every_s) + 1):
+        at_s = self.at_s + random.uniform(*((-1.0, 1.0) if self.in_a_moment else (-1.0, 7.0)))
+        if "guest_silent" in self.silences and not self.rests:
+            at_s = self.at_s + random.uniform(4.0, 7.0)
+        for i in range(int((20.0 if self.in_a_moment else random.uniform(6.0, 15.0)) / every_s) + 1):
             self.orders.append({"at_s": at_s + i * every_s, **words[i % len(words)]})
 
     def _unfit(self, asked: str) -> None:
