@@ -42,6 +42,7 @@ SWIFT: Final[Words] = {  # troubles that need not last as long as at sea
 EASY: Final = ("log", "gnss_poor", "battery_low", "sensor_bad", "sensor_bad", "handset_silent")  # come when they are asked for
 WITHOUT_TABLE: Final = ("control", "kill", "restarted")  # what the boat does for them is not a matter of its file
 OF_VESSELS: Final = ("traffic", "traffic_close", "traffic_unclear", "ais_silent")
+NODES: Final = ("propeller_starboard", "batteries_starboard", "gps")  # some that a boat with a motor by pulses has, too
 HARMLESS: Final = (  # orders after which the boat goes on as before
     *("take", "set", "rally", "speed", "leg", "arm", "goto refused", "mode refused", "mission refused", "upload refused"),
     *("play refused", "leg refused", "fence refused", "set refused", "actuate refused"),
@@ -76,13 +77,13 @@ class _Search:
         self.end_s = self.at_s + random.uniform(10.0, 24.0)
         self.orders, self.faults, self.vessels = list[Words](), list[FaultAt](), list[Words]()
         self.handset: tuple[HandsetAt, ...] = ()
-        self.is_led = self.is_carried = self.is_plain = False  # by the guest computer; by the current; without an estimator
+        self.is_led = self.is_carried = self.is_plain = False  # by a guest computer; by the current; without an estimator
         named = {kind: [each.partition(" ")[2] for each in aim if kind_of(each) == kind] for kind in map(kind_of, aim)}
         self.modes, self.troubles = named.get("mode", []), named.get("trouble", [])
         self.action, self.order = (named.get(kind, [""])[0] for kind in ("action", "order"))
         self.silences = {"manual_silent", "guest_silent", "console_silent", "restarted"} & {*self.troubles}
+        # An order to a boat in idle, in the very cycle in which its failsafe stops it, or finds that it cannot hold.
         self.rests = self.order in AT_REST and bool(self.troubles or self.action in ("hold", "back", "home"))
-
         brief = {"control", "navigation_silent"} & {*self.troubles}
         self.in_a_moment = self.rests or self.action == "home" or bool(brief)  # both meet in a cycle or two alone
 
@@ -148,21 +149,8 @@ class _Search:
             self._lay({"thrusters": [kept, *(row | {"driver": "pwm"} for row in rows)]})
         self._lay({"log": {"required": random.random() < 0.2}, "failsafe": SWIFT})
         self._lay({"failsafe": {"pause_s": 0.0 if self.action == "home" else random.choice((0.0, 5.0)), "back_m": 10.0}})
-        self._lay(
-            {
-                "failsafe": {
-                    "restarted": {
-                        "action": random.choice(
-                            ("idle",)
-                            if self.rests
-                            else ("hold",)
-                            if self.order == "continue"
-                            else ("hold", "resume", "resume", "home")
-                        )
-                    }
-                }
-            }
-        )
+        after = ("idle",) if self.rests else ("hold",) if self.order == "continue" else ("hold", "resume", "resume", "home")
+        self._lay({"failsafe": {"restarted": {"action": random.choice(after)}}})
 
     def _sea(self) -> None:
         random, wide_m = self.random, 65.0
@@ -203,7 +191,7 @@ class _Search:
             if carrier not in ("fence", "navigation_silent") or self.action != "warn":
                 self._does(carrier, self.action)
             carriers = [each for each in carriers if each != carrier]
-        for each in carriers if len(self.aim) > len(self.modes) + 1 else []:
+        for each in () if self.modes else carriers:
             if self.rests and not self.action:
                 self._does(each, "stop")
             elif each not in ("fence", "navigation_silent") and (each in self.silences or random.random() < 0.75):
@@ -221,9 +209,7 @@ class _Search:
                 self._blink("navigation_silent", at_s, 2.0, 4.0, "compass" if self.is_plain else "")
             case "navigation_jumping":
                 self._blink("navigation_jumping", at_s, 3.0, 6.0)
-            case "navigation_silent" if (
-                (often or self.order) and not self.rests and len(self.aim) > len(self.modes) + 1
-            ):  # so short that nobody sails blind
+            case "navigation_silent" if (often or self.order) and not (self.rests or self.modes):  # too short to sail blind
                 self._does("navigation_silent", "warn")
                 self._blink("navigation_silent", at_s, 1.15, 3.0)
             case "navigation_silent":
@@ -233,9 +219,9 @@ class _Search:
             case "navigation_twice":
                 self._blink("navigation_forged", at_s, 2.0, 12.0)
             case "sensor_bad" if often:
-                self._blink("sensor_bad", at_s, 2.0, 4.5, random.choice(self._nodes()))
+                self._blink("sensor_bad", at_s, 2.0, 4.5, random.choice(NODES))
             case "sensor_bad":
-                self._break(random.choice(("sensor_bad", "sensor_silent")), at_s, random.choice(self._nodes()))
+                self._break(random.choice(("sensor_bad", "sensor_silent")), at_s, random.choice(NODES))
             case "battery_low" | "battery_critical":
                 charge = random.uniform(0.15, 0.24) if trouble == "battery_low" else random.uniform(0.06, 0.09)
                 if trouble == "battery_critical" and "sensor_bad" not in self.troubles:
@@ -263,13 +249,10 @@ class _Search:
                 self._by_hand(HandsetAt(at_s=at_s, kill=True), HandsetAt(at_s=at_s + random.uniform(1.0, 9.0)))
             case "kill":
                 self.orders += [{"at_s": at_s, "command": "kill"}]
-            case "console_silent" | "guest_silent" | "outlet":
-                self._break(
-                    {"console_silent": "console_lost", "guest_silent": "guest_lost", "outlet": "outlet_silent"}[trouble], at_s
-                )
-
-    def _nodes(self) -> tuple[str, ...]:
-        return ("propeller_starboard", "batteries_starboard", "gps")
+            case "console_silent" | "guest_silent":
+                self._break(trouble.replace("silent", "lost"), at_s)
+            case "outlet":
+                self._break("outlet_silent", at_s)
 
     def _hears(self) -> None:
         self._lay({"sensors": {"names": [*dict.fromkeys((*self.vehicle.sensors.names, "nmea2000"))]}})
