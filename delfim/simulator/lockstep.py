@@ -85,7 +85,6 @@ class Lockstep:
         self.faults.is_outlet = self._outlet is not None
         self._cycle_s = 1.0 / settings.navigation.rate_hz
         self._watchdog_s = self._console_s = 0.0
-        self.judged_in = self.state.mode  # the mode in which the failsafe looked for troubles last
         self.ordered: Ordered | None = None  # the last one
 
     def _start(self) -> None:
@@ -219,7 +218,7 @@ class Lockstep:
             self._console_s = now_s + CONSOLE_S
             vehicle.on_command(_ALIVE)
         if now_s >= self._watchdog_s:
-            self._watchdog_s, self.judged_in = now_s + WATCHDOG_S, self.state.mode
+            self._watchdog_s = now_s + WATCHDOG_S
             vehicle.on_watchdog()
         for actuator in vehicle.propulsion.actuators:
             if actuator.period_s:

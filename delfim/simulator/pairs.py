@@ -98,8 +98,8 @@ IMPOSSIBLE: Final = (
     ),
     Never(
         _troubles("control"),
-        _orders("heading course goto play"),
-        "of all that a mode needs the heading alone can be lost without the rest, and each of these needs it",
+        _orders("goto play"),
+        "its mode lacks position, heading or velocity, and these need all three",
     ),
     Never(
         _troubles("control"),
@@ -146,7 +146,7 @@ class PairTape:
             return
         on = [TROUBLES[trigger] for trigger, each in helm.troubles.items() if each.seen_s == now_s and each.acting_s <= now_s]
         action = (f"action {notices[0].action}",) if notices else ()
-        self._meet((MODES[run.judged_in], *on, *action))
+        self._meet((MODES[run.vehicle.judged_in], *on, *action))
         if run.ordered is not self._ordered and (order := run.ordered) is not None:
             self._ordered = order
             name = f"order {order.name}{REFUSED if order.refused else ''}"

@@ -181,6 +181,7 @@ class _Search:
         """The troubles, and what the boat does for them: as its file says, what is aimed at, or nothing, so that they last."""
         random, carriers = self.random, [each for each in self.troubles if each not in WITHOUT_TABLE]
         if self.action == "disconnect":
+            self._lay({"failsafe": {"thruster": {"after_s": 1.5}}})
             self._break("thruster_stuck", self.at_s, self.thrusters[0])
             self.orders += [{"at_s": self.at_s + random.uniform(0.5, 4.0), "command": "stop"}]
         elif self.action:
@@ -303,7 +304,8 @@ class _Search:
             every_s = 4.0
         elif self.mode == "manual":
             every_s = 0.9
-        until_s = self.at_s if self.silences & {"guest_silent", "console_silent", "restarted"} else self.end_s
+        is_left = self.action == "disconnect" or (self.silences and not (self.rests and "manual_silent" in self.silences))
+        until_s = self.at_s if is_left else self.end_s
         while at_s < until_s:
             self.orders.append({"at_s": at_s, **self._enters()})
             at_s += every_s
@@ -319,9 +321,12 @@ class _Search:
         words, every_s = [order], random.choice((0.2, 0.2, 0.4, 1.0, 2.5))
         if self.order in UNFIT and random.random() < 0.8:
             self._unfit(self.order.partition(" ")[0])
-        if "restarted" in self.troubles:
-            words, every_s = [order, self.operator.enters(self.mode)], random.choice((2.5, 3.5))
-        elif "console_silent" in self.troubles:
+        if "restarted" in self.troubles:  # any order ends that trouble: this one is the first
+            for at_s in [each.at_s for each in self.faults if each.kind == "restarted"]:
+                back_s = at_s + random.uniform(2.5, 4.0)
+                self.orders += [{"at_s": back_s, **order}, {"at_s": back_s + 2.0, **self.operator.enters(self.mode)}]
+            return
+        if "console_silent" in self.troubles:
             words, every_s = [self._enters(), order], random.uniform(1.5, 1.8) if self.rests else 2.0
         elif "manual_silent" in self.troubles and not self.rests:
             words, every_s = [self._enters(), order], 2.5

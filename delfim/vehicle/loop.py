@@ -61,6 +61,7 @@ class VehicleLoop:
         self._watchkeeper = Watchkeeper(settings, clock, state, log)
         self.returning = Returning(settings, self.helm, state)
         self.latency = Latency(skipped=COLD_CYCLES)
+        self.judged_in = state.mode  # in which the failsafe looked for troubles last, for those who look on
         guest.on_line, state.actuation = self.on_guest, propulsion.still
 
     # The five inputs.
@@ -136,6 +137,7 @@ class VehicleLoop:
         self._lookout.hear(state)
         if not self._watchkeeper.look(helm, now_s):
             self._lookout.look(state, now_s)
+        self.judged_in = state.mode
         inputs = Inputs(self.log.reason(), helm.plans.fence, self._failing.look(now_s))
         helm.troubles, action, reason, notices = failsafe.failsafe(helm.rules, helm.troubles, state, inputs, now_s)
         if notices != state.notices:
