@@ -62,10 +62,10 @@ AIMS: Final = tuple(Random("aims").sample(PAIRS, len(PAIRS)))  # so that any str
 
 def searching(seed: int, vehicle: config.Vehicle) -> Scenario:
     """The run of a seed."""
-    return _Search(Random(f"searching {seed}"), vehicle, AIMS[seed % len(AIMS)]).scenario(seed)
+    return _Aimed(Random(f"searching {seed}"), vehicle, AIMS[seed % len(AIMS)]).scenario(seed)
 
 
-class _Search:
+class _Aimed:
     """A run while it is drawn."""
 
     def __init__(self, random: Random, vehicle: config.Vehicle, aim: tuple[str, str]) -> None:

@@ -225,6 +225,7 @@ async def tab() -> AsyncIterator[Page]:
                     await page.nothing_amiss()
             finally:
                 if child.poll() is None:
+                    await page.call("Page.navigate", url="about:blank")  # a page that lives on keeps what it likes anew
                     await page.call("Network.clearBrowserCookies")
                     for origin in page.origins:
                         await page.call("Storage.clearDataForOrigin", origin=origin, storageTypes="all")
