@@ -105,7 +105,13 @@ def _used(of: Source, function: str) -> Iterator[str]:
 
 
 def kept() -> Proofs:
-    return json.loads(PROOFS.read_text()) if PROOFS.exists() else {}
+    """None of a file that cannot be read."""
+    try:
+        found: Proofs = json.loads(PROOFS.read_text())
+    except (OSError, ValueError) as error:
+        print(f"{PROOFS}: {error}: after a merge take one of both sides, and make safety")
+        return {}
+    return found
 
 
 def keep(proofs: Proofs) -> None:
