@@ -23,7 +23,7 @@ LISTS: Final = ("command", "fault", "vessel", "handset")
 _NUMBER: Final = re.compile(r"-?[0-9]+(\.[0-9]+)?")
 
 
-class Part(NamedTuple):
+class Removable(NamedTuple):
     """What can be left out: a row of one of LISTS, or a table that lies over the vehicle's file."""
 
     field: str
@@ -109,19 +109,19 @@ class _Search:
                 parts = min(2 * parts, len(pieces))
 
 
-def _pieces(scenario: Scenario) -> list[Part]:
-    rows = [Part(name, (), row) for name in LISTS for row in getattr(scenario, name)]
+def _pieces(scenario: Scenario) -> list[Removable]:
+    rows = [Removable(name, (), row) for name in LISTS for row in getattr(scenario, name)]
     if scenario.guest is not None:
-        rows.append(Part("guest", (), scenario.guest))
+        rows.append(Removable("guest", (), scenario.guest))
     for key, value in scenario.vehicle.items():
         if isinstance(value, dict):
-            rows += [Part("vehicle", (key, inner), each) for inner, each in value.items()]
+            rows += [Removable("vehicle", (key, inner), each) for inner, each in value.items()]
         else:
-            rows.append(Part("vehicle", (key,), value))
+            rows.append(Removable("vehicle", (key,), value))
     return rows
 
 
-def _built(scenario: Scenario, pieces: Sequence[Part]) -> Scenario:
+def _built(scenario: Scenario, pieces: Sequence[Removable]) -> Scenario:
     vehicle = dict[str, Any]()
     for each in pieces:
         if each.field == "vehicle":
