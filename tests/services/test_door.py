@@ -1,5 +1,6 @@
 """Who may come in, and who has to wait."""
 
+import base64
 import contextlib
 import socket
 
@@ -8,7 +9,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from delfim.errors import FormatError
-from delfim.services import door
 from delfim.services.door import Door, Patience, bulk, hashed, matches
 
 
@@ -32,8 +32,14 @@ def test_each_wrong_word_doubles_the_pause_of_its_address():
     assert patience.pause_s("a", 120.0) == 10.0
     assert patience.pause_s("a", 131.0) == 0.0
     assert patience.pause_s("b", 100.0) == 0.0
-    patience.failed("a", 800.0)
-    assert patience.pause_s("a", 800.0) == 1.0, "long ago is forgiven"
+    patience.failed("a", 701.0)
+    assert patience.pause_s("a", 701.0) == 1.0, "long ago is forgiven"
+    patience.failed("a", 1301.0)
+    assert patience.pause_s("a", 1301.0) == 2.0, "ten minutes are not long"
+    assert patience.pause_s("a", 1301.5) == 1.5
+    assert patience.failures == 9
+    patience.failed("b", 0.0)
+    assert [patience.pause_s("b", now_s) for now_s in (-700.0, 600.0)] == [701.0, 0.0]
     patience.succeeded("a")
     assert patience.pause_s("a", 800.0) == 0.0
 
@@ -43,16 +49,15 @@ def test_much_goes_behind_the_console_and_is_given_up_when_nobody_reads():
         bulk(link, 60.0)
         assert link.getsockopt(socket.IPPROTO_IP, socket.IP_TOS) == 0x08, "IPTOS_THROUGHPUT"
         assert link.getsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT) == 60_000
+        assert link.getsockopt(socket.IPPROTO_TCP, socket.TCP_NOTSENT_LOWAT) == 32_768
 
 
-def test_the_table_of_addresses_is_bounded(monkeypatch):
-    monkeypatch.setattr(door, "ADDRESSES_MAX", 10)
+def test_the_table_of_addresses_is_bounded():
     patience = Patience()
-    for number in range(50):
+    for number in (*range(1000), 0, 1000):
         patience.failed(str(number), 0.0)
-    assert patience.pause_s("49", 0.0) == 1.0
-    assert patience.pause_s("0", 0.0) == 0.0
-    assert patience.failures == 50
+    assert [patience.pause_s(address, 0.0) for address in ("0", "1", "2", "1000")] == [2.0, 0.0, 1.0, 1.0]
+    assert patience.failures == 1002
 
 
 @pytest.mark.parametrize("password", ["sesame", "", "Água salgada", "\udcff", "x" * 1000])
@@ -65,8 +70,16 @@ def test_a_password_is_known_again_and_not_kept(password):
 
 
 def test_the_hash_is_that_of_rfc_7914_with_the_stated_cost():
-    assert hashed("sesame", b"salt").startswith("scrypt:c2FsdA==:")
-    assert hashed("sesame", b"salt") == hashed("sesame", b"salt"), "nothing but salt and password"
+    assert hashed("sesame", b"salt") == "scrypt:c2FsdA==:TJ09H7NwAovKJhSUuMOBupk3YmySSmca8rBjedX5MbU="
+    assert len(base64.b64decode(hashed("sesame").split(":")[1])) == 16
+
+
+@pytest.mark.parametrize(
+    "kept", ["md5:c2FsdA==:", "scrypt:c2FsdA==", "scrypt:c2Fs dA==:", "scrypt:c2FsdA==:x:y", "scrypt:c2F:"]
+)
+def test_a_hash_of_another_kind_is_refused(kept):
+    with pytest.raises(FormatError, match="not a password from"):
+        matches("x", kept)
 
 
 @given(

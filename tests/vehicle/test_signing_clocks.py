@@ -184,6 +184,15 @@ def test_before_the_time_is_known_nobody_is_ahead_and_nobody_is_told_off():
     boat = Signing(KEY, at(), is_right=lambda: False)
     assert boat.judge(signed(NOW + 10 * MINUTE)) == FrameVerdict("")
     assert boat.judge(signed(NOW - 2 * MINUTE, 251)) == FrameVerdict("replayed")
+    assert boat.kept().heard == [((0, 250, 190), NOW + 10 * MINUTE)]
+    boat = Signing(KEY, at(), Kept(NOW + 9 * MINUTE), is_right=lambda: False)
+    assert boat.judge(signed(NOW + 7 * MINUTE)).fault == "replayed", "the run before was later"
+    clock = at()
+    boat = Signing(KEY, clock)
+    boat.stamp()
+    clock.step(-30.0)
+    assert boat.judge(signed(NOW)).fault == ""
+    assert boat.judge(signed(NOW + MINUTE)).fault == "ahead", "of the clock, however long its own stamps go on"
     made = Signing(KEY, ManualClock(time_ns=MADE_NS))
     assert made.judge(signed((MADE_NS - EPOCH_NS) // 10_000 + 2 * MINUTE)).fault == "ahead"
     before = Signing(KEY, ManualClock(time_ns=MADE_NS - 1))
@@ -240,6 +249,14 @@ def test_stamps_from_the_future_are_cut_when_the_time_is_known():
     assert boat.judge(signed(NOW + 100_000, 2), "a").age_s == pytest.approx(2.0, abs=1e-3), "who was right is known to be late"
     boat._clock.advance(120.0)
     assert boat.judge(signed(NOW + 122 * 100_000, 1), "a").age_s == 0.0, "who was wrong begins anew"
+    known = False
+    boat = Signing(KEY, at(), is_right=lambda: known)
+    boat.judge(signed(NOW + MINUTE, 1), "a")
+    boat.judge(signed(NOW + 9 * MINUTE, 2), "a")
+    known = True
+    boat.judge(signed(NOW, 3))
+    boat._clock.advance(5.0)
+    assert boat.judge(signed(NOW + MINUTE + 100_000, 1), "a").age_s == pytest.approx(4.0, abs=1e-3), "it was just right enough"
 
 
 def test_the_age_of_a_frame_is_what_it_took_longer_than_the_fastest_of_its_way():
@@ -272,14 +289,14 @@ def test_so_many_ways_are_known():
 
 def test_a_clock_that_is_set_back_goes_on_by_less_than_a_minute_and_begins_anew_by_more():
     for back_s, first in ((59.0, NOW + 1), (60.0, NOW + 1), (60.001, NOW - 6_000_100), (-5.0, NOW + 500_000)):
-        clock = at()
+        clock = ManualClock(50.0, NOW_NS)
         boat = Signing(KEY, clock)
         boat.stamp()
         clock.step(-back_s)
         assert boat.stamp() in (first, first + 1)
         clock.advance(1.0)
         assert boat.stamp() in (first + 100_000, first + 99_999)
-    clock, known = at(), False
+    clock, known = ManualClock(50.0, NOW_NS), False
     boat = Signing(KEY, clock, Kept(NOW + MINUTE * 9), is_right=lambda: known)
     clock.advance(2.0)
     assert boat.stamp() == NOW + MINUTE * 9 + 200_000, "where the run before ended"
