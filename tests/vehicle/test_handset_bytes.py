@@ -85,7 +85,8 @@ def test_crsf_tells_a_lost_radio_by_its_quality():
 
 def test_other_frames_of_crsf_are_passed_over():
     shortest, longest = receivers.crsf_frame(0xAB, b""), receivers.crsf_frame(0x08, receivers.MIDDLE_CRSF + bytes(34))
-    assert Crsf().feed(shortest + b"\x30" + receivers.MIDDLE_CRSF + longest) == [ALL_MIDDLE]
+    assert Crsf().feed(shortest + b"\x30" + receivers.MIDDLE_CRSF) == [ALL_MIDDLE]
+    assert Crsf().feed(longest + receivers.MIDDLE_CRSF + longest) == [ALL_MIDDLE]
 
 
 @pytest.mark.parametrize("address", [0xC8, 0x00, 0xEA, 0xEC, 0xEE])

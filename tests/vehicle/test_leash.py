@@ -85,3 +85,55 @@ def test_another_task_has_another_way_and_the_time_goes_on() -> None:
     leash = led(led(Leash(), LEG, (0.0, 0.0), ASTRAY, 150), LEG, (0.0, 90.0), ASTRAY, 1, "another")
     assert not led(leash, LEG, (0.0, 180.0), ASTRAY, 1, "another").spent
     assert led(leash, LEG, (0.0, 90.0), ASTRAY, 60, "another").spent
+
+
+def look(was: Leash, now_s: float, east_m: float, order: CourseOrder | None = ASTRAY, route: RouteAhead = PLACE) -> Leash:
+    return paid_out(was, LIMITS, "", route, Own(0.0, east_m, 0.0, 1.5), order, now_s)
+
+
+def test_time_runs_as_it_is_led_and_back_as_it_is_not_by_ten_seconds_a_look_at_most() -> None:
+    looks = [
+        (5.0, ASTRAY, 10.0),
+        (8.0, ASTRAY, 13.0),
+        (30.0, ASTRAY, 23.0),
+        (29.0, ASTRAY, 23.0),
+        (29.5, ASTRAY._replace(speed_mps=0.5), 23.5),
+        (33.5, None, 19.5),
+        (35.5, STOP, 17.5),
+        (99.0, None, 7.5),
+        (200.0, None, 0.0),
+        (200.5, None, 0.0),
+    ]
+    leash = Leash()
+    for now_s, order, led_s in looks:
+        leash = look(leash, now_s, 0.0, order)
+        assert leash == Leash("", () if order is None else ((0.0, 0.0),), led_s, "", now_s) or order is None
+        assert (leash.led_s, leash.at_s) == (led_s, now_s)
+
+
+def test_the_ends_of_both_bounds_are_within_them_no_more() -> None:
+    begun = look(Leash(led_s=20.0, at_s=0.0), 1.0, 99.99)
+    assert begun == Leash("", ((0.0, 0.0),), 21.0, "", 1.0)
+    assert look(begun, 2.0, 100.0) == Leash("", ((0.0, 0.0),), 60.0, "it led the boat 100 m away (traffic.guard.away_m)", 2.0)
+    assert look(Leash(led_s=198.5, at_s=0.0), 1.0, 0.0).spent == ""
+    words = "it led the boat for 200 s (traffic.guard.away_s)"
+    spent = look(Leash(led_s=199.0, at_s=0.0), 1.0, 0.0)
+    assert spent == Leash("", ((0.0, 0.0),), 200.0, words, 1.0)
+    again = look(spent, 2.0, 0.0, None)
+    assert (again.led_s, again.spent) == (199.0, words)
+    assert look(again, 3.0, 0.0).led_s == 200.0
+
+
+def test_the_way_it_was_led_from() -> None:
+    leg = look(Leash(), 1.0, 7.0, ASTRAY, LEG)
+    assert leg.way == ((0.0, 7.0), *LEG.points)
+    assert look(leg, 2.0, 9.0, ASTRAY, LEG).way == leg.way
+    assert look(leg, 2.0, 9.0, None, LEG).way == ()
+    course = look(Leash("", at_s=0.0), 1.0, 7.0, ASTRAY, COURSE)
+    assert look(course, 1.5, 9.0, None, COURSE).way == course.way, "it is led for a second less a half"
+    rested = look(course, 2.0, 9.0, None, COURSE)
+    assert (rested.led_s, rested.way) == (0.0, ())
+    spent = Leash("", course.way, 1.0, "spent", 0.0)
+    assert look(spent, 1.0, 9.0, None, COURSE) == Leash("", course.way, 0.0, "", 1.0)
+    assert look(look(spent, 1.0, 9.0, None, COURSE), 2.0, 9.0, None, COURSE).way == ()
+    assert look(Leash("another", ((5.0, 5.0),), 9.0, "", 0.0), 1.0, 7.0, ASTRAY, LEG).way == leg.way
