@@ -3,7 +3,12 @@
 from typing import Final
 
 _FILES: Final = "gate", "failsafe", "fence", "propulsion", "control/control", "kills", "killswitch"
-CORE: Final = tuple(f"delfim/vehicle/{name}.py" for name in _FILES)
+_HANDS: Final = "hands", "handset/__init__", "handset/channels", "handset/crsf", "handset/sbus", "mavlink/signing"
+_SERVICES: Final = "supervisor", "stop", "watchdog", "outlet", "door", "doors"
+CORE: Final = (
+    *map("delfim/vehicle/{}.py".format, (*_FILES, *_HANDS)),
+    *map("delfim/services/{}.py".format, _SERVICES),
+)
 TESTS: Final = (  # files that take long, and see nothing that others do not see, are not asked
     "tests/vehicle/test_*.py",
     *("tests/services/test_outlet.py", "tests/services/test_supervisor.py", "tests/services/test_shutdown.py"),

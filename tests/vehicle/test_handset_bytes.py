@@ -71,6 +71,7 @@ def test_sbus_counts_again_after_two_frames_in_a_row():
     assert decoder.feed(b"\x0e" + frame[1:]) == []
     assert decoder.feed(frame) == []
     assert len(decoder.feed(frame)) == 2
+    assert decoder.feed(b"\x0e" + frame[1:]) == decoder.feed(frame + 25 * b"\xff") == [], "it is alone"
     assert len(Sbus().feed(b"\x0f" + 2 * frame)) == 2
 
 
