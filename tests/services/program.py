@@ -12,6 +12,7 @@ import select
 import signal
 import sys
 import time
+from functools import partial
 from pathlib import Path
 
 from delfim.services import children, supervisor
@@ -25,7 +26,7 @@ def note(record: str, name: str, word: str) -> None:
 
 def supervise(text: str) -> int:
     told = json.loads(text)
-    record, broken = told.pop("record"), told.pop("broken_bus")
+    record = told.pop("record")
     if told.pop("subreaper"):
         ctypes.CDLL(None).prctl(36, 1, 0, 0, 0)  # PR_SET_CHILD_SUBREAPER: orphans come here, as they come to PID 1
     for name, value in told.pop("constants").items():
@@ -33,11 +34,6 @@ def supervise(text: str) -> int:
     absences_s, monotonic, absent_s = list[float](), time.monotonic, told.pop("absent_s")
     signal.signal(signal.SIGCONT, lambda *_: absences_s.append(absent_s))
     vars(time)["monotonic"] = lambda: monotonic() + sum(absences_s)
-
-    def stop() -> None:
-        note(record, "bus", "stop")
-        if broken:
-            raise OSError("bus-off")
 
     def cut(off: bool) -> str:
         note(record, "bus", "cut" if off else "uncut")
@@ -47,7 +43,9 @@ def supervise(text: str) -> int:
         vars(os)["killpg"] = lambda pid, number: None
     programs = [children.Supervised(name, tuple(argv), *kinds) for name, argv, *kinds in told.pop("programs")]
     files = {name: Path(told.pop(name)) for name in ("state_file", "requests")}
-    supervising = supervisor.Supervisor(programs, stop=stop, calm=lambda: note(record, "bus", "calm"), cut=cut, **files, **told)
+    supervising = supervisor.Supervisor(
+        programs, stop=partial(note, record, "bus", "stop"), calm=partial(note, record, "bus", "calm"), cut=cut, **files, **told
+    )
     code = supervising.run_forever()
     print(f"ended by {supervising.word!r}, {supervising.reason!r}", file=sys.stderr)
     return code

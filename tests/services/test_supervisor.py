@@ -50,7 +50,6 @@ class Suite:
         prefix: tuple[str, ...] = (),
         *,
         subreaper: bool = False,
-        broken_bus: bool = False,
         deadman_s: float = 100.0,  # no test that has another subject fails because the machine is busy
         init: bool = False,
         absent_s: float = 0.0,
@@ -60,7 +59,6 @@ class Suite:
         """absent_s: so much later it is on its clock each time when it was stopped and goes on."""
         told = {
             "record": str(self.record),
-            "broken_bus": broken_bus,
             "subreaper": subreaper,
             "constants": constants,
             "programs": self._rows,
@@ -265,14 +263,6 @@ def test_stop_frames_are_repeated_until_a_runtime_beats_again(suite: Suite) -> N
     assert ordered[first + 1 : second].count("stop") > 3
 
 
-def test_a_broken_bus_does_not_keep_the_deadman_from_its_work(suite: Suite) -> None:
-    suite.program("runtime", "stall=busy", critical=True)
-    suite.start(broken_bus=True, deadman_s=DEADMAN_S)
-    until(lambda: len(suite.events("runtime", "beat")) == 2)
-    suite.terminate()
-    assert suite.said.count("stop frames: bus-off") == 1
-
-
 def test_a_runtime_that_never_beats_is_killed_after_its_grace(suite: Suite) -> None:
     suite.program("runtime", "mute", critical=True)
     suite.start(START_S=0.5)
@@ -357,40 +347,11 @@ def test_what_dies_is_started_again_and_the_reason_kept(suite: Suite, behaviour:
     assert f"sshd: {reason}; started again in 0.05 s" in suite.said
 
 
-def test_a_crash_loop_is_slowed_down(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """On a clock of its own: a program that lived longer than the longest pause begins anew."""
-    clock, program = ManualClock(128.0), children.Supervised("sshd", ("false",))
-    monkeypatch.setattr(supervisor.time, "monotonic", clock.monotonic_s)
-    state_file = tmp_path / "state.json"
-    boat = supervisor.Supervisor(
-        [program], stop=lambda: None, deadman_s=1.0, backoff_s=0.0625, backoff_max_s=0.25, state_file=state_file
-    )
-    pauses_s, (child,) = list[float](), boat._children
-    for lived_s in (0.0, 0.125, 0.125, 0.25, 0.375, 0.0):
-        child.start_s = clock.monotonic_s()
-        clock.advance(lived_s)
-        boat._died(child, 1, "exit code 1")
-        pauses_s.append(child.start_s - clock.monotonic_s())
-    assert pauses_s == [0.0625, 0.125, 0.25, 0.25, 0.0625, 0.125]
-    told = json.loads(state_file.read_text())["programs"]["sshd"]
-    assert (told["restarts"], told["state"], told["reason"]) == (6, "waiting", "exit code 1")
-
-
 def test_a_program_that_cannot_be_started_is_tried_again(suite: Suite) -> None:
     suite.command("sshd", "/does/not/exist")
     suite.start()
     until(lambda: suite.state()["programs"].get("sshd", {}).get("restarts", 0) >= 2)
     assert suite.state()["programs"]["sshd"]["reason"] == "cannot be started: No such file or directory"
-
-
-def test_what_must_not_be_started_again_is_not(suite: Suite) -> None:
-    suite.program("runtime", critical=True)
-    suite.program("sshd", f"exit={EXIT_PERMANENT}")
-    suite.start()
-    until(lambda: suite.state()["programs"].get("sshd", {}).get("state") == "failed")
-    select.select([], [], [], 0.3)
-    assert len(suite.events("sshd", "start")) == 1
-    assert suite.state()["programs"]["runtime"]["state"] == "running"
 
 
 def test_the_critical_program_comes_up_alone(suite: Suite) -> None:
@@ -399,31 +360,6 @@ def test_the_critical_program_comes_up_alone(suite: Suite) -> None:
     suite.start()
     until(lambda: suite.events("sshd", "start"))
     assert suite.events("runtime", "beat")[0].at_s < suite.events("sshd", "start")[0].at_s
-
-
-def test_the_others_do_not_wait_for_ever_for_its_first_beat(suite: Suite) -> None:
-    suite.program("sshd")
-    suite.program("runtime", "mute", critical=True)
-    suite.start(HEAD_START_S=0.2)
-    until(lambda: suite.events("sshd", "start"))
-    assert suite.events("runtime", "beat") == []
-    assert suite.state()["programs"]["runtime"]["restarts"] == 0
-
-
-def test_nothing_left_to_run_is_the_end(suite: Suite) -> None:
-    suite.program("runtime", f"exit={EXIT_PERMANENT}", critical=True)
-    suite.start()
-    assert suite.ended() == EXIT_PERMANENT
-    assert suite.events("bus", "stop")
-
-
-def test_the_ordered_end_of_the_runtime_ends_all(suite: Suite) -> None:
-    suite.program("runtime", "exit=0", critical=True)
-    suite.program("sshd")
-    suite.start()
-    assert suite.ended() == 0
-    assert len(suite.events("runtime", "start")) == 1
-    assert suite.state()["programs"]["sshd"]["state"] == "stopped"
 
 
 def test_a_signal_ends_the_runtime_first_then_stops_the_propellers_then_ends_the_others(suite: Suite) -> None:
@@ -634,23 +570,3 @@ def test_a_supervisor_that_is_stopped_strokes_no_watchdog_and_holds_nobody_up(su
     assert suite.state()["programs"]["runtime"]["restarts"] == 0
     assert suite.events("bus", "stop") == []
     assert len(suite.events("runtime", "start")) == 1
-
-
-def test_a_watchdog_that_cannot_be_opened_costs_a_line_in_the_log(suite: Suite) -> None:
-    suite.watchdog.mkdir()
-    suite.program("runtime", critical=True)
-    suite.start()
-    until(lambda: suite.events("runtime", "beat"))
-    assert suite.terminate() == 0
-    assert "watchdog: Is a directory; going on without it" in suite.said
-
-
-def test_a_state_file_that_cannot_be_written_costs_a_line_in_the_log(suite: Suite) -> None:
-    suite.state_file.mkdir()
-    (suite.state_file / "in the way").touch()
-    suite.state = lambda: {"programs": {}}  # type: ignore[method-assign]
-    suite.program("runtime", critical=True)
-    suite.start()
-    until(lambda: suite.events("runtime", "beat"))
-    assert suite.terminate() == 0
-    assert "state.json" in suite.said
