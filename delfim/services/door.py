@@ -63,7 +63,7 @@ class Patience:
 
     def pause_s(self, address: str, now_s: float) -> float:
         count, at_s = self._failures.get(address, (0, now_s))
-        if not count or now_s - at_s > FORGIVEN_S:
+        if not count:
             return 0.0
         return max(at_s + min(PAUSE_S * 2.0 ** (count - 1), PAUSE_MAX_S) - now_s, 0.0)
 

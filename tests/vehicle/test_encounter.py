@@ -100,3 +100,17 @@ def test_what_it_says(owed, status: int, is_late: bool, said: str) -> None:
 )
 def test_how_it_passes(owed, ahead: float, starboard: float, said: str) -> None:
     assert passing(owed, ahead, starboard) == said
+
+
+@pytest.mark.parametrize(
+    ("own_rad", "course_rad", "speed_mps", "owed"),
+    [
+        (math.radians(112.5), math.radians(20.0), 2.1, "overtaken"),
+        (0.0, math.pi - math.radians(112.5), 1.9, "overtaking"),
+        (0.0, math.radians(165.0), 2.0, "give-way"),
+        (math.radians(15.0), math.radians(195.0), 2.0, "stand-on"),
+    ],
+)
+def test_the_limits_themselves(own_rad: float, course_rad: float, speed_mps: float, owed: str) -> None:
+    target = UNDER_WAY._replace(north_m=100.0, course_rad=course_rad, speed_mps=speed_mps)
+    assert duty(Own(0.0, 0.0, own_rad, 2.0), target) == owed

@@ -137,3 +137,8 @@ def test_the_way_it_was_led_from() -> None:
     assert look(spent, 1.0, 9.0, None, COURSE) == Leash("", course.way, 0.0, "", 1.0)
     assert look(look(spent, 1.0, 9.0, None, COURSE), 2.0, 9.0, None, COURSE).way == ()
     assert look(Leash("another", ((5.0, 5.0),), 9.0, "", 0.0), 1.0, 7.0, ASTRAY, LEG).way == leg.way
+    nearly = look(Leash("", course.way, 1.5, "spent", 0.0), 1.0, 9.0, None, COURSE)
+    assert (nearly.led_s, nearly.spent) == (0.5, "spent")
+    assert look(Leash("", ((0.0, 100.0), (0.0, 200.0)), 5.0, "", 0.0), 1.0, 301.0, ASTRAY, LEG).spent.startswith(
+        "it led the boat 101 m"
+    )
