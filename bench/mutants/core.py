@@ -4,9 +4,10 @@ from typing import Final
 
 _FILES: Final = "gate", "failsafe", "fence", "propulsion", "control/control", "kills", "killswitch"
 _HANDS: Final = "hands", "handset/__init__", "handset/channels", "handset/crsf", "handset/sbus", "mavlink/signing"
+_TRAFFIC: Final = "traffic/encounter", "traffic/leash"
 _SERVICES: Final = "supervisor", "stop", "watchdog", "outlet", "door", "doors"
 CORE: Final = (
-    *map("delfim/vehicle/{}.py".format, (*_FILES, *_HANDS)),
+    *map("delfim/vehicle/{}.py".format, (*_FILES, *_HANDS, *_TRAFFIC)),
     *map("delfim/services/{}.py".format, _SERVICES),
 )
 TESTS: Final = (  # files that take long, and see nothing that others do not see, are not asked
