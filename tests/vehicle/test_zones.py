@@ -275,6 +275,7 @@ def test_a_way_is_bare_where_it_is_outside_or_no_farther_from_a_side() -> None:
     for corners, a, b, within_m, found in (
         (SQUARE, (0.0, -80.0), (0.0, 40.0), 5.0, (-30.0, [1, 9, 1, 2, 1])),
         (LONG, (0.0, -20.0), (0.0, 20.0), 50.0, (math.inf, [1, 9, 2, 2, 2])),
+        (LONG[::-1], (0.0, -20.0), (0.0, 20.0), 50.0, (math.inf, [1, 9, 2, 2, 2])),
     ):
         zone = Zone("", IN, (), (-math.inf, -math.inf, math.inf, math.inf), areas=(polygon("", IN, corners),))
         assert spent(zone, a, b, within_m) == found
