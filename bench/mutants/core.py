@@ -2,7 +2,10 @@
 
 from typing import Final
 
-_FILES: Final = "gate", "failsafe", "fence", "propulsion", "control/control", "kills", "killswitch"
+_FILES: Final = (
+    *("gate", "failsafe", "fence", "propulsion", "control/control", "kills", "killswitch"),
+    *("zones", "troubles", "checks", "helm"),
+)
 _HANDS: Final = "hands", "handset/__init__", "handset/channels", "handset/crsf", "handset/sbus", "mavlink/signing"
 _TRAFFIC: Final = "traffic/encounter", "traffic/leash"
 _SERVICES: Final = "supervisor", "stop", "watchdog", "outlet", "door", "doors"
