@@ -79,7 +79,6 @@ IMPOSSIBLE: Final = (
     Never(_orders("pause-refused"), _SAILING, "it is refused in idle alone"),
     Never(_orders("continue"), _all_but(MODES.values(), "mode hold"), "only a hold remembers what it interrupted"),
     Never(_orders("reset actuate arm-refused"), _SAILING, "they are for a boat in idle"),
-    Never(_orders("reset-refused"), frozenset({"mode idle"}), "it is refused under way alone"),
     Never(_troubles("control"), frozenset({"mode manual"}) | _troubles("manual_silent"), "by hand nothing measured is needed"),
     Never(
         _troubles("restarted"),
@@ -88,7 +87,7 @@ IMPOSSIBLE: Final = (
     ),
     Never(
         _STOPPED,
-        _orders("pause continue reset-refused unload-refused"),
+        _orders("pause continue unload-refused"),
         "the boat is in idle by then, and these are for one that sails",
     ),
     Never(
@@ -138,14 +137,18 @@ class PairTape:
         self.met = set[int]()
         self._seen = set[tuple[int, ...]]()  # what was there at once
         self._ordered: Ordered | None = None
+        self._looked_s = 0.0
 
     def look(self, run: Lockstep) -> None:
-        helm, state = run.vehicle.helm, run.state
-        now_s, notices = state.watchdog_s, state.notices
+        helm, state, was_s = run.vehicle.helm, run.state, self._looked_s
+        now_s = self._looked_s = state.watchdog_s
         if not helm.troubles and run.ordered is self._ordered:
             return
-        on = [TROUBLES[trigger] for trigger, each in helm.troubles.items() if each.seen_s == now_s and each.acting_s <= now_s]
-        action = (f"action {notices[0].action}",) if notices else ()
+        on, action, there = list[str](), tuple[str, ...](), state.notices
+        if now_s != was_s:  # ten cycles a second may be one more than the failsafe looks
+            found = helm.troubles.items()
+            on = [TROUBLES[trigger] for trigger, each in found if each.seen_s == now_s and each.acting_s <= now_s]
+            action = (f"action {there[0].action}",) if there else ()
         self._meet((MODES[run.vehicle.judged_in], *on, *action))
         if run.ordered is not self._ordered and (order := run.ordered) is not None:
             self._ordered = order

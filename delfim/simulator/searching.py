@@ -84,6 +84,7 @@ class _Aimed:
         self.silences = {"manual_silent", "guest_silent", "console_silent", "restarted"} & {*self.troubles}
         # An order to a boat in idle, in the very cycle in which its failsafe stops it, or finds that it cannot hold.
         self.rests = self.order in AT_REST and bool(self.troubles or self.action in ("hold", "back", "home"))
+        self.lies = bool({"navigation_frozen", "navigation_jumping", "navigation_twice"} & {*self.troubles})
         brief = {"control", "navigation_silent"} & {*self.troubles}
         self.in_a_moment = self.rests or self.action == "home" or bool(brief)  # both meet in a cycle or two alone
 
@@ -210,8 +211,8 @@ class _Aimed:
                 self._blink("navigation_silent", at_s, 2.0, 4.0, "compass" if self.is_plain else "")
             case "navigation_jumping":
                 self._blink("navigation_jumping", at_s, 3.0, 6.0)
-            case "navigation_silent" if (often or self.order) and not (self.rests or self.modes):  # too short to sail blind
-                self._does("navigation_silent", "warn")
+            case "navigation_silent" if (often or self.order) and not (self.rests or self.modes or self.lies):
+                self._does("navigation_silent", "warn")  # so briefly that nobody sails blind
                 self._blink("navigation_silent", at_s, 1.15, 3.0)
             case "navigation_silent":
                 self._blink("navigation_silent", at_s, 4.0, 7.0)
@@ -340,11 +341,16 @@ class _Aimed:
             words = [*before, order]
         elif random.random() < 0.7:
             words = [self._enters(), order]
+        if self.order == "reset refused" and not self.modes and random.random() < 0.6:  # in idle by a bus that is off alone
+            words, every_s = [order, {"command": "stop"}], 1.0
+            self._blink("bus_off", self.at_s, 3.0, 6.0)
         if self.order == "actuate":  # who holds on while he is refused is refused again
             every_s = max(every_s, 1.0)
         at_s = self.at_s + random.uniform(*((-1.0, 1.0) if self.in_a_moment else (-1.0, 7.0)))
         if "guest_silent" in self.silences and not self.rests:
             at_s = self.at_s + random.uniform(4.0, 7.0)
+        if self.is_carried and self.rests:  # it is out of its fence once, and soon
+            at_s = AT_S + 2.0
         for i in range(int((20.0 if self.in_a_moment else random.uniform(6.0, 15.0)) / every_s) + 1):
             self.orders.append({"at_s": at_s + i * every_s, **words[i % len(words)]})
 
