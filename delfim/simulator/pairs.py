@@ -110,6 +110,7 @@ IMPOSSIBLE: Final = (
         _orders("heading course goto play continue"),
         "a boat outside its fence is driven by hand alone",
     ),
+    Never(_MOVING, _orders("unload-refused"), "a boat that holds or goes home sails no mission any more"),
     Never(_orders("unload"), frozenset({"mode play", "mode path"}), "what is sailed is kept"),
     Never(_orders("unload-refused"), _all_but(MODES.values(), "mode play", "mode path"), "no mission is being sailed"),
 )

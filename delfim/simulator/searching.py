@@ -139,10 +139,14 @@ class _Aimed:
     def _parts(self) -> None:
         """The boat may have other sensors and motors than its file says, as far as those leave what is aimed at."""
         random, others = self.random, "navigation_twice" not in self.troubles and self.has_nodes
-        self.is_plain = others and ("control" in self.troubles or (self.rests and bool(self.action)))
+        self.is_plain = others and (
+            ("control" in self.troubles and self.order != "heading") or (self.rests and bool(self.action))
+        )
         on_a_line = others and not self.is_plain and random.random() < 0.2
         if self.is_plain:
             self._lay(PLAINLY)
+        elif others and "control" in self.troubles:  # of an estimate the velocity is lost first
+            self._lay(ON_A_BUS)
         elif others and random.random() < 0.3:
             self._lay(ON_A_LINE if on_a_line else ON_A_BUS)
         if self.has_nodes and ("outlet" in self.troubles or random.random() < 0.1):
@@ -150,7 +154,13 @@ class _Aimed:
             self._lay({"thrusters": [kept, *(row | {"driver": "pwm"} for row in rows)]})
         self._lay({"log": {"required": random.random() < 0.2}, "failsafe": SWIFT})
         self._lay({"failsafe": {"pause_s": 0.0 if self.action == "home" else random.choice((0.0, 5.0)), "back_m": 10.0}})
-        after = ("idle",) if self.rests else ("hold",) if self.order == "continue" else ("hold", "resume", "resume", "home")
+        after = (
+            ("idle",)
+            if self.rests or self.action == "disconnect"
+            else ("hold",)
+            if self.order == "continue"
+            else ("hold", "resume", "resume", "home")
+        )
         self._lay({"failsafe": {"restarted": {"action": random.choice(after)}}})
 
     def _sea(self) -> None:
@@ -207,8 +217,11 @@ class _Aimed:
         """What leads to a trouble about this time."""
         random, often = self.random, self.random.random() < 0.6 or self.action == "home"
         match trouble:
+            case "control" if self.is_plain:
+                self._blink("navigation_silent", at_s, 2.0, 4.0, "compass")
             case "control":
-                self._blink("navigation_silent", at_s, 2.0, 4.0, "compass" if self.is_plain else "")
+                self._does("navigation_silent", "warn")
+                self._blink("navigation_silent", at_s, 1.15, 3.0)
             case "navigation_jumping":
                 self._blink("navigation_jumping", at_s, 3.0, 6.0)
             case "navigation_silent" if (often or self.order) and not (self.rests or self.modes or self.lies):
@@ -288,7 +301,13 @@ class _Aimed:
         """The mode that is aimed at, and again whenever the boat may have left it."""
         random, at_s = self.random, AT_S
         steady = self.in_a_moment or "navigation_frozen" in self.troubles
-        some = ("heading", "course") if steady else ("heading", "course", "hold", "play", "goto", "manual")
+        some = (
+            ("course",)
+            if "control" in self.troubles and not self.is_plain
+            else ("heading", "course")
+            if steady
+            else ("heading", "course", "hold", "play", "goto", "manual")
+        )
         self.mode = (self.modes or [random.choice(some if self.order != "unload refused" else ("play", "path"))])[0]
         if "manual_silent" in self.troubles or (self.is_plain and "control" not in self.troubles):
             self.mode = "manual"
@@ -319,6 +338,8 @@ class _Aimed:
     def _ask(self) -> None:
         """The order that is aimed at, as a stream: a moment that lasts one cycle is not missed then."""
         random, order = self.random, self.operator.word(self.order)
+        if self.order == "mode" and (self.in_a_moment or "kill" in self.troubles or self.action == "disconnect"):
+            order = {"command": "mode", "mode": "idle"}  # the others are refused then
         words, every_s = [order], random.choice((0.2, 0.2, 0.4, 1.0, 2.5))
         if self.order in UNFIT and random.random() < 0.8:
             self._unfit(self.order.partition(" ")[0])
@@ -334,6 +355,10 @@ class _Aimed:
         elif self.in_a_moment:
             before = [] if self.order in AT_REST else self.operator.before(self.order)
             is_steady = self.order == "arm refused" or (self.rests and not self.action and "control" not in self.troubles)
+            if self.order == "kill":
+                before = [self.operator.word("clear"), self._enters()]
+            elif self.order == "manual":  # who pushes on after the boat was stopped is refused
+                before = 6 * [self._enters()]
             words, every_s = [*(before or ([] if is_steady else [self._enters()])), order], 0.2
         elif self.silences:
             every_s = random.choice((0.2, 1.0))
@@ -364,7 +389,8 @@ class _Aimed:
     def _chance(self) -> None:
         """Faults and orders that nobody aims at; each run has some kinds of them alone."""
         random = self.random
-        but = ("sensor_", *OF_THRUSTERS, *(("frames_", "bus_", "navigation_") if "navigation_silent" in self.troubles else ()))
+        is_brief = {"navigation_silent", "control"} & {*self.troubles}
+        but = ("sensor_", *OF_THRUSTERS, *(("frames_", "bus_", "navigation_") if is_brief else ()))
         kinds = random.sample([kind for kind in MIXABLE if not kind.startswith(but)], 3)
         for _ in range(random.choice((0, 0, 0, 1, 2))):
             kind = random.choice(kinds)
