@@ -1,0 +1,66 @@
+"""The ways that a decision compares, leg by leg."""
+
+import math
+
+import pytest
+
+from delfim.vehicle.traffic.encounter import Own
+from delfim.vehicle.traffic.trialways import Caution, RouteAhead, route_legs, trial_legs
+
+OWN = Own(100.0, -200.0, 0.0, 1.0)
+
+
+def test_along_its_route_the_boat_goes_as_fast_as_asked_and_then_stays() -> None:
+    route = RouteAhead(((400.0, -200.0), (400.0, 200.0)), 2.0)
+    assert route[1:] == (2.0, True, None)
+    assert route_legs(OWN, route) == [
+        (0.0, 150.0, 100.0, -200.0, 2.0, 0.0),
+        (150.0, 350.0, 400.0, -200.0, 0.0, 2.0),
+        (350.0, math.inf, 400.0, 200.0, 0.0, 0.0),
+    ]
+
+
+@pytest.mark.parametrize(("speed_mps", "legs"), [(0.0, 1), (0.05, 1), (0.0625, 2)])
+def test_a_boat_that_hardly_moves_stays(speed_mps: float, legs: int) -> None:
+    assert len(route_legs(OWN, RouteAhead(((110.0, -200.0),), speed_mps))) == legs
+
+
+@pytest.mark.parametrize(("north_m", "legs"), [(100.0, 1), (100.0625, 1), (100.125, 2)])
+def test_a_point_where_the_boat_is_already_is_no_leg(north_m: float, legs: int) -> None:
+    found = route_legs(OWN, RouteAhead(((north_m, -200.0), (100.0, -100.0)), 1.0))
+    assert len(found) == legs + 1
+    assert found[-1][2:4] == (100.0, -100.0)
+    assert len(route_legs(Own(0.0, 0.0, 0.0, 1.0), RouteAhead(((0.1, 0.0),), 1.0))) == 2
+
+
+@pytest.mark.parametrize(("first_m", "legs"), [(1800.0, 3), (1801.0, 2)])
+def test_what_comes_after_half_an_hour_does_not_matter(first_m: float, legs: int) -> None:
+    points = (100.0 + first_m, -200.0), (100.0 + first_m, 0.0)
+    assert len(route_legs(OWN, RouteAhead(points, 1.0))) == legs
+
+
+@pytest.mark.parametrize(
+    ("own_rad", "course_rad", "speed_mps", "wait_s"),
+    [
+        (0.0, 0.0, 1.0, 0.0),
+        (0.0, 1.0, 1.0, 2.0),
+        (1.0, -0.5, 1.0, 3.0),
+        (0.25, math.tau - 0.25, 1.0, 1.0),
+        (0.5, 0.5, 3.0, 2.0),
+        (0.5, 0.5, 0.5, 0.5),
+        (0.5, 1.5, 3.0, 2.0),
+        (0.5, 1.0, 4.0, 3.0),
+    ],
+)
+def test_a_turn_and_a_change_of_speed_are_a_wait_on_the_old_course(
+    own_rad: float, course_rad: float, speed_mps: float, wait_s: float
+) -> None:
+    boat = Caution(5.0, 0.25, 0.5)
+    assert boat[3:] == (180.0, "small")
+    first, then = trial_legs(boat, OWN._replace(course_rad=own_rad, speed_mps=1.0), course_rad, speed_mps)
+    way = math.cos(own_rad), math.sin(own_rad)
+    assert first == pytest.approx((0.0, wait_s, 100.0, -200.0, *way))
+    place = 100.0 + wait_s * way[0], -200.0 + wait_s * way[1]
+    assert then == pytest.approx((wait_s, math.inf, *place, speed_mps * math.cos(course_rad), speed_mps * math.sin(course_rad)))
+    fast, _ = trial_legs(boat, OWN._replace(speed_mps=2.0), 0.0, 2.0)
+    assert fast == (0.0, 0.0, 100.0, -200.0, 2.0, 0.0)
