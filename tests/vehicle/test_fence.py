@@ -605,8 +605,8 @@ def test_a_way_that_keeps_the_margin_to_the_metre_is_a_way():
         (100.0, [circle("rock", False, (0.0, 50.0), 10.0), circle("far", False, (500.0, 0.0), 1.0)], True),
         (100.0, [circle("rock", False, (0.0, 150.0), 10.0)], False),
         (100.0, [], False),
-        (fence.FAR_M, [circle("rock", False, (0.0, 5.0), 1.0)], False),
-        (math.nextafter(fence.FAR_M, 11.0), [circle("rock", False, (0.0, 5.0), 1.0)], True),
+        (10.0, [circle("rock", False, (0.0, 5.0), 1.0)], False),
+        (math.nextafter(10.0, 11.0), [circle("rock", False, (0.0, 5.0), 1.0)], True),
         (100.0, None, False),
     ],
 )
