@@ -23,7 +23,7 @@ LISTS: Final = ("command", "fault", "vessel", "handset")
 _NUMBER: Final = re.compile(r"-?[0-9]+(\.[0-9]+)?")
 
 
-class Removable(NamedTuple):
+class LeftOver(NamedTuple):
     """What can be left out: a row of one of LISTS, or a table that lies over the vehicle's file."""
 
     field: str
@@ -49,14 +49,14 @@ def shrink(drawn: Drawn, failures: Callable[[Drawn], list[str]], tell: Callable[
         raise DelfimError("a mission has no faults and no orders to leave out")
     if not (found := failures(drawn)):
         raise DelfimError("this run does not fail")
-    search = _Search(drawn, drawn.scenario, alike(found[0]), failures, tell, most)
+    search = _Shrinking(drawn, drawn.scenario, alike(found[0]), failures, tell, most)
     search.shorten()
     search.leave_out()
     search.shorten()
     return Shrunk(drawn._replace(scenario=search.best), found[0], search.runs)
 
 
-class _Search:
+class _Shrinking:
     def __init__(
         self,
         drawn: Drawn,
@@ -109,19 +109,19 @@ class _Search:
                 parts = min(2 * parts, len(pieces))
 
 
-def _pieces(scenario: Scenario) -> list[Removable]:
-    rows = [Removable(name, (), row) for name in LISTS for row in getattr(scenario, name)]
+def _pieces(scenario: Scenario) -> list[LeftOver]:
+    rows = [LeftOver(name, (), row) for name in LISTS for row in getattr(scenario, name)]
     if scenario.guest is not None:
-        rows.append(Removable("guest", (), scenario.guest))
+        rows.append(LeftOver("guest", (), scenario.guest))
     for key, value in scenario.vehicle.items():
         if isinstance(value, dict):
-            rows += [Removable("vehicle", (key, inner), each) for inner, each in value.items()]
+            rows += [LeftOver("vehicle", (key, inner), each) for inner, each in value.items()]
         else:
-            rows.append(Removable("vehicle", (key,), value))
+            rows.append(LeftOver("vehicle", (key,), value))
     return rows
 
 
-def _built(scenario: Scenario, pieces: Sequence[Removable]) -> Scenario:
+def _built(scenario: Scenario, pieces: Sequence[LeftOver]) -> Scenario:
     vehicle = dict[str, Any]()
     for each in pieces:
         if each.field == "vehicle":
