@@ -100,11 +100,13 @@ def sail(
     each cycle.
     """
     run = Lockstep(settings, seed, make_log or (lambda clock: NoLog()), handset=scenario.handset)
-    watch, recorder, operator = Onlooker(run), Recorder(run), Operator(run, scenario, mission)
+    watch = Onlooker(run)
+    recorder, operator = Recorder(run), Operator(run, watch, scenario, mission)
     faults = [(each.at_s, fault_of(each, run.faults.thrusters)) for each in scenario.fault]
     broken = deque(sorted(faults, key=lambda pair: pair[0]))
     guest_s, counts_waypoints = 0.0, any(expected.waypoints for expected in scenario.expect)
     for _ in run.cycles(scenario.seconds):
+        watch.look()
         while broken and broken[0][0] <= run.elapsed_s:
             each = broken.popleft()[1]
             recorder.add("fault", each.kind, each.where)
@@ -112,8 +114,8 @@ def sail(
         if scenario.guest is not None and run.elapsed_s >= guest_s:
             guest_s = run.elapsed_s + GUEST_S
             run.guest_says(msgspec.json.encode(scenario.guest))
+            watch.ready()
         operator.speak(recorder)
-        watch.look()
         recorder.look()
         if look is not None:
             look(run, watch.place)
@@ -127,8 +129,8 @@ def sail(
 class Operator:
     """Gives a scenario's orders: each until it is obeyed, refused as expected, or given up."""
 
-    def __init__(self, run: Lockstep, scenario: Scenario, mission: str) -> None:
-        self._run, self._patience_s = run, PATIENCE_S if scenario.patient else 0.0
+    def __init__(self, run: Lockstep, watch: Onlooker, scenario: Scenario, mission: str) -> None:
+        self._run, self._watch, self._patience_s = run, watch, PATIENCE_S if scenario.patient else 0.0
         orders = [OperatorWord.of(words) for words in scenario.command]
         if mission:
             orders.append(OperatorWord(-1.0, console.LoadMission(mission)))
@@ -142,7 +144,7 @@ class Operator:
         now_s = self._run.elapsed_s
         if self._held is not None and now_s >= self._again_s:
             self._again_s = now_s + HELD_S
-            self._run.order(self._held, "scenario")
+            self._watch.order(self._held, "scenario")
             self._held = self._held if now_s < self._held_s else None
         elif self._orders and self._orders[0].at_s <= now_s and now_s >= self._again_s:
             order = self._orders[0]
@@ -154,7 +156,7 @@ class Operator:
     def _give(self, order: OperatorWord, recorder: Recorder) -> bool:
         """Whether the operator is done with the order."""
         name, now_s = str(order.command.__struct_config__.tag), self._run.elapsed_s
-        why = self._run.order(order.command, "scenario")
+        why = self._watch.order(order.command, "scenario")
         if order.refused:
             recorder.add("command", name, f"refused: {why}" if why else "")
             if order.refused not in (why or ""):

@@ -1,11 +1,18 @@
 """Invariants: what must never happen to a boat in lock step, whatever fails."""
 
 import math
+from collections.abc import Callable
 from typing import Final
 
 from delfim.geodesy import from_plane
 from delfim.modes import Mode
+from delfim.simulator.invariants.cycle import CycleSeen, Invariant, before
+from delfim.simulator.invariants.guidespec import Beginnings, Guidance
+from delfim.simulator.invariants.orderspec import Orders
+from delfim.simulator.invariants.thrustspec import CommandedThrust, ControlLaw, DerivedGains
+from delfim.simulator.invariants.troublespec import Troubles
 from delfim.simulator.lockstep import Lockstep
+from delfim.vehicle import console
 from delfim.vehicle.fence import Fence
 from delfim.vehicle.state import State
 from delfim.vehicle.zones import Point, clearance_m
@@ -21,6 +28,7 @@ CUT: Final = "dsor"  # the driver whose thrusters the boat cuts off from their b
 _TOLD_NOTHING: Final = frozenset(
     {"bus_off", "sensor_silent", "outlet_silent"}
 )  # faults after which a propeller is told nothing, or tells nothing
+OVERRULE: Final = console.SetMode | console.Heading | console.Course | console.Goto | console.Play | console.Continue
 _IDLE: Final = Mode.IDLE  # asked for in each cycle; the lookup in the enumeration takes longer than the comparison
 
 
@@ -60,8 +68,11 @@ class TruePlace:
         return clear_m
 
 
+RULES: Final[tuple[Callable[[Lockstep], Invariant], ...]] = (CommandedThrust, ControlLaw, DerivedGains, Guidance)
+
+
 class Onlooker:
-    """Call `look` after each cycle."""
+    """Call `look` after each cycle, `order` to give an order, and `ready` after anything else that changes the boat."""
 
     def __init__(self, run: Lockstep) -> None:
         self._run, self._drives, self.place = run, run.nodes.model.drives, TruePlace(run)
@@ -70,6 +81,13 @@ class Onlooker:
         self._blind_s = run.settings.failsafe.navigation_silent.after_s + BLIND_S
         self._turning_since_s = math.inf
         self._was_inside, self._astray, self._drifted = True, False, False
+        self._troubles, self._orders, self._beginnings = Troubles(run), Orders(run), Beginnings(run)
+        self._rules = [*(rule(run) for rule in RULES), self._troubles, self._beginnings]
+        self._before = before(run)
+
+    def ready(self) -> None:
+        """The next cycle begins."""
+        self._before = before(self._run)
 
     def look(self) -> None:
         run, state = self._run, self._run.state
@@ -90,6 +108,34 @@ class Onlooker:
             self._adrift(now_s)
         if (around := run.vehicle.helm.plans.fence) is not None:
             self._fenced(around, state, idle)
+        cycle = CycleSeen(run, self._before)
+        self._rules = [rule for rule in self._rules if not self._is_broken(rule, cycle)]
+        self._before = before(run)
+
+    def order(self, command: console.Commands, by: str) -> str | None:
+        """Give an order, and look at what comes of it."""
+        self._orders.before()
+        why = self._run.order(command, by)
+        for words in self._orders.after(command, why):
+            self._fail(words)
+        if why is None and (cycle := self._orders.entered(command)) is not None:
+            for rule in self._rules:
+                if isinstance(rule, ControlLaw | Guidance) and (words := next(rule.look(cycle), "")):
+                    self._fail(words)
+        if why is None and not isinstance(command, console.Alive):
+            self._beginnings.ordered(self._run.state, is_hold=isinstance(command, console.SetMode) and command.mode == "hold")
+        begins = self._run.state.mode_s == self._run.elapsed_s
+        if why is None and (isinstance(command, OVERRULE) or (begins and isinstance(command, console.Manual | console.Pause))):
+            self._troubles.overruled()
+        self.ready()
+        return why
+
+    def _is_broken(self, rule: Invariant, cycle: CycleSeen) -> bool:
+        """One that was broken is not asked again."""
+        words = next(rule.look(cycle), "")
+        if words:
+            self._fail(words)
+        return bool(words)
 
     def _turns(self) -> bool:
         """Whether propellers give thrust. One that does not obey, and that the boat cannot cut off, is not its fault."""

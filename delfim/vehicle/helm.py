@@ -347,9 +347,9 @@ class Helm:
             self.taken = False
         if self.taken and (pushed or state.mode is Mode.MANUAL):
             raise Refused(f"manual refused: {state.reason}; release the joystick for {PUSHED_S:g} s or choose a mode")
-        state.setpoint = setpoint = state.setpoint._replace(starboard=starboard, port=port)
         if state.mode is not Mode.MANUAL:
-            self.request(Mode.MANUAL, setpoint, now_s)
+            self.request(Mode.MANUAL, state.setpoint._replace(starboard=starboard, port=port), now_s)
+        state.setpoint = state.setpoint._replace(starboard=starboard, port=port)
 
     def _arm(self, command: console.Arm, now_s: float) -> None:
         if self.state.mode is Mode.IDLE and (reason := self.unfit()) is not None:

@@ -331,7 +331,7 @@ def test_fifty_restarts_and_power_cuts_on_one_voyage(seed):
     for number in range(9):
         mode = random.choice(MODES)
         run.guest_says(GUEST)
-        run.command(WAYS[mode])
+        watch.order(WAYS[mode], "local")
         for _ in run.cycles(random.uniform(1.0, 25.0)):
             watch.look()
         before = run.state.mode

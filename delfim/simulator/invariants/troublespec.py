@@ -1,0 +1,355 @@
+"""Each trouble of docs/failsafe.md is told when its condition has lasted, is over when its cause is, and is followed by its
+action and by no other."""
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Final
+
+from delfim import config
+from delfim.messages import BatteriesStatus, Status
+from delfim.modes import Mode
+from delfim.simulator.invariants.cycle import CycleSeen
+from delfim.simulator.invariants.fencespec import PlainFence
+from delfim.simulator.lockstep import Lockstep
+from delfim.vehicle.state import Actuation, Notice, State
+
+TURNING: Final = 0.04  # of full command; below this a propeller moves no boat
+FRESH_S: Final = 1.0  # an older report of a propeller does not count
+NEVER_S: Final = math.inf
+BATTERIES: Final = ("batteries_starboard", "batteries_port")
+SEVERITY: Final = ("warn", "hold", "back", "home", "stop", "disconnect")
+NAVIGATES: Final = frozenset({"position", "heading", "velocity"})
+NEEDS: Final = {  # docs/control.md
+    **dict.fromkeys((Mode.GOTO, Mode.PLAY, Mode.PATH, Mode.HOLD, Mode.HOME), NAVIGATES),
+    **dict.fromkeys((Mode.HEADING, Mode.GREX), frozenset({"heading"})),
+    Mode.COURSE: frozenset({"heading", "velocity"}),
+}
+# Troubles that act by themselves in all modes.
+FIXED: Final = {"control": "stop", "kill": "stop", "restarted": "warn"}
+UNKNOWN: Final = "traffic", "traffic_close", "traffic_unclear", "ais_silent", "handset_silent", "outlet"
+
+
+@dataclass(slots=True)
+class Glance:
+    """What the boat looked at ten times a second: the state, in the mode that it had then."""
+
+    settings: config.Vehicle
+    state: State
+    sent: Actuation | None  # None: it changed meanwhile, so it is not known what the boat saw
+    mode: Mode
+    now_s: float
+    fence: PlainFence
+    log_reason: str
+    was_low: frozenset[str]
+
+
+Condition = Callable[[Glance], bool | None]  # None: not known here
+
+
+def control(look: Glance) -> bool | None:
+    m, setpoint = look.state.motion, look.state.setpoint
+    if look.mode is Mode.IDLE:
+        return False
+    if look.mode in NEEDS and not m.has >= NEEDS[look.mode]:
+        return True
+    is_told = {
+        Mode.GREX: setpoint.guest_heading_rad is not None,
+        Mode.PLAY: setpoint.plan is not None,
+        Mode.PATH: setpoint.plan is not None,
+        Mode.HOME: bool(setpoint.track),
+    }.get(look.mode, True)
+    is_sane = (
+        abs(m.north_m) + abs(m.east_m) < 1e6 and abs(m.north_mps) + abs(m.east_mps) < 50.0 and abs(m.yaw_rate_radps) < 100.0
+    )
+    return False if is_told and is_sane else None
+
+
+def navigation_silent(look: Glance) -> bool | None:
+    after_s = look.settings.failsafe.navigation_silent.after_s
+    return look.now_s - look.state.navigation_s > after_s or (None if look.state.inputs else False)
+
+
+def navigation_jumping(look: Glance) -> bool | None:
+    state, after_s = look.state, look.settings.failsafe.navigation_jumping.after_s
+    lasts = state.jumped_s - state.jumping_s >= after_s and look.now_s - state.jumped_s <= look.settings.navigation.stale_s
+    return lasts or (None if state.inputs else False)
+
+
+def navigation_frozen(look: Glance) -> bool | None:
+    if look.mode is Mode.IDLE:
+        return False
+    if look.state.inputs:
+        return None
+    if look.now_s - look.state.changed_s <= look.settings.failsafe.navigation_frozen.after_s:
+        return False
+    return None if look.sent is None else look.sent.run and max(map(abs, look.sent.thrust), default=0.0) > TURNING
+
+
+def navigation_twice(look: Glance) -> bool | None:
+    twice = look.state.twice
+    return len(twice) >= 3 and look.now_s - twice[0] <= look.settings.failsafe.navigation_twice.after_s
+
+
+def sensor_bad(look: Glance) -> bool | None:
+    state, sysstat, sensors = look.state, look.settings.sysstat, look.settings.sensors
+    for name in sysstat.required or ():
+        report = state.sysstat.get(name)
+        if report is None and (
+            look.mode is not Mode.IDLE or state.cycles >= sysstat.stale_s * look.settings.navigation.rate_hz
+        ):
+            return None if state.killed.reason else True
+        if report is not None and (look.now_s - report[1] > sysstat.stale_s or report[0].status is Status.BAD):
+            return None if state.killed.reason else True
+    return any(look.now_s - state.measured.get(name, (0.0, -math.inf))[1] > sensors.stale_s for name in sensors.required)
+
+
+def battery(name: str) -> Condition:
+    def is_low(look: Glance) -> bool | None:
+        limits: config.BatteryLow | config.BatteryCritical = getattr(look.settings.failsafe, name)
+        reports = [look.state.sysstat[side][0] for side in BATTERIES if side in look.state.sysstat]
+        charges = [each.charge for each in reports if isinstance(each, BatteriesStatus) and each.charge is not None]
+        if min(charges, default=2.0) <= limits.charge + (0.02 if name in look.was_low else 0.0):
+            return True
+        return None if limits.voltage_v else False
+
+    return is_low
+
+
+def thruster(look: Glance) -> bool | None:
+    state, limits, sent = look.state, look.settings.failsafe.thruster, look.sent
+    if state.failed:
+        return True
+    if sent is None:
+        return None
+    is_known = True
+    for i, row in enumerate(look.settings.thrusters):
+        report, rpm_max = state.thrusters.get(row.name), look.settings.rpm_max(row)
+        if report is None:
+            continue
+        if (
+            look.now_s - report.heard_s > FRESH_S
+            or report.rpm is None
+            or not rpm_max
+            or report.refuses
+            or report.angle_rad is not None
+        ):
+            is_known &= row.driver == "dsor" or not sent.run
+            continue
+        asked_rpm = sent.thrust[i] * rpm_max
+        if (
+            abs(report.rpm - asked_rpm) > limits.error_rpm + limits.error * abs(asked_rpm)
+            if sent.run
+            else abs(report.rpm) > limits.idle_rpm
+        ):
+            return True
+    return False if is_known else None
+
+
+def manual_silent(look: Glance) -> bool | None:
+    return look.mode is Mode.MANUAL and look.now_s - look.state.manual_s > look.settings.failsafe.manual_silent.after_s
+
+
+def console_silent(look: Glance) -> bool | None:
+    return look.mode is not Mode.IDLE and look.now_s - look.state.console_s > look.settings.failsafe.console_silent.after_s
+
+
+def guest_silent(look: Glance) -> bool | None:
+    return look.mode is Mode.GREX and look.now_s - look.state.guest_s > look.settings.failsafe.guest_silent.after_s
+
+
+def fence(look: Glance) -> bool | None:
+    zones = look.fence.zones()
+    if zones is None or "position" not in look.state.motion.has:
+        return None
+    return look.fence.is_outside(look.state.motion) if look.mode is Mode.IDLE else look.fence.is_near(look.state.motion)
+
+
+def fence_left(look: Glance) -> bool | None:
+    if look.mode is Mode.IDLE or "position" not in look.state.motion.has:
+        return False
+    return look.fence.is_left(look.state.motion)
+
+
+def gnss_poor(look: Glance) -> bool | None:
+    limits, n = look.settings.failsafe.gnss_poor, look.state.navigation
+    if n is None or not n.fix:
+        return False
+    told = 0 < n.satellites < limits.satellites or (n.hdop is not None and n.hdop > limits.hdop)
+    return told or (None if limits.accuracy_m or limits.corrections_s or limits.fix != "2d" else False)
+
+
+def shallow(look: Glance) -> bool | None:
+    depth_m, at_s = look.state.measured.get("depth_m", (math.inf, look.now_s))
+    return depth_m < look.settings.failsafe.shallow.min_depth_m and look.now_s - at_s <= look.settings.sensors.stale_s
+
+
+CONDITIONS: Final[dict[str, Condition]] = {
+    "control": control,
+    "navigation_jumping": navigation_jumping,
+    "navigation_silent": navigation_silent,
+    "navigation_frozen": navigation_frozen,
+    "sensor_bad": sensor_bad,
+    "battery_critical": battery("battery_critical"),
+    "thruster": thruster,
+    "manual_silent": manual_silent,
+    "console_silent": console_silent,
+    "guest_silent": guest_silent,
+    "fence": fence,
+    "battery_low": battery("battery_low"),
+    "log": lambda look: bool(look.log_reason),
+    "gnss_poor": gnss_poor,
+    "kill": lambda look: bool(look.state.killed.reason),
+    "shallow": shallow,
+    "fence_left": fence_left,
+    "restarted": lambda look: bool(look.state.restarted),
+    "navigation_twice": navigation_twice,
+}
+
+
+@dataclass(slots=True)
+class Lasting:
+    """A trouble that is there, or was until a moment ago."""
+
+    since_s: float
+    acting_s: float = NEVER_S
+    seen_s: float = -NEVER_S
+    is_known: bool = True  # False: whether and since when it is there was not known all the time
+    is_answered: bool | None = False  # the boat went home for it, or the operator overruled that; None: not known
+
+
+class Troubles:
+    """What the boat tells of its troubles, and does about them, is what docs/failsafe.md says of their conditions."""
+
+    def __init__(self, run: Lockstep) -> None:
+        self._run, self._fence, self._clear_s = run, PlainFence(run), run.settings.failsafe.clear_s
+        self._lasting = dict[str, Lasting]()
+
+    def overruled(self) -> None:
+        """An order of the operator was obeyed that overrules what is told."""
+        for each in self._lasting.values():
+            each.is_answered = each.is_answered or each.acting_s < NEVER_S
+
+    def look(self, cycle: CycleSeen) -> Iterator[str]:
+        state, was, run = cycle.state, cycle.was, cycle.run
+        if run.vehicle is not was.handed:
+            self._lasting = {name: Lasting(NEVER_S, is_known=False) for name in CONDITIONS}
+        if state.watchdog_s != cycle.now_s:
+            return
+        settings, told = run.vehicle.helm.settings, {notice.name: notice for notice in state.notices}
+        acted = state.mode is not was.mode and any(state.reason.startswith(each.reason) for each in state.notices)
+        mode = was.mode if acted else state.mode
+        sent = state.actuation if (state.mode, state.reason) == (was.mode, was.reason) else None
+        low = frozenset(name for name, each in self._lasting.items() if each.acting_s < NEVER_S or each.seen_s > -NEVER_S)
+        look = Glance(settings, state, sent, mode, cycle.now_s, self._fence, run.vehicle.log.reason(), low)
+        severities = [SEVERITY.index(notice.action) for notice in state.notices]
+        if severities != sorted(severities, reverse=True):
+            yield f"the worst trouble is not told first: {', '.join(told)}"
+        for name, condition in CONDITIONS.items():
+            holds = condition(look)
+            if holds is not False or name in told or name in self._lasting:
+                yield from self._compare(name, holds, look, told.get(name))
+        for notice in state.notices:
+            if notice.name in self._lasting and (wrong := self._acts(notice, look)):
+                yield wrong
+        yield from _followed(SEVERITY[max(severities)] if severities else "", cycle, mode)
+
+    def _compare(self, name: str, holds: bool | None, look: Glance, notice: Notice | None) -> Iterator[str]:
+        """The memory of one trouble after this look, and whether the boat tells it."""
+        now_s, each = look.now_s, self._lasting.get(name)
+        if holds is None or (each is not None and not each.is_known):
+            yield from self._believe(name, holds, look, notice)
+            return
+        if holds:
+            each = self._lasting.setdefault(name, Lasting(now_s))
+            each.seen_s = now_s
+            if each.acting_s == NEVER_S and now_s - each.since_s >= _lasts_s(look.settings.failsafe, name):
+                each.acting_s = now_s
+        elif each is not None and (each.acting_s == NEVER_S or now_s - each.seen_s >= self._clear_s):
+            del self._lasting[name]
+            each = None
+        is_told = each is not None and each.acting_s < NEVER_S
+        if is_told and notice is None and each is not None:
+            yield f"{name} is there since {each.since_s:.1f} s, and is not told"
+        elif notice is not None and not is_told:
+            yield f"{name} is told ({notice.reason}), and is not there"
+        elif notice is not None and each is not None and notice.since_s != each.since_s:
+            yield f"{name} is told to be there since {notice.since_s:.1f} s, not since {each.since_s:.1f} s"
+
+    def _believe(self, name: str, holds: bool | None, look: Glance, notice: Notice | None) -> Iterator[str]:
+        """The memory of a trouble of which it is not known since when it is there, or whether: the boat's word is taken, if it
+        says so in time."""
+        now_s, was = look.now_s, self._lasting.get(name)
+        if notice is None:
+            self._lasting.pop(name, None)
+            if holds is not False:
+                since_s = NEVER_S if not holds else now_s if was is None else min(was.since_s, now_s)
+                self._lasting[name] = Lasting(since_s, is_known=False)
+                if now_s - since_s >= _lasts_s(look.settings.failsafe, name):
+                    yield f"{name} is there since {since_s:.1f} s or longer, and is not told"
+            return
+        each = self._lasting.setdefault(name, Lasting(now_s))
+        each.since_s, each.acting_s, each.is_known, each.is_answered = (
+            notice.since_s,
+            min(each.acting_s, now_s),
+            bool(holds),
+            None,
+        )
+        if holds is not False:
+            each.seen_s = now_s
+
+    def _acts(self, notice: Notice, look: Glance) -> str:
+        """Why the action that is told for a trouble is not that of the table, in words."""
+        each, name, mode, table = self._lasting[notice.name], notice.name, look.mode, look.settings.failsafe
+        action = FIXED.get(name) or self._of_table(table, name, mode)
+        if not each.is_known and notice.action == "warn":
+            return ""  # it may be absent already
+        if each.seen_s != look.now_s:
+            action = "warn"  # absent, and not over yet
+        elif (name == "thruster" and look.state.failed and not look.state.unsteerable) or (
+            action == "disconnect" and look.now_s - look.state.mode_s < table.thruster.after_s
+        ):
+            action = "warn"
+        elif action == "home":
+            if mode is Mode.HOME or each.is_answered:
+                action = "warn"
+            elif each.is_answered is None:
+                return ""
+            elif each.acting_s + table.pause_s - look.now_s > 0.0:
+                action = "hold"
+            else:
+                each.is_answered = True
+        return "" if action == notice.action else f"{name} brings {notice.action} in {mode.name.lower()}, not {action}"
+
+    @staticmethod
+    def _of_table(table: config.Failsafe, name: str, mode: Mode) -> str:
+        if mode is Mode.IDLE and name != "kill":
+            return "disconnect" if name == "thruster" and table.thruster.disconnect else "warn"
+        row: config.Trouble = getattr(table, name)
+        own: str = getattr(row, mode.name.lower())
+        return row.action if own == "same" else own
+
+
+def _lasts_s(table: config.Failsafe, name: str) -> float:
+    """How long a condition without an age of its own must last."""
+    row: object = getattr(table, name, None)
+    return row.after_s if isinstance(row, config.Trouble) and not isinstance(row, config.Silence) else 0.0
+
+
+def _followed(action: str, cycle: CycleSeen, mode: Mode) -> Iterator[str]:
+    """The worst action is done, and none but it changes the mode."""
+    state, was = cycle.state, cycle.was
+    does = {"hold": (Mode.HOLD,), "back": (Mode.HOLD,), "home": (Mode.HOME, Mode.HOLD), "stop": ()}.get(action)
+    if does is None:
+        if state.mode is not was.mode and not _by_itself(cycle):
+            yield f"from {was.mode.name.lower()} to {state.mode.name.lower()}, and nothing asks for it"
+    elif state.mode is not Mode.IDLE and state.mode not in does:
+        yield f"{action} is told, and the boat is in {state.mode.name.lower()}"
+    elif state.mode is Mode.IDLE and does and "cannot hold" not in state.reason and mode is not Mode.IDLE:
+        yield f"{action} is told, and the boat stopped"
+
+
+def _by_itself(cycle: CycleSeen) -> bool:
+    """Whether a mode ended or began without a trouble: at its end, after a restart, by a hand aboard, or on a way round."""
+    reason, was = cycle.state.reason, cycle.was.mode.name.lower()
+    return reason.startswith((f"{was} done", "restarted: ", "operator", "kill: ")) or cycle.run.vehicle is not cycle.was.handed

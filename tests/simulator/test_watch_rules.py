@@ -1,0 +1,165 @@
+"""Each rule of the watch, and a boat that breaks it: its program is changed in one place, and it sails."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from delfim import config
+from delfim.modes import Mode
+from delfim.simulator.invariants import thrustspec
+from delfim.simulator.mixed import mixed_mission, place_of
+from delfim.simulator.scenario import FaultAt, Scenario, settings_of
+from delfim.simulator.trial import sail
+from delfim.vehicle import console, failsafe, helm, propulsion, setpoints, troubles
+from delfim.vehicle.actuators.dsor import Propellers
+from delfim.vehicle.control import goto, guidance, heading, hold, hull, play
+from delfim.vehicle.helm import Helm
+
+VEHICLE = str(Path(__file__).parents[2] / "etc/delfimx.toml")
+HERE = config.load(VEHICLE).simulation
+CORNERS = [place_of(HERE, n * 65.0, e * 65.0) for n, e in ((1, -1), (1, 1), (-1, 1), (-1, -1))]
+EAST = {"command": "heading", "heading_deg": 90.0, "speed_mps": 1.5, "at_s": 4.0}
+NEAR = dict(zip(("latitude_deg", "longitude_deg"), place_of(HERE, -10.0, 0.0), strict=True))
+GOTO = {"command": "goto", **NEAR, "at_s": 4.0}
+PLAY = {"command": "play", "at_s": 4.0}
+PUSH = {"command": "manual", "starboard": 0.5, "port": 0.5, "at_s": 4.0}
+STAY = {"command": "mode", "mode": "hold", "at_s": 10.0}
+LOST = FaultAt(at_s=5.0, kind="console_lost", for_s=30.0)
+DARK = FaultAt(at_s=8.0, kind="navigation_silent", for_s=3.0)
+
+
+def failures(*orders: dict[str, Any], fault: FaultAt | None = None, seconds: float = 16.0) -> list[str]:
+    scenario = Scenario(
+        version=1,
+        name="a broken boat",
+        seconds=seconds,
+        vehicle={"fence": {"keep_in": [{"polygon": CORNERS}]}, "control": {"hold": {"radius_m": 2.0}}},
+        command=orders,
+        fault=() if fault is None else (fault,),
+    )
+    return sail(scenario, settings_of(scenario, VEHICLE), 1, mixed_mission(HERE), patient=False).failures
+
+
+def twice(function: Callable[..., Any], at: int) -> Callable[..., Any]:
+    """The function with one of its arguments twice as large."""
+    return lambda *given: function(*given[:at], 2.0 * given[at], *given[at + 1 :])
+
+
+def but(function: Callable[..., Any], change: Callable[[Any], Any]) -> Callable[..., Any]:
+    return lambda *given, **named: change(function(*given, **named))
+
+
+def off(state: Any) -> Any:
+    return state._replace(thrust=(0.0, 0.0), run=False)
+
+
+def refused_late(self: Helm, command: Any, now_s: float) -> None:
+    self.state.setpoint = self.state.setpoint._replace(starboard=command.starboard)
+    PUSHED(self, command, now_s)
+
+
+def tired(self: Helm) -> None:
+    WENT_ON(self)
+    if self.state.mode is Mode.GOTO:
+        self.enter(Mode.HEADING, "tired")
+
+
+PUSHED, WENT_ON = Helm._push, Helm.go_on
+BREAKS: dict[str, tuple[Any, str, Any, tuple[dict[str, Any], ...], FaultAt | None, str]] = {
+    "rate": (propulsion, "limited", twice(propulsion.limited, 3), (EAST,), None, "thrust from"),
+    "off": (propulsion, "limited", but(propulsion.limited, off), (EAST,), None, "the thrusters are off"),
+    "bus": (
+        *(Propellers, "send", lambda self, sent, now_s: SENT(self, sent._replace(thrust=(0.0, 0.0)), now_s)),
+        *((EAST,), None, "the bus says"),
+    ),
+    "law": (
+        heading,
+        "steer",
+        but(heading.steer, lambda s: (s[0], s[1]._replace(yaw_nm=2.0 * s[1].yaw_nm))),
+        (EAST,),
+        None,
+        "short of",
+    ),
+    "integral": (
+        *(heading, "steer", but(heading.steer, lambda s: (s[0]._replace(surge_n=1.0), s[1]))),
+        *((EAST,), None, "the memory of surge"),
+    ),
+    "gains": (hull, "DAMPED", 2.4, (), None, "follows from the hull"),
+    "speed": (setpoints, "speed", lambda asked, speeds: 0.7, (EAST,), None, "the speed_mps is"),
+    "line": (
+        *(guidance, "course_to_steer", but(guidance.course_to_steer, lambda c: (c[0]._replace(shift_m=1.0), c[1]))),
+        *((PLAY,), None, "line of sight"),
+    ),
+    "reached": (goto, "leg", but(goto.leg, lambda s: (*s[:3], True)), (GOTO,), None, "goto is done"),
+    "leg": (play, "leg", but(play.leg, lambda s: (*s[:3], True)), (PLAY,), None, "play goes on with leg 1"),
+    "hold": (hold, "APPROACH_S", 10.0, (EAST, STAY), None, "hold asks for"),
+    "place": (hold, "STOPPING_S", 1.0, (EAST,), LOST, "where the fence leaves it room"),
+    "silence": (
+        *(troubles, "_SEEN", tuple(row for row in troubles._SEEN if row[0] is not troubles.Trigger.NAVIGATION_SILENT)),
+        *((EAST,), DARK, "navigation_silent is there since"),
+    ),
+    "no cause": (
+        *(troubles, "_SEEN", (*troubles._SEEN, (troubles.Trigger.LOG, lambda look: "no log"))),
+        *((), None, "log is told"),
+    ),
+    "other action": (
+        *(failsafe, "_answer", but(failsafe._answer, lambda answer: (failsafe.Action.WARN, answer[1]))),
+        *((EAST,), DARK, "brings warn in heading, not stop"),
+    ),
+    "no action": (
+        Helm,
+        "fall_back",
+        lambda self, action, reason, now_s: None,
+        (EAST,),
+        DARK,
+        "stop is told, and the boat is in",
+    ),
+    "never over": (
+        failsafe,
+        "_remembered",
+        but(failsafe._remembered, lambda found: KEPT | found),
+        (EAST,),
+        DARK,
+        "is not there",
+    ),
+    "changed": (
+        *(helm, "_OBEYED", {**helm._OBEYED, console.Manual: refused_late}),
+        *(({**PUSH, "at_s": 9.6},), DARK, "and changed boat"),
+    ),
+    "forbidden": (helm, "refusal", lambda *given: None, ({**EAST, "at_s": 10.0},), DARK, "was obeyed, and is forbidden"),
+    "no reason": (helm, "refusal", lambda *given: "no", (EAST,), None, "nothing forbids it"),
+    "by itself": (Helm, "go_on", tired, (GOTO,), None, "and nothing asks for it"),
+}
+SENT = Propellers.send
+KEPT = {troubles.Trigger.SHALLOW: failsafe.Episode("shallow", 0.2, 0.2, 0.2, False)}
+
+
+@pytest.mark.parametrize("name", BREAKS)
+def test_a_boat_that_breaks_a_rule_is_told(name, monkeypatch):
+    where, what, other, orders, fault, words = BREAKS[name]
+    monkeypatch.setattr(where, what, other)
+    found = failures(*orders, fault=fault)
+    assert any(words in each for each in found), found
+
+
+@pytest.mark.parametrize("orders", [(EAST,), (GOTO,), (PLAY,), (PUSH,)], ids=["heading", "goto", "play", "manual"])
+def test_a_boat_as_it_is_breaks_none(orders):
+    assert not failures(*orders, fault=DARK, seconds=30.0)
+
+
+def test_a_refused_push_of_the_joystick_leaves_the_set_points_as_they_were():
+    """Mixed faults, seed 44: it was asked for while navigation was silent, and its thrust stayed."""
+    assert not failures({**PUSH, "at_s": 9.6}, fault=DARK)
+
+
+def test_the_forces_of_two_thrusters_keep_the_yaw_moment_where_both_are_too_much():
+    pair = thrustspec.pair_of(config.load(VEHICLE).thrusters)
+    assert pair is not None
+    for surge_n, yaw_nm in ((400.0, 100.0), (2000.0, 300.0), (-900.0, -200.0), (0.0, 5000.0)):
+        forces = thrustspec.shared(pair, surge_n, yaw_nm)
+        given_nm = sum(arm_m * force_n for arm_m, force_n in zip(pair.arms_m, forces, strict=True))
+        assert all(low - 1e-9 <= f <= high + 1e-9 for low, f, high in zip(pair.least_n, forces, pair.most_n, strict=True))
+        assert given_nm == pytest.approx(min(yaw_nm, 1.029 * (532.0 + 319.0)))
+    assert sum(thrustspec.shared(pair, 400.0, 100.0)) == pytest.approx(400.0)
