@@ -14,10 +14,10 @@ from delfim.vehicle.control.memory import Settings
 from delfim.vehicle.state import Arc, Motion, Reference
 
 ROUNDING: Final = 1e-9
-OFF_N: Final = 0.1  # least force that counts: less than 1e-4 of a thruster's is no command
-OFF: Final = 0.0005  # of a thruster's force: what yaw, weighted far above surge, gives way where both are too much
+OFF_N: Final = 0.5  # least force that counts: less than 1e-4 of a thruster's is no command
+OFF: Final = 0.004  # of a thruster's force: what yaw, weighted far above surge, gives way where both are too much
 SMOOTH: Final = 1e-6  # of an integral
-SHORT: Final = 0.002  # of a thruster's force
+SHORT: Final = 0.01  # of a thruster's force
 STAYS_RADPS: Final = math.radians(3.0)  # docs/control.md, anti-windup
 TURNS_AWAY_RAD: Final = 0.5
 

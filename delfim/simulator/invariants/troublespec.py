@@ -27,7 +27,6 @@ NEEDS: Final = {  # docs/control.md
 }
 # Troubles that act by themselves in all modes.
 FIXED: Final = {"control": "stop", "kill": "stop", "restarted": "warn"}
-UNKNOWN: Final = "traffic", "traffic_close", "traffic_unclear", "ais_silent", "handset_silent", "outlet"
 
 
 @dataclass(slots=True)
