@@ -102,7 +102,7 @@ def sailed(seed: int) -> tuple[str, list[str]]:
         return tapes[-1]
 
     signal.setitimer(signal.ITIMER_PROF, RUN_S)  # which ends the process
-    result = sail(scenario, settings_of(scenario, VEHICLE), seed, mixed_mission(here.simulation), tape, patient=False)
+    result = sail(scenario, settings_of(scenario, VEHICLE), seed, mixed_mission(here.simulation), tape)
     signal.setitimer(signal.ITIMER_PROF, 0.0)
     return tapes[0].hash.hexdigest(), result.failures
 
