@@ -83,7 +83,7 @@ class Onlooker:
         self._was_inside, self._astray, self._drifted = True, False, False
         self._troubles, self._orders, self._beginnings = Troubles(run), Orders(run), Beginnings(run)
         self._rules = [*(rule(run) for rule in RULES), self._troubles, self._beginnings]
-        self._before = before(run)
+        self._before, self._vehicle = before(run), run.vehicle
 
     def ready(self) -> None:
         """The next cycle begins."""
@@ -108,6 +108,8 @@ class Onlooker:
             self._adrift(now_s)
         if (around := run.vehicle.helm.plans.fence) is not None:
             self._fenced(around, state, idle)
+        if run.vehicle is not self._vehicle:  # another program, which has forgotten what these rules remember
+            self._rules = []
         cycle = CycleSeen(run, self._before)
         self._rules = [rule for rule in self._rules if not self._is_broken(rule, cycle)]
         self._before = before(run)
@@ -124,6 +126,8 @@ class Onlooker:
                     self._fail(words)
         if why is None and not isinstance(command, console.Alive):
             self._beginnings.ordered(self._run.state, is_hold=isinstance(command, console.SetMode) and command.mode == "hold")
+        if self._run.state.mode is not _IDLE:
+            self._turning_since_s, self._astray = math.inf, False
         begins = self._run.state.mode_s == self._run.elapsed_s
         if why is None and (isinstance(command, OVERRULE) or (begins and isinstance(command, console.Manual | console.Pause))):
             self._troubles.overruled()

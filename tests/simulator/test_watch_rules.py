@@ -38,8 +38,9 @@ def failures(*orders: dict[str, Any], fault: FaultAt | None = None, seconds: flo
         vehicle={"fence": {"keep_in": [{"polygon": CORNERS}]}, "control": {"hold": {"radius_m": 2.0}}},
         command=orders,
         fault=() if fault is None else (fault,),
+        patient=False,
     )
-    return sail(scenario, settings_of(scenario, VEHICLE), 1, mixed_mission(HERE), patient=False).failures
+    return sail(scenario, settings_of(scenario, VEHICLE), 1, mixed_mission(HERE)).failures
 
 
 def twice(function: Callable[..., Any], at: int) -> Callable[..., Any]:

@@ -6,7 +6,7 @@ from typing import Any, Final, NamedTuple
 
 from delfim import geodesy
 from delfim.messages import BatteriesStatus, Status
-from delfim.modes import Mode, mode_named
+from delfim.modes import Mode
 from delfim.simulator.invariants.cycle import Before, CycleSeen, before
 from delfim.simulator.invariants.fencespec import PlainFence
 from delfim.simulator.invariants.guidespec import begun
@@ -127,8 +127,12 @@ class Orders:
             case console.SetMode(mode="idle"):
                 return None
             case console.SetMode():
-                mode = mode_named(command.mode)
-                if mode in (Mode.HEADING, Mode.COURSE, Mode.GOTO) or getattr(self._was.paused, "mode", None) is mode:
+                mode = Mode.__members__.get(command.mode.upper())
+                if (
+                    mode is None
+                    or mode in (Mode.HEADING, Mode.COURSE, Mode.GOTO)
+                    or getattr(self._was.paused, "mode", None) is mode
+                ):
                     return None
                 if mode is Mode.MANUAL:
                     setpoint = setpoint._replace(starboard=0.0, port=0.0)
@@ -153,7 +157,7 @@ class Orders:
             if self._fence.blocks(state.motion, setpoint.target[:2]) is False:
                 yield f"{name} was obeyed, and waits, though the way is free"
             setpoint = setpoint._replace(target=None)
-        setpoint = setpoint._replace(override_mps=None if is_new else setpoint.override_mps)
+        setpoint = setpoint._replace(override_mps=None if is_new else setpoint.override_mps, alone=0.0)
         if is_new and self._was.boat.mode is Mode.PLAY and not self._was.boat.reference.done:  # which goes on with its leg
             setpoint = setpoint._replace(leg=self._was.boat.memory.leg)
         for field, one, other in zip(Setpoint._fields, has, setpoint, strict=True):

@@ -303,6 +303,9 @@ class Troubles:
         action = FIXED.get(name) or self._of_table(table, name, mode)
         if not each.is_known and notice.action == "warn":
             return ""  # it may be absent already
+        if mode is Mode.HOME and notice.action == "home" and look.state.mode_s == look.now_s:
+            each.is_answered = True
+            return ""  # home was done, and began anew within this cycle
         if each.seen_s != look.now_s:
             action = "warn"  # absent, and not over yet
         elif (name == "thruster" and look.state.failed and not look.state.unsteerable) or (
