@@ -324,8 +324,8 @@ class Helm:
             self.plans.accept(command)
 
     def _reset(self, command: console.Reset, now_s: float) -> None:
-        if self.state.mode is not Mode.IDLE:
-            raise Refused("reset refused: stop first")
+        if (turning := unstopped(self.settings, self.state, now_s)) or self.state.mode is not Mode.IDLE:
+            raise Refused(f"reset refused: {' and '.join(turning)} still turning" if turning else "reset refused: stop first")
         self._propulsion.reset(command.node)
 
     def _hear(self, command: console.Alive | console.Take, now_s: float) -> None:

@@ -203,6 +203,15 @@ def test_seeds_that_failed_once(seed):
     assert not mixed.sail_mixed(VEHICLE, seed).failures
 
 
+def test_resets_one_after_the_other_do_not_keep_a_motor_that_turns_on_from_being_cut_off(tmp_path):
+    """Each silenced its node for a moment, and the boat waited anew (a run that searched, shrunken to this)."""
+    orders = [(8.8, 'goto"\nlatitude_deg = 38.6903008\nlongitude_deg = -9.21565\nend = "hold'), (9.384, "stop")]
+    orders += [(at_s, "reset") for at_s in (9.584, 9.984, 13.584, 13.984, 16.784, 17.184)]
+    text = "".join(f'[[command]]\nat_s = {at_s}\ncommand = "{words}"\n' for at_s, words in orders)
+    fault = '[[fault]]\nat_s = 9.511\nkind = "thruster_stuck"\nwhere = "starboard"\n'
+    assert not run(tmp_path, f'version = 1\nname = "test"\nseconds = 23\npatient = false\n{text}{fault}', 2169).failures
+
+
 @pytest.mark.parametrize(
     ("boat", "seed"),
     [

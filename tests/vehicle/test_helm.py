@@ -203,6 +203,9 @@ def test_nodes_are_restarted_in_idle_alone(boat):
     assert boat.vehicle.on_command(console.Reset(5)) is None
     boat.vehicle.on_command(console.Heading(0.0))
     assert boat.vehicle.on_command(console.Reset(6)) == "reset refused: stop first"
+    boat.vehicle.on_command(console.Stop())
+    boat.state.thrusters["port"] = ThrusterReport(boat.clock.monotonic_s(), 500.0)
+    assert boat.vehicle.on_command(console.Reset(7)) == "reset refused: port still turning"
     assert asked == [5]
 
 
