@@ -26,6 +26,7 @@ NEEDS: Final = {  # docs/control.md
     Mode.COURSE: frozenset({"heading", "velocity"}),
 }
 # Troubles that act by themselves in all modes.
+ENDING: Final = Mode.HOME, Mode.GOTO, Mode.PLAY, Mode.PATH
 FIXED: Final = {"control": "stop", "kill": "stop", "restarted": "warn"}
 
 
@@ -323,6 +324,8 @@ class Troubles:
                 action = "hold"
             else:
                 each.is_answered = True
+        if mode is not look.state.mode and mode in ENDING:
+            return ""  # it may have been done, and become hold, before the boat looked
         return "" if action == notice.action else f"{name} brings {notice.action} in {mode.name.lower()}, not {action}"
 
     @staticmethod
