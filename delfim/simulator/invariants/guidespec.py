@@ -287,7 +287,9 @@ class Beginnings:
             return
         is_same = state.reason == cycle.was.reason and state.setpoint is cycle.was.setpoint and "position" in state.motion.has
         if self._hold_s != state.mode_s or not is_same:
-            self.ordered(state, is_hold=begins and state.mode_s == cycle.now_s)
+            self.ordered(
+                state, is_hold=begins and state.mode_s == cycle.now_s and not state.twice
+            )  # else it began at another fix
         if self._place is not None:
             yield from self._held(cycle, self._place, (has.north_m, has.east_m), has.room)
 
