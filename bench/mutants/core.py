@@ -7,10 +7,11 @@ _FILES: Final = (
     *("zones", "troubles", "checks", "helm"),
 )
 _HANDS: Final = "hands", "handset/__init__", "handset/channels", "handset/crsf", "handset/sbus", "mavlink/signing"
-_TRAFFIC: Final = "traffic/cpa", "traffic/encounter", "traffic/judged", "traffic/leash", "traffic/trialways"
+_TRAFFIC: Final = "cpa", "encounter", "judged", "leash", "trialways", "watchkeeper"
 _SERVICES: Final = "supervisor", "stop", "watchdog", "outlet", "door", "doors"
 CORE: Final = (
-    *map("delfim/vehicle/{}.py".format, (*_FILES, *_HANDS, *_TRAFFIC)),
+    *map("delfim/vehicle/{}.py".format, (*_FILES, *_HANDS)),
+    *map("delfim/vehicle/traffic/{}.py".format, _TRAFFIC),
     *map("delfim/services/{}.py".format, _SERVICES),
 )
 TESTS: Final = (  # files that take long, and see nothing that others do not see, are not asked

@@ -195,8 +195,7 @@ class Watchkeeper:
     def _tell(self, helm: Helm, now_s: float) -> Work[None]:
         state, settings = self._state, helm.settings
         if not state.traffic.targets and not self._alarms:
-            if state.traffic.dangers:
-                state.traffic = state.traffic._replace(dangers=(), nearness=math.nan)
+            state.traffic = state.traffic._replace(dangers=(), nearness=math.nan)
             return
         if not {"position", "velocity"} <= state.motion.has:
             return
