@@ -17,6 +17,7 @@ import signal
 import sys
 from collections.abc import Callable, Iterator
 from functools import partial
+from itertools import pairwise
 from pathlib import Path
 from types import CodeType, FunctionType
 from typing import Any, Final, TextIO
@@ -98,7 +99,7 @@ class Server(Listener):
     def _run(self, items: list[pytest.Item], functions: list[FunctionType], codes: Codes) -> str:
         """Runs tests until one fails; which it was."""
         _put(functions, codes)
-        for item, after in zip(items, [*items[1:], None], strict=True):
+        for item, after in pairwise([*items, None]):
             item.config.hook.pytest_runtest_protocol(item=item, nextitem=after)
             if self.by:
                 break
@@ -165,6 +166,8 @@ def _forked(run: Callable[[], str], cpu_s: float) -> dict[str, str]:
 
 def _fresh(tests: list[str]) -> str:
     """Imports the changed file, and all that imports it, and runs tests until one fails; which it was."""
+    if not tests:
+        return ""  # pytest would take all that there are
     some, files = Some(tests), sorted({test.partition("::")[0] for test in tests})
     ended = pytest.main([*OPTIONS, *PRELOADED, f"--basetemp={_room()}", "-x", *files], plugins=[some])
     return some.by or ("" if ended in (pytest.ExitCode.OK, pytest.ExitCode.NO_TESTS_COLLECTED) else f"pytest ends with {ended}")

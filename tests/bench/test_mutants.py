@@ -198,14 +198,16 @@ def test_changes_are_tried_in_functions_that_are_there_and_by_importing_them_aga
     (tmp_path / "test_sample.py").write_text(TESTS)
     (tmp_path / "pytest.ini").write_text("[pytest]\nmarkers = long\n")
     tests, found = ["test_sample.py::test_limit", "test_sample.py::test_table"], changes(PROGRAM)[1]
+    (tmp_path / "test_other.py").write_text("raise ValueError")
     questions = [{"number": number, "tests": tests, "fresh": tests, "cpu_s": 9.0} for number in (None, *range(len(found)))]
+    questions += [{"number": number, "tests": [], "fresh": [], "cpu_s": 9.0} for number in (0, 2)]
     command = [sys.executable, "-m", "bench.mutants.trial", "sample.py", "test_sample.py"]
     environment = dict(os.environ, PYTHONPATH=f"{tmp_path}:{ROOT}")
     asked = "".join(f"{json.dumps(question)}\n" for question in questions)
     answers = subprocess.run(command, cwd=tmp_path, env=environment, input=asked, capture_output=True, text=True, check=True)
     first, *others = map(json.loads, answers.stdout.splitlines())
-    assert first["result"] == "survived"
-    assert {change.name: answer["by"].rpartition("::")[2] for change, answer in zip(found, others, strict=True)} == {
+    assert [each["result"] for each in (first, *others[-2:])] == ["survived"] * 3, "whom no test asks survives"
+    assert {change.name: answer["by"].rpartition("::")[2] for change, answer in zip(found, others[:-2], strict=True)} == {
         "<module> | LIMIT = 3 | 3 → 4": "test_limit",
         "limited | if x > LIMIT: | > → >=": "",
         "limited | if x > LIMIT: | > → <=": "test_limit",
