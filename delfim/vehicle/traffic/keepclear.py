@@ -179,7 +179,7 @@ def _in_question(
         yield 1
         its_mps, length_m = target.speed_mps, target.length_m
         far_m = math.hypot(target.north_m - north_m, target.east_m - east_m) - AHEAD_LENGTHS * length_m
-        if 0.0 <= its_mps < PLAUSIBLE_MPS and 0.0 <= length_m < LONGEST_M and -PLAUSIBLE_M < far_m < PLAUSIBLE_M:
+        if 0.0 <= its_mps < PLAUSIBLE_MPS and 0.0 <= length_m < LONGEST_M and far_m < PLAUSIBLE_M:
             near.append((far_m / (its_mps + own_mps + SLOWEST_MPS), number, target))
     known, seen = dict(memory.duties), list[Seen]()
     for _, _, target in nsmallest(MOST, near):
