@@ -17,7 +17,6 @@ import signal
 import sys
 from collections.abc import Callable, Iterator
 from functools import partial
-from itertools import pairwise
 from pathlib import Path
 from types import CodeType, FunctionType
 from typing import Any, Final, TextIO
@@ -99,7 +98,7 @@ class Server(Listener):
     def _run(self, items: list[pytest.Item], functions: list[FunctionType], codes: Codes) -> str:
         """Runs tests until one fails; which it was."""
         _put(functions, codes)
-        for item, after in pairwise([*items, None]):
+        for item, after in zip(items, [*items[1:], None], strict=False):
             item.config.hook.pytest_runtest_protocol(item=item, nextitem=after)
             if self.by:
                 break
