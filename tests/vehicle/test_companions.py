@@ -41,9 +41,19 @@ def test_the_boats_own_way(speed_mps: float, now_s: float, sailed_m: float) -> N
 
 @pytest.mark.parametrize(
     ("target", "is_seen"),
-    [(tug(15.0), True), (tug(-15.0), True), (tug(0.0, 15.0), True), (tug(9.0, 12.0), True), (tug(15.5), False),
-     (tug(0.0, -15.5), False), (tug(age_s=3.0), True), (tug(age_s=3.5), False), (tug(kind="payload"), False), (tug(20.0, margin_m=15.0), True)],
-)  # fmt: skip
+    [
+        (tug(15.0), True),
+        (tug(-15.0), True),
+        (tug(0.0, 15.0), True),
+        (tug(9.0, 12.0), True),
+        (tug(15.5), False),
+        (tug(0.0, -15.5), False),
+        (tug(age_s=3.0), True),
+        (tug(age_s=3.5), False),
+        (tug(kind="payload"), False),
+        (tug(20.0, margin_m=15.0), True),
+    ],
+)
 def test_who_is_where_the_boat_is(target: Target, is_seen: bool) -> None:
     found = looked(target)
     began = Companion(101.0 - target.age_s, 101.5, 101.0 - target.age_s, 1, is_sure=False)
