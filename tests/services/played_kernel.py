@@ -46,7 +46,7 @@ class Process:
 class Kernel:
     """In the place of os, select, signal and time. `told`: what happened, and when since the beginning."""
 
-    WNOHANG, SCHED_IDLE, environ, Signals = os.WNOHANG, os.SCHED_IDLE, os.environ, Signals
+    WNOHANG, SCHED_IDLE, SCHED_OTHER, environ, Signals = os.WNOHANG, os.SCHED_IDLE, os.SCHED_OTHER, os.environ, Signals
     SIGCHLD, SIGKILL, SIGTERM = SIGCHLD, SIGKILL, SIGTERM
     waitstatus_to_exitcode, sched_param = staticmethod(os.waitstatus_to_exitcode), os.sched_param
     EVERY_S = 0.1  # programs beat so often
@@ -61,7 +61,9 @@ class Kernel:
         self._fds, self._pids = chain(range(20, 24), count()), count(100)  # the first program's pipe is file 0
         self._waiting, self._writers, self._datagrams = dict[int, bytes](), set[int](), set[int]()  # by reading end
         self.dead, self._handlers, self._woken = list[tuple[int, int]](), dict[int, Callable[[int, object], object]](), -1
-        self.processes, self.closed, self.idle = list[Process](), list[int](), list[str]()
+        self.processes, self.closed = list[Process](), list[int]()
+        self.idle, self.hurried = list[str](), list[str]()  # programs that run when nobody else does, and no longer
+        self._idlers = set[int]()
         self.told, self.waits_s, self.reads = list[tuple[float, str]](), list[float](), list[int]()
 
     def say(self, what: str) -> None:
@@ -210,5 +212,7 @@ class Kernel:
         raise ChildProcessError
 
     def sched_setscheduler(self, pid: int, policy: int, parameters: object) -> None:
-        assert policy == os.SCHED_IDLE
-        self.idle.append(next(each.name for each in self.processes if each.pid == pid))
+        name = next(each.name for each in self.processes if each.pid == pid)
+        assert policy == (os.SCHED_OTHER if pid in self._idlers else os.SCHED_IDLE), "idle as it starts, and not as it ends"
+        self._idlers.add(pid)
+        (self.idle if policy == os.SCHED_IDLE else self.hurried).append(name)

@@ -258,4 +258,5 @@ def test_the_watch_sees_propellers_commanded_in_idle():
     assert [words.partition(" at ")[0] for words in watch.failures] == [
         "commanded Actuation(thrust=(0.0, 0.1), angle_rad=(0.0, 0.0), run=True)",
         "stopped without a reason",
+        "thrust from 0.000 to 0.100 in 0.0 s",
     ]
