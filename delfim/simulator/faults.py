@@ -87,6 +87,7 @@ VALUES: Final = {  # default, and its meaning
     "restarted": (2.0, "seconds, in lock step, that the program is not there"),
 }
 LATE_MAX: Final = 4096  # frames under way at once
+NOTED_MAX: Final = 64  # notes that are kept for who looks on
 HANGS_S: Final = 5.0  # a log reports that it was not written for this long
 
 
@@ -322,7 +323,12 @@ class FaultyLog:
         self._log, self._faults = log, faults
         self._began_s, self._hung_s = math.inf, 0.0
         self.dropped = 0
-        self.note, self.close = log.note, log.close
+        self.noted = deque[str](maxlen=NOTED_MAX)  # the newest notes
+        self.close = log.close
+
+    def note(self, text: str) -> None:
+        self.noted.append(text)
+        self._log.note(text)
 
     def write(self, state: State, now_s: float) -> None:
         on = self._faults.on

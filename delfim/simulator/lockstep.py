@@ -92,6 +92,7 @@ class Lockstep:
         self.state = State()
         links = Links(self._bus, self._line)
         record_to = FaultyLog(self.log, self.faults)
+        self.noted = record_to.noted
         self.vehicle, self._inputs, self._hands, _ = build(self._aboard, self.clock, self.state, links, record_to)
         queues = dict(item for each in self.buses.values() for item in each.queues.items())
         self._sources = [

@@ -7,6 +7,7 @@ from typing import Final
 from delfim.geodesy import from_plane
 from delfim.modes import Mode
 from delfim.simulator.invariants.cycle import CycleSeen, Invariant, before
+from delfim.simulator.invariants.factspec import Batteries, NotedChanges, Plausible, Reported
 from delfim.simulator.invariants.guidespec import Beginnings, Guidance
 from delfim.simulator.invariants.orderspec import Orders
 from delfim.simulator.invariants.thrustspec import CommandedThrust, ControlLaw, DerivedGains
@@ -68,7 +69,10 @@ class TruePlace:
         return clear_m
 
 
-RULES: Final[tuple[Callable[[Lockstep], Invariant], ...]] = (CommandedThrust, ControlLaw, DerivedGains, Guidance)
+RULES: Final[tuple[Callable[[Lockstep], Invariant], ...]] = (
+    *(CommandedThrust, ControlLaw, DerivedGains, Guidance),
+    *(Plausible, Batteries, NotedChanges, Reported),
+)
 
 
 class Onlooker:

@@ -12,7 +12,7 @@ from delfim.simulator.invariants import thrustspec
 from delfim.simulator.mixed import mixed_mission, place_of
 from delfim.simulator.scenario import FaultAt, Scenario, settings_of
 from delfim.simulator.trial import sail
-from delfim.vehicle import console, failsafe, helm, propulsion, setpoints, troubles
+from delfim.vehicle import console, failsafe, helm, loop, propulsion, record, setpoints, troubles
 from delfim.vehicle.actuators.dsor import Propellers
 from delfim.vehicle.control import goto, guidance, heading, hold, hull, play
 from delfim.vehicle.helm import Helm
@@ -67,6 +67,45 @@ def tired(self: Helm) -> None:
         self.enter(Mode.HEADING, "tired")
 
 
+def taken(change: Callable[[Any], None]) -> Callable[..., bool]:
+    """Navigation that is taken into the state, and changed there."""
+
+    def take(source: Any, fix: Any, sources: Any, state: Any, limits: Any) -> bool:
+        is_taken = TAKE(source, fix, sources, state, limits)
+        change(state)
+        return is_taken
+
+    return take
+
+
+def counts_twice(state: Any) -> None:
+    state.cycles += 1
+
+
+def races(state: Any) -> None:
+    state.motion = state.motion._replace(north_mps=9.0)
+
+
+def leaps(state: Any) -> None:
+    state.motion = state.motion._replace(north_m=state.motion.north_m + 7.0 * (state.cycles % 2))
+
+
+def foresees(state: Any) -> None:
+    state.changed_s += 9.0
+
+
+def half_full(state: Any) -> None:
+    for side, (told, at_s) in state.sysstat.items():
+        if side.startswith("batteries"):
+            state.sysstat[side] = told._replace(charge=0.5), at_s
+
+
+def entered_else(self: Helm, mode: Mode, reason: str, resumed: Any = None) -> None:
+    ENTERED(self, mode, reason, resumed)
+    self.state.reason = "because"
+
+
+TAKE, ENTERED = loop.take, Helm.enter
 PUSHED, WENT_ON = Helm._push, Helm.go_on
 BREAKS: dict[str, tuple[Any, str, Any, tuple[dict[str, Any], ...], FaultAt | None, str]] = {
     "rate": (propulsion, "limited", twice(propulsion.limited, 3), (EAST,), None, "thrust from"),
@@ -131,6 +170,28 @@ BREAKS: dict[str, tuple[Any, str, Any, tuple[dict[str, Any], ...], FaultAt | Non
     ),
     "forbidden": (helm, "refusal", lambda *given: None, ({**EAST, "at_s": 10.0},), DARK, "was obeyed, and is forbidden"),
     "no reason": (helm, "refusal", lambda *given: "no", (EAST,), None, "nothing forbids it"),
+    "twice counted": (loop, "take", taken(counts_twice), (), None, "cycles at once"),
+    "too fast": (loop, "take", taken(races), (), None, "m/s over ground"),
+    "leaps": (loop, "take", taken(leaps), (), None, "m in 0.20 s"),
+    "future": (loop, "take", taken(foresees), (), None, "something was heard at"),
+    "charge": (loop, "take", taken(half_full), (), None, "is told to be at 0.5"),
+    "other reason": (Helm, "enter", entered_else, (EAST,), None, "told is heading (operator)"),
+    "untold": (failsafe, "news", lambda before, after: [], (EAST,), DARK, "not told: "),
+    "told too much": (
+        *(failsafe, "news", but(failsafe.news, lambda lines: [*lines, "shallow: over"])),
+        *((EAST,), DARK, "told, and not so"),
+    ),
+    "page": (console, "snapshot", but(console.snapshot, lambda r: r | {"mode": "idle"}), (EAST,), None, "reported is mode"),
+    "heading": (
+        *(console, "snapshot", but(console.snapshot, lambda r: r | {"heading_deg": (r["heading_deg"] or 0.0) + 9.0})),
+        *((EAST,), None, "the reported heading"),
+    ),
+    "elsewhere": (
+        *(console, "snapshot", but(console.snapshot, lambda r: r | {"latitude_deg": (r["latitude_deg"] or 0.0) + 1e-4})),
+        *((EAST,), None, "the reported position"),
+    ),
+    "record": (record, "values", but(record.values, lambda v: (*v[:9], 99, *v[10:])), (EAST,), None, "logged is mode"),
+    "bits": (record, "values", but(record.values, lambda v: (*v[:10], 8, *v[11:])), (EAST,), None, "logged are the troubles"),
     "by itself": (Helm, "go_on", tired, (GOTO,), None, "and nothing asks for it"),
 }
 SENT = Propellers.send
