@@ -100,7 +100,7 @@ def sail(
     each cycle.
     """
     run = Lockstep(settings, seed, make_log or (lambda clock: NoLog()), handset=scenario.handset)
-    watch = Onlooker(run)
+    watch = Onlooker(run, facts=True)
     recorder, operator = Recorder(run), Operator(run, watch, scenario, mission)
     faults = [(each.at_s, fault_of(each, run.faults.thrusters)) for each in scenario.fault]
     broken = deque(sorted(faults, key=lambda pair: pair[0]))

@@ -69,16 +69,15 @@ class TruePlace:
         return clear_m
 
 
-RULES: Final[tuple[Callable[[Lockstep], Invariant], ...]] = (
-    *(CommandedThrust, ControlLaw, DerivedGains, Guidance),
-    *(Plausible, Batteries, NotedChanges, Reported),
-)
+RULES: Final[tuple[Callable[[Lockstep], Invariant], ...]] = (CommandedThrust, ControlLaw, DerivedGains, Guidance)
+FACTS: Final[tuple[Callable[[Lockstep], Invariant], ...]] = (Plausible, Batteries, NotedChanges, Reported)
 
 
 class Onlooker:
     """Call `look` after each cycle, `order` to give an order, and `ready` after anything else that changes the boat."""
 
-    def __init__(self, run: Lockstep) -> None:
+    def __init__(self, run: Lockstep, *, facts: bool = False) -> None:
+        """`facts`: of who calls `look` after each single cycle."""
         self._run, self._drives, self.place = run, run.nodes.model.drives, TruePlace(run)
         self.failures: list[str] = []
         self._uncut = {row.name for row in run.settings.thrusters if row.driver != CUT}
@@ -86,7 +85,7 @@ class Onlooker:
         self._turning_since_s = math.inf
         self._was_inside, self._astray, self._drifted = True, False, False
         self._troubles, self._orders, self._beginnings = Troubles(run), Orders(run), Beginnings(run)
-        self._rules = [*(rule(run) for rule in RULES), self._troubles, self._beginnings]
+        self._rules = [*(rule(run) for rule in (RULES + FACTS if facts else RULES)), self._troubles, self._beginnings]
         self._before, self._vehicle = before(run), run.vehicle
 
     def ready(self) -> None:
