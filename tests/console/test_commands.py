@@ -455,7 +455,8 @@ def test_what_the_page_says_is_what_the_vehicle_obeys(sea: tuple[asyncio.Runner,
         await select(page, 2)
         if row.told and "turned_deg" in row.told:  # of the heading that it has when the menu is chosen from
             await boat.until(lambda state: abs(state["turn_dps"]) < 0.5)
-            await page.until(f"Math.abs({SHOWN_DEG} - {boat.state()['heading_deg']}) < 1.5")  # as the page knows it
+            off_deg = f"(({SHOWN_DEG} - {boat.state()['heading_deg']} + 540) % 360 - 180)"
+            await page.until(f"Math.abs({off_deg}) < 1.5")  # as the page knows it
         began_ns, before = time.time_ns(), boat.state() | {"origin": await page.value("window.origin")}
         await row.way(its, page, boat)
         if row.told is not None:

@@ -60,6 +60,7 @@ def test_a_joystick_that_was_held_over_counts_again_after_a_second(boat, silent_
 def test_a_joystick_is_let_go_when_it_asks_for_nothing_on_either_side(boat):
     boat.ready()
     assert push(boat, 0.5, 0.5) is push(boat, 0.4, 0.3) is None
+    assert (boat.state.setpoint.starboard, boat.state.setpoint.port) == (0.4, 0.3)
     boat.vehicle.helm.taken, boat.state.reason = True, "no thrust"
     assert [push(boat, 0.0, 0.1), push(boat, 0.1, 0.0), push(boat, 0.1, 0.1)] == [HELD.format("no thrust")] * 3
     boat.clock.advance(2.0)
