@@ -457,6 +457,8 @@ def test_what_the_page_says_is_what_the_vehicle_obeys(sea: tuple[asyncio.Runner,
             await boat.until(lambda state: abs(state["turn_dps"]) < 0.5)
             off_deg = f"(({SHOWN_DEG} - {boat.state()['heading_deg']} + 540) % 360 - 180)"
             await page.until(f"Math.abs({off_deg}) < 1.5")  # as the page knows it
+        if row.told and row.told["command"] == "reset":  # refused while a stopped propeller coasts
+            await boat.until(lambda state: all(abs(each["rpm"] or 0.0) < 50.0 for each in state["thrusters"].values()))
         began_ns, before = time.time_ns(), boat.state() | {"origin": await page.value("window.origin")}
         await row.way(its, page, boat)
         if row.told is not None:
