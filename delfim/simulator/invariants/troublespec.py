@@ -307,8 +307,6 @@ class Troubles:
         if mode is Mode.HOME and notice.action == "home" and look.state.mode_s == look.now_s:
             each.is_answered = True
             return ""  # home was done, and began anew within this cycle
-        if 0.0 < look.now_s - each.seen_s < 1.5 / look.settings.navigation.rate_hz:
-            return ""  # it ended within this cycle, before the boat looked or afterwards
         if each.seen_s != look.now_s:
             action = "warn"  # absent, and not over yet
         elif (name == "thruster" and look.state.failed and not look.state.unsteerable) or (
