@@ -1,6 +1,7 @@
 """The vehicle's file: one TOML table, one frozen class. A parameter is declared here once: name, unit, default, range.
 
-`load(path)` reads and checks the file. There are no environment variables and no second list of options.
+`load(path)` reads and checks the file. There are no environment variables and no second list of options. A laboratory's own
+part (`parts.py`) that the file names has its keys beside these: `whole` adds them.
 """
 
 import math
@@ -8,19 +9,22 @@ from collections.abc import Iterator, Sequence
 from ipaddress import IPv4Address, IPv4Interface, ip_address, ip_network
 from itertools import combinations, pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, ClassVar, Final, Literal, cast, get_args
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Final, Literal, cast, get_args
 
 import msgspec
 
 from delfim.errors import ConfigError
 from delfim.geodesy import polygon_fault
 from delfim.modes import Mode
+from delfim.parts import Part, named, of_kind
 from delfim.pulses import CHANNELS
 from delfim.slices import Sliced, Work
 from delfim.tables import Table, decode, read_toml, text
 
 _PORT = "([0-9]{1,4}|[1-5][0-9]{4}|6[0-4][0-9]{3}|65[0-4][0-9]{2}|655[0-2][0-9]|6553[0-5])"  # 0 to 65535
 Name = Annotated[str, text("[A-Za-z][A-Za-z0-9_-]{0,31}", "a letter, then up to 31 letters, digits, _ or -")]
+PartName = Annotated[str, text("[a-z][a-z0-9_]{0,31}", "a small letter, then up to 31 small letters, digits or _")]
+PartVersion = Annotated[str, text("[0-9A-Za-z.+!_-]{1,40}", "the version of its package, as 1.0.2")]
 Fraction = Annotated[float, msgspec.Meta(ge=0.0, le=1.0)]
 BatteryVoltage = Annotated[float, msgspec.Meta(ge=0.0, le=1000.0)]
 Seconds = Annotated[float, msgspec.Meta(ge=0.001, le=3600.0)]
@@ -1489,7 +1493,9 @@ def _moment(rows: Sequence[ThrusterTable], sign: float) -> float:
 class Vehicle(Table, frozen=True):
     """The whole file."""
 
+    aboard: ClassVar[tuple[Part, ...]] = ()  # the rows of `parts`
     boat: BoatTable
+    parts: dict[PartName, PartVersion] = msgspec.field(default_factory=dict)  # a laboratory's own, each with its version
     can: Can = Can()
     navigation: NavigationTable = NavigationTable()
     nmea2000: Nmea2000 = Nmea2000()
@@ -1638,9 +1644,50 @@ class Vehicle(Table, frozen=True):
         return tuple(sorted(set(self.outside("interface").values())))
 
 
+def whole(aboard: tuple[Part, ...]) -> type[Vehicle]:
+    """The class of a file that names these parts: a table for each, and their names and troubles where there are some."""
+    troubles = [(row.name, row.table, row.table()) for part in aboard for row in part.troubles]
+    failsafe, navigation = _with(Failsafe, troubles), _with(NavigationTable, [_names("sources", SourceName, aboard, 1)])
+    sensors = _with(Sensors, [_names("names", SensorName, aboard, 0)])
+    thruster = _with(ThrusterTable, [("driver", Literal[(*get_args(DriverName), *of_kind(aboard, "driver"))])])
+    rows = ("thrusters", Annotated[tuple[thruster, ...], get_args(Thrusters)[1]], DELFIMX)  # type: ignore[valid-type]
+    tables = [("failsafe", failsafe, failsafe()), ("navigation", navigation, navigation()), ("sensors", sensors, sensors())]
+    own = [(part.name, part.table, part.table()) for part in aboard if part.table is not None]
+    kind: type[Vehicle] = _with(Vehicle, [*tables, rows, *own], {"aboard": aboard})
+    return kind
+
+
+def _with(table: type[Table], fields: Sequence[tuple[Any, ...]], namespace: dict[str, Any] | None = None) -> Any:
+    """A table with more keys, or with others of the same name."""
+    settings: dict[str, Any] = {"frozen": True, "forbid_unknown_fields": True, "kw_only": True, "module": __name__}
+    return msgspec.defstruct(table.__name__, fields, bases=(table,), namespace=namespace, **settings)
+
+
+def _names(key: str, own: Any, aboard: tuple[Part, ...], least: int) -> tuple[str, Any, tuple[str, ...]]:
+    """The key that names the sources or sensors, with those of the parts."""
+    known = (*get_args(own), *of_kind(aboard, "source" if key == "sources" else "sensor"))
+    return key, Annotated[tuple[Literal[known], ...], msgspec.Meta(min_length=least, max_length=len(known))], known[:1]  # type: ignore[valid-type]
+
+
+def read(tree: dict[str, Any], file: str) -> Vehicle:
+    """A vehicle's file from its parsed text. Raises ConfigError."""
+    return decode(tree, kind_of(tree, file), file)
+
+
+def kind_of(tree: dict[str, Any], file: str) -> type[Vehicle]:
+    """The class of a vehicle's file, with the keys of the parts that it names. Raises ConfigError."""
+    aboard = named(tree.get("parts"), file)
+    taken = {*Vehicle.__struct_fields__, *get_args(SourceName), *get_args(SensorName), *get_args(DriverName)}
+    for part in aboard:
+        wrong = [part.name] if part.name in taken else [row.name for row in part.troubles if hasattr(Failsafe, row.name)]
+        if wrong:
+            raise ConfigError(file, f"parts.{part.name}", f"{wrong[0]} is a name of the boat's own; it needs another one")
+    return whole(aboard) if aboard else Vehicle
+
+
 def load(path: str | Path, overrides: Sequence[str] = ()) -> Vehicle:
     """The vehicle's file, checked, with "key.key=TOML value" overrides laid over it. Raises ConfigError."""
-    settings = decode(read_toml(path, overrides), Vehicle, str(path))
+    settings = read(read_toml(path, overrides), str(path))
     _lines_apart(settings, str(path))
     _buses_apart(settings, str(path))
     Sliced(polygons(settings.fence, str(path))).finish()

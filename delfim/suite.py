@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 from delfim import __version__, config, pulses
-from delfim.errors import DelfimError, FormatError, PermanentFailure
+from delfim.errors import DelfimError, FormatError, PermanentFailure, in_words
 from delfim.logging import systemlog
 from delfim.outside import parse_json, read_file
 from delfim.services import cgroup, shutdown
@@ -42,14 +42,19 @@ class Service(NamedTuple):
     uvloop: bool = True  # in a process of its own, where it is installed
     when: Callable[[config.Vehicle], object] = lambda settings: True  # whether the vehicle's file has work for it
     memory_max_mb: int = 256  # in a process of its own, unless the vehicle's file says otherwise
+    is_part: bool = False  # of a laboratory
 
     def loaded(self) -> Start:
         """The coroutine for the runtime. If a package is missing, one that reports it: the other services go on."""
         module, _, name = self.entry.partition(":")
         try:
             start: Start = getattr(importlib.import_module(module), name)
-        except ModuleNotFoundError as error:
-            missing = f"{error.name} is not installed: pip install 'delfim[services]'"
+        except (Exception, SystemExit) as error:
+            if not (self.is_part or isinstance(error, ModuleNotFoundError)):
+                raise
+            missing = f"{module} cannot be imported: {in_words(error)}"
+            if isinstance(error, ModuleNotFoundError) and not self.is_part:
+                missing = f"{error.name} is not installed: pip install 'delfim[services]'"
 
             async def start(runtime: object) -> None:
                 raise PermanentFailure(missing)
@@ -126,12 +131,15 @@ SERVICES = (
 
 def services(settings: config.Vehicle) -> list[Service]:
     """The rows that this vehicle's file enables, each with its place. Raises PermanentFailure for an unknown service name."""
-    known = {row.name for row in SERVICES}
+    theirs = [part for part in settings.aboard if part.service]
+    of_parts = [Service(each.name, each.service, place="process", uvloop=False, is_part=True) for each in theirs]
+    suite = (*SERVICES[:-1], *of_parts, SERVICES[-1])  # the vehicle starts last and stops first
+    known = {row.name for row in suite}
     for name in settings.services:
         if name not in known:
             raise PermanentFailure(f"services.{name}: there is no such service; known are {', '.join(sorted(known))}")
-    asked = {row.name: settings.services.get(row.name, config.ServiceTable()) for row in SERVICES}
-    enabled = [(row, asked[row.name]) for row in SERVICES if asked[row.name].enabled and row.when(settings)]
+    asked = {row.name: settings.services.get(row.name, config.ServiceTable()) for row in suite}
+    enabled = [(row, asked[row.name]) for row in suite if asked[row.name].enabled and row.when(settings)]
     rows = [row if one.place == "default" else row._replace(place=one.place) for row, one in enabled]
     for row in rows:
         if row.name == "vehicle" and row.place == "process":

@@ -21,6 +21,13 @@ class Table(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
 
     MOVED: ClassVar[dict[str, str]] = {}  # keys of the past, and where their meaning is now
 
+    def of(self, kind: "type[T]") -> "T":
+        """The table of this class within, as that of a laboratory's part in a vehicle's file. Raises LookupError."""
+        for name in self.__struct_fields__:
+            if isinstance(inner := getattr(self, name), kind):
+                return inner
+        raise LookupError(f"{type(self).__name__} has no {kind.__name__}")
+
 
 T = TypeVar("T", bound=Table)
 SHOWN = 60  # characters at most of a value that is refused
@@ -141,9 +148,15 @@ def complaints(tree: object, kind: type[Table], file: str) -> Iterator[ConfigErr
     """All faults of a table from parsed TOML."""
     for wrong in _wrong(tree, kind, ""):
         reason, key = wrong.reason, wrong.key.lstrip(".")
-        if wrong.reason == UNKNOWN and (elsewhere := _elsewhere(key, kind)):
-            reason += f"; did you mean {elsewhere}?"
+        guess = reason.partition("; did you mean ")
+        if guess[0] == UNKNOWN and (elsewhere := _elsewhere(key, kind)) and (not guess[1] or _is_named(elsewhere, key)):
+            reason = f"{UNKNOWN}; did you mean {elsewhere}?"
         yield ConfigError(file, key, reason, "" if reason != wrong.reason else wrong.allowed)
+
+
+def _is_named(path: str, key: str) -> bool:
+    """Whether both end in the same word: better than one that resembles it."""
+    return path.rpartition(".")[2] == key.rpartition(".")[2]
 
 
 def _elsewhere(key: str, kind: type[Table]) -> str:

@@ -215,7 +215,7 @@ def read(path: str | Path) -> tuple[CampaignFile, Plan]:
 def _try(plan: Plan, number: int, where: str) -> None:
     """The first run of a point without sailing it. Raises ConfigError."""
     story, (over, faults) = plan.stories[plan.points[number][0]], parted(plan.values(number, plan.seeds.first))
-    tables.decode(laid(story.vehicle, over), config.Vehicle, where)
+    config.read(laid(story.vehicle, over), where)
     if faults and story.scenario is not None:
         broken_of(tables.decode(story.scenario, Scenario, story.name), faults, where)
     elif faults:

@@ -142,7 +142,7 @@ class Drawn(NamedTuple):
         """`log`: a folder for the state log. Raises ConfigError in the name of what is wrong."""
         tree = self.boat if self.scenario is None else laid(laid_upon(self.boat, self.scenario), self.values)
         kept = {"log.directory": log, "log.state_method": "write"} if log else {}
-        return tables.decode(laid(tree, kept), config.Vehicle, name)
+        return config.read(laid(tree, kept), name)
 
 
 def drawn_run(plan: Plan, point: int, seed: int) -> Drawn:
@@ -156,7 +156,7 @@ def drawn_run(plan: Plan, point: int, seed: int) -> Drawn:
         if faults:
             scenario = broken_of(scenario, faults, plan.name)
     elif not story.mission:
-        settings = tables.decode(boat, config.Vehicle, plan.name)
+        settings = config.read(boat, plan.name)
         scenario, mission = DRAWN[story.name](seed, settings), mixed_mission(settings.simulation)
     return Drawn(boat, values, scenario, mission)
 

@@ -30,7 +30,7 @@ def run(asked: argparse.Namespace) -> int:
     from delfim.suite import services
 
     tree = tables.read_toml(asked.file, asked.set)
-    wrong = list(tables.complaints(tree, config.Vehicle, asked.file))
+    wrong = list(tables.complaints(tree, config.kind_of(tree, asked.file), asked.file))
     if len(wrong) > 1:
         print(f"delfim: {asked.file}: {len(wrong)} things are wrong:", file=sys.stderr)
         print(*(f"  {str(each).removeprefix(f'{asked.file}: ')}" for each in wrong[:TOLD]), sep="\n", file=sys.stderr)

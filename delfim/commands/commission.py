@@ -249,12 +249,11 @@ def _flat(tree: Mapping[str, Any], above: str = "") -> list[tuple[str, Any]]:
 
 def _is_fit(text: str, file: str) -> None:
     """Raises ConfigError for a wrong answer, Refused for a boat that strangers could move or write to."""
-    from delfim import tables
     from delfim.outside import parse_toml
     from delfim.services.doors import doors
     from delfim.suite import services
 
-    settings = tables.decode(parse_toml(text), config.Vehicle, file)
+    settings = config.read(parse_toml(text), file)
     faults = [door.fault for door in doors(settings, [row.name for row in services(settings)]) if door.fault]
     if faults:
         raise Refused("the boat must not go to sea like this: " + "; ".join(faults))

@@ -30,6 +30,11 @@ def describe() -> str:
         "`delfim describe`.",
     ]
     for name, table in _tables("", config.Vehicle):
+        if get_origin(table) is dict:
+            names, values = map(tables.allowed, get_args(table))
+            about = _comments(config.Vehicle)[name]
+            page += ["", f"## `[{name}]`", "", f"{about[0].upper()}{about[1:]}: NAME = {values}; NAME is {names}."]
+            continue
         heading = f"[[{name}]]" if name in LISTS else f"[{name}]"
         page += ["", f"## `{heading}`", "", _sentence(table), "", "| key | default | allowed | meaning |", "|---|---|---|---|"]
         comments = _comments(table)
@@ -45,8 +50,10 @@ def _tables(prefix: str, kind: Any) -> list[tuple[str, Any]]:
     """(dotted name, class) of every table below a class, depth first."""
     found = []
     for name, hint in tables.keys(kind).items():
-        if get_origin(hint) is dict:
+        if get_origin(hint) is dict and _is_table(hint):
             found.append((f"{prefix}{name}.NAME", get_args(hint)[1]))
+        elif get_origin(hint) is dict:
+            found.append((f"{prefix}{name}", hint))
         elif hint is config.Thrusters:
             found += [(name, config.ThrusterTable), (f"{name}.steer", config.Steer)]
         elif hint is config.Vessels:
@@ -59,7 +66,8 @@ def _tables(prefix: str, kind: Any) -> list[tuple[str, Any]]:
 
 
 def _is_table(hint: Any) -> bool:
-    return get_origin(hint) is dict or (isinstance(hint, type) and issubclass(hint, msgspec.Struct))
+    kind = get_args(hint)[1] if get_origin(hint) is dict else hint
+    return isinstance(kind, type) and issubclass(kind, msgspec.Struct)
 
 
 def _sentence(table: type) -> str:

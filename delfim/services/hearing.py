@@ -10,7 +10,6 @@ import math
 import select
 import socket
 from collections.abc import Callable, Iterator
-from importlib import import_module
 from typing import Any, Final, NamedTuple, Protocol, cast
 
 from delfim import config
@@ -24,8 +23,9 @@ from delfim.logging.linelog import line_id
 from delfim.networkline import LISTENING, NetworkLine
 from delfim.serialform import Form
 from delfim.serialline import SerialLine
+from delfim.vehicle import sensors
 from delfim.vehicle.links import Links, Readable, ReadableLine
-from delfim.vehicle.navigation import Source
+from delfim.vehicle.navigation import Source, open_source
 from delfim.vehicle.state import State
 
 GONE: Final = errno.ENOENT, errno.ECONNREFUSED  # nobody listens: no boat runs
@@ -101,10 +101,10 @@ class Opened:
         links = Links(self._bus, self._line)
         for name in settings.navigation.sources:
             with self._told_why(name):
-                self._listen_to(import_module(f"delfim.vehicle.sources.{name}").open_source(settings, links, self._state))
+                self._listen_to(open_source(name, settings, links, self._state))
         for sensor in settings.sensors.names:
             with self._told_why(sensor):
-                self._read(import_module(f"delfim.vehicle.sensors.{sensor}").open_sensor(settings, links))
+                self._read(sensors.module(sensor, settings).open_sensor(settings, links))
         self._rebound_s = clock.monotonic_s()
 
     def told(self, wait_s: float) -> SensorsTold:

@@ -1,14 +1,15 @@
 """The vehicle's state as NMEA 2000 messages: one row a PGN (docs/nmea2000.md). Values that are unknown or old are not told."""
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from typing import Final, NamedTuple
 
 from delfim import config
 from delfim.canproxy.nmea2000 import ownpgns, parcels, pgns
 from delfim.geodesy import origin, to_plane
+from delfim.parts import Part
 from delfim.services.web.api import State, ThrusterFacts
-from delfim.vehicle.troubles import Trigger
+from delfim.vehicle.troubles import NUMBERS
 
 COURSE_MPS: Final = 0.1  # a slower boat has no course over ground
 _METHODS: Final = {2: 1, 3: 1, 4: 2, 5: 4, 6: 5}  # of PGN 129029, by `Navigation.fix`
@@ -158,14 +159,14 @@ def pgns_of(names: Iterable[str]) -> tuple[int, ...]:
 class Alerts:
     """Troubles as alerts: each time that a trouble begins is an occurrence, and its end is told once."""
 
-    def __init__(self, name: int) -> None:
-        self._name = name
+    def __init__(self, name: int, aboard: Sequence[Part] = ()) -> None:
+        self._name, self._numbers = name, NUMBERS | {row.name: row.number for part in aboard for row in part.troubles}
         self._present: dict[str, int] = {}  # kind of each
         self._occurrences: dict[str, int] = {}
 
     def told(self, state: State) -> Iterable[tuple[int, bytes]]:
         """PGN and data of those that are present, with their words, and of those that have ended."""
-        now = {each.name: each for each in state.notices if each.name.upper() in Trigger.__members__}
+        now = {each.name: each for each in state.notices if each.name in self._numbers}
         for name in self._present.keys() - now.keys():
             yield parcels.ALERT, self._alert(name, self._present.pop(name), ownpgns.NORMAL)
         for name, notice in now.items():
@@ -173,11 +174,11 @@ class Alerts:
                 self._occurrences[name] = self._occurrences.get(name, 0) % 250 + 1
             kind = self._present[name] = ownpgns.WARNING if notice.action == "warn" else ownpgns.ALARM
             yield parcels.ALERT, self._alert(name, kind, ownpgns.ACTIVE)
-            number, occurrence = Trigger[name.upper()].value, self._occurrences[name]
+            number, occurrence = self._numbers[name], self._occurrences[name]
             yield parcels.ALERT_TEXT, ownpgns.alert_text(number, kind, occurrence, self._name, notice.reason)
 
     def _alert(self, name: str, kind: int, state: int) -> bytes:
-        return ownpgns.alert(Trigger[name.upper()].value, kind, state, self._occurrences[name], self._name)
+        return ownpgns.alert(self._numbers[name], kind, state, self._occurrences[name], self._name)
 
 
 def _thrusters(t: Telling) -> list[tuple[config.ThrusterTable, ThrusterFacts]]:

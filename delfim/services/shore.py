@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from ipaddress import IPv4Address, IPv4Interface
 from typing import Final
 
-from delfim import config, tables
+from delfim import config
 from delfim.clock import SystemClock
 from delfim.errors import ConfigError
 from delfim.services import slipd
@@ -48,7 +48,7 @@ def run(
         if not least <= value <= most:
             raise _refused(name, f"{value:g} is not from {least:g} to {most:g} s")
     ends = {"address": str(_interface(network).ip), "peer": str(next(iter(boats)))}
-    settings = tables.decode({"boat": {"name": "shore"}, "slipd": {**table, **ends}}, config.Vehicle, COMMAND)
+    settings = config.read({"boat": {"name": "shore"}, "slipd": {**table, **ends}}, COMMAND)
 
     async def serve(runtime: Runtime) -> None:
         line, loop = settings.slipd, asyncio.get_running_loop()

@@ -3,19 +3,21 @@
 import contextlib
 import logging
 from collections.abc import Sequence
-from importlib import import_module
+from contextlib import nullcontext
 
 from delfim import config
 from delfim.canproxy.opening import open_bound, open_can
 from delfim.canproxy.socket import CanAddress, CanSocket
 from delfim.clock import SystemClock
-from delfim.errors import DelfimError, in_words
+from delfim.errors import DelfimError, PermanentFailure, in_words
 from delfim.gpio import GpioOutput, open_output
 from delfim.messages import SHUTDOWN_ACKNOWLEDGE, ShutdownAcknowledge, ShutdownStage, pack_shutdown_acknowledge
+from delfim.parts import find
 from delfim.serialform import Form
 from delfim.serialline import SerialLine
 from delfim.vehicle import actuators
 from delfim.vehicle.actuators import Actuator
+from delfim.vehicle.foreign import breaking_off
 from delfim.vehicle.links import Links
 
 log = logging.getLogger(__name__)
@@ -27,7 +29,10 @@ class PropellerStop:
     def __init__(self, settings: config.Vehicle) -> None:
         self._settings, self._names = settings, settings.drivers
         for name in self._names:
-            import_module(f"{actuators.__name__}.{name}")
+            try:
+                actuators.module(name, settings)
+            except PermanentFailure as error:  # the vehicle does not start either; the others must be stopped all the same
+                log.error("%s", error)
         self._opened = dict[str, tuple[Actuator, contextlib.ExitStack]]()
         self._bus: CanSocket | None = None
 
@@ -35,11 +40,13 @@ class PropellerStop:
         """Raises DelfimError if one of them could not be told; the others were told."""
         refused = list[str]()
         for name in self._names:
+            limit = nullcontext() if find(self._settings.aboard, name) is None else breaking_off()
             try:
-                if name not in self._opened:
-                    self._opened[name] = opened_driver(self._settings, name)
-                self._opened[name][0].stop()
-            except (OSError, DelfimError) as error:
+                with limit:
+                    if name not in self._opened:
+                        self._opened[name] = opened_driver(self._settings, name)
+                    self._opened[name][0].stop()
+            except Exception as error:  # a laboratory's driver may raise anything, and keeps no other from its stop
                 refused.append(in_words(error))
                 if name in self._opened:
                     self._opened.pop(name)[1].close()

@@ -34,6 +34,7 @@ from delfim.services.voyagekeeping import VoyageKeeping
 from delfim.vehicle.build import build
 from delfim.vehicle.command import CommandServer
 from delfim.vehicle.console import Commands, ShutDown
+from delfim.vehicle.foreign import breaking_off
 from delfim.vehicle.grex import Guest
 from delfim.vehicle.hands import Hand
 from delfim.vehicle.links import Links, Readable, ReadableLine
@@ -141,7 +142,7 @@ async def _sail(runtime: Runtime, last: contextlib.AsyncExitStack) -> None:
 
         opened = OpenedLinks(runtime, links)
         boat, inputs, hands, outlets = build(
-            settings, clock, state, Links(opened.bus, opened.line, opened.gpio), record_to, make_guest
+            settings, clock, state, Links(opened.bus, opened.line, opened.gpio, breaking_off), record_to, make_guest
         )
         keeping = VoyageKeeping(settings, clock, boat)
         last.push_async_callback(keeping.close)

@@ -131,6 +131,7 @@ def settings_of(vehicle: config.Vehicle, its: Berth, named: Collection[str]) -> 
         "supervisor.hardware_watchdog": "",
         **{f"nmea0183.ports.{name}.device": _device(name, port.device, its) for name, port in vehicle.nmea0183.ports.items()},
         **_board(vehicle, its),
+        **_of_parts(vehicle, place, loop),
         **_beside(vehicle, its),
         **{key: "" for key in (*RADIOS, *HANDS, *_corrected(vehicle), *_shared(vehicle, named)) if key not in named},
         "guest.listen": free("guest.listen", vehicle.guest.listen),
@@ -167,6 +168,13 @@ def _board(vehicle: config.Vehicle, its: Berth) -> dict[str, str]:
     """Where a board is played that tells the boat its position; its motors are told by pulses here."""
     table = vehicle.mavlink_front_seat
     return {f"{BOARD}.device": _device("board", table.device, its)} if BOARD in vehicle.navigation.sources else {}
+
+
+def _of_parts(vehicle: config.Vehicle, place: Path, loop: str) -> dict[str, str]:
+    """Where the devices of a laboratory's parts are played: none of them is a real one."""
+    tables = [(part.name, getattr(vehicle, part.name)) for part in vehicle.aboard if part.table is not None]
+    lines = {f"{name}.device": f"{place}/{name}" for name, table in tables if hasattr(table, "device")}
+    return lines | {f"{name}.interface": f"{loop}-{name}" for name, table in tables if hasattr(table, "interface")}
 
 
 def _beside(vehicle: config.Vehicle, its: Berth) -> dict[str, str]:

@@ -147,7 +147,7 @@ class PairTape:
             return
         on, action, there = list[str](), tuple[str, ...](), state.notices
         if now_s != was_s:  # ten cycles a second may be one more than the failsafe looks
-            found = helm.troubles.items()
+            found = [(trigger, each) for trigger, each in helm.troubles.items() if isinstance(trigger, Trigger)]
             on = [TROUBLES[trigger] for trigger, each in found if each.seen_s == now_s and each.acting_s <= now_s]
             action = (f"action {there[0].action}",) if there else ()
         self._meet((MODES[run.vehicle.judged_in], *on, *action))

@@ -12,7 +12,7 @@ from typing import Any, Final, NamedTuple
 
 import msgspec
 
-from delfim import config, tables
+from delfim import config
 from delfim.canproxy.socket import CanAddress, CanSocket
 from delfim.errors import DelfimError
 from delfim.frames import Frame
@@ -310,7 +310,7 @@ def rerun(files: Sequence[LogFile], vehicle_file: str | None, span: Span = ALWAY
     if len(starts) != 1:
         raise DelfimError(f"a replay needs the logs of one run, with one start; these hold {len(starts)} starts")
     recorded = starts[0].get("settings", {})
-    settings = config.load(vehicle_file) if vehicle_file else tables.decode(recorded, config.Vehicle, "the log")
+    settings = config.load(vehicle_file) if vehicle_file else config.read(recorded, "the log")
     columns, _ = table(state_files)
     if not all(bool((abs(columns[name]) < MOMENT_MAX_S).all()) for name in MOMENTS):
         raise DelfimError("this state log is damaged: some of its times are not numbers")

@@ -96,7 +96,7 @@ def load_scenario(path: str | Path) -> Scenario:
 
 def settings_of(scenario: Scenario, vehicle: str | Path, overrides: tuple[str, ...] = ()) -> config.Vehicle:
     """The vehicle's file with the scenario's tables laid over it. Raises ConfigError."""
-    settings = tables.decode(laid_upon(tables.read_toml(vehicle, overrides), scenario), config.Vehicle, str(vehicle))
+    settings = config.read(laid_upon(tables.read_toml(vehicle, overrides), scenario), str(vehicle))
     if scenario.handset and not settings.handset.device:
         raise ConfigError(str(vehicle), "handset.device", "the scenario has a hand-set: name its device")
     return settings

@@ -89,7 +89,7 @@ class _Aimed:
 
     def _breakable(self) -> list[FaultAt]:
         """What the boat does not have does not break."""
-        settings = msgspec.convert(laid_over(msgspec.to_builtins(self.vehicle), self.tree), config.Vehicle)
+        settings = config.read(laid_over(msgspec.to_builtins(self.vehicle), self.tree), "the scenario")
         nodes = nodes_of(settings, 0)
         lacks = {*(() if nodes.compasses else OF_COMPASS), *(() if nodes.shipping else OF_AIS)}
         lacks |= {*(() if "pwm" in settings.drivers else OF_PULSES)}

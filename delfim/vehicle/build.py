@@ -6,9 +6,12 @@ from typing import NamedTuple, Protocol, cast
 from delfim import config
 from delfim.canproxy.socket import CanAddress, CanSocket
 from delfim.clock import Clock
+from delfim.parts import find
 from delfim.serialform import Form
-from delfim.vehicle.actuators import open_actuator
+from delfim.vehicle import sensors
+from delfim.vehicle.actuators import Actuator, open_actuator
 from delfim.vehicle.estimated import between
+from delfim.vehicle.foreign import GuardedActuator, GuardedSensor, GuardedSource
 from delfim.vehicle.grex import Guest
 from delfim.vehicle.hands import Hand
 from delfim.vehicle.handset import open_handset
@@ -51,12 +54,15 @@ def build(
     make_guest: Callable[[State, Clock], Guest] = Guest,
 ) -> Built:
     """The vehicle of this file. Its sources are `vehicle.sources`. Raises DelfimError where an input cannot be opened."""
-    sources = open_sources(settings, links, state)
+    sources = tuple(
+        GuardedSource(each, each.name, state, links.within) if find(settings.aboard, each.name) else each
+        for each in open_sources(settings, links, state)
+    )
     board = next((cast(SharingSource, each) for each in sources if hasattr(each, "share")), None)
     if settings.navigation.estimator:
         sources = between(sources, settings, state)
     hands = _hands(settings, links)
-    sensors = open_sensors(settings, links)
+    readings = _sensors(settings, links, state)
     outlets = list[CanSocket]()
 
     def outlet(interface: str, filters: tuple[CanAddress, ...]) -> CanSocket:
@@ -67,7 +73,7 @@ def build(
         return board.share() if board is not None and board.device == device else links.line(device, baud, form)
 
     to_actuators = links._replace(bus=outlet, line=line)
-    actuators = tuple(open_actuator(name, settings, to_actuators) for name in settings.drivers)
+    actuators = tuple(_actuator(name, settings, to_actuators, state) for name in settings.drivers)
     propulsion = Propulsion(actuators, links.bus(settings.can.interface, ()), settings.thrusters, state)
     vehicle = VehicleLoop(settings, clock, state, sources, propulsion, make_guest(state, clock), log)
     told = [each for actuator in actuators for each in actuator.inputs]
@@ -78,7 +84,25 @@ def build(
         reports.append(open_pilot_line(settings, links, vehicle.guest))
     if (ais := open_ais_bus(settings, links)) is not None:
         reports.append(ais)
-    return Built(vehicle, (*sensors, *hands, *reports), hands, tuple(outlets))
+    return Built(vehicle, (*readings, *hands, *reports), hands, tuple(outlets))
+
+
+def _sensors(settings: config.Vehicle, links: Links, state: State) -> tuple[LoopInput, ...]:
+    opened = zip(settings.sensors.names, open_sensors(settings, links), strict=True)
+    parts = {part.name for part in settings.aboard}
+    return tuple(
+        GuardedSensor(each, name, state, links.within, tuple(value.name for value in sensors.module(name, settings).VALUES))
+        if name in parts
+        else each
+        for name, each in opened
+    )
+
+
+def _actuator(name: str, settings: config.Vehicle, links: Links, state: State) -> Actuator:
+    opened = open_actuator(name, settings, links)
+    if find(settings.aboard, name) is None:
+        return opened
+    return GuardedActuator(opened, sum(row.driver == name for row in settings.thrusters), state, links.within)
 
 
 def _hands(settings: config.Vehicle, links: Links) -> tuple[Hand, ...]:

@@ -57,6 +57,7 @@ def checks(rules: Rules, state: State, inputs: Inputs, now_s: float, time_ns: in
         Check("mission", True, f"{plan.name}, {len(plan.waypoints)} waypoints" if plan is not None else "none loaded"),
         Check("hand-set", not missed, missed or _handset(rules.settings.handset, state)),
         Check("link", heard_s < HEARD_S and not state.namesakes, state.namesakes or heard),
+        *_parts(state),
         Check("last shutdown", not state.computer.last_shutdown, state.computer.last_shutdown or "no fault known"),
         Check("image", not state.computer.image, state.computer.image or "confirmed, or the computer has no image slots"),
     ]
@@ -86,6 +87,8 @@ def _allowed(rules: Rules, name: str, mode: Mode, is_at_sea: bool) -> bool:
         return True
     if name == "fence":
         return mode is Mode.MANUAL
+    if name == "parts":
+        return is_at_sea
     if name == "gnss":
         return rules.actions[Trigger.GNSS_POOR][mode] <= Action.WARN
     if name == "outlet":
@@ -95,6 +98,12 @@ def _allowed(rules: Rules, name: str, mode: Mode, is_at_sea: bool) -> bool:
     if name == "hand-set":
         return not rules.settings.handset.mandatory
     return name == "log" and (not rules.settings.log.required or mode in (Mode.MANUAL, Mode.HOME))
+
+
+def _parts(state: State) -> list[Check]:
+    """A line where a laboratory's parts are aboard."""
+    off = next((each.off for each in state.parts.values() if each.off), "")
+    return [Check("parts", not off, off or f"{', '.join(state.parts)} aboard")] if state.parts else []
 
 
 def _outlet(rules: Rules, state: State, now_s: float) -> list[Check]:

@@ -6,6 +6,7 @@ file has the words and their ranges; `command.py` carries them over a local sock
 
 import math
 from collections.abc import Sequence
+from dataclasses import asdict
 from typing import Annotated, Any, Literal, TypeVar, get_args
 
 import msgspec
@@ -360,6 +361,7 @@ def snapshot(state: State, now_s: float, extra: dict[str, Any]) -> dict[str, Any
             {"name": n.name, "reason": n.reason, "age_s": _age(now_s, n.since_s), "action": n.action} for n in state.notices
         ],
         "counts": dict(state.counts),
+        **({"parts": {name: asdict(health) for name, health in state.parts.items()}} if state.parts else {}),
         **extra,
     }
 

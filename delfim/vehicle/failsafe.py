@@ -15,8 +15,9 @@ from typing import Final, NamedTuple
 from delfim import config
 from delfim.modes import Mode
 from delfim.vehicle.control.control import admit
+from delfim.vehicle.foreign import PartTrigger, triggers
 from delfim.vehicle.state import Notice, Setpoint, State
-from delfim.vehicle.troubles import Inputs, Look, Trigger, troubles
+from delfim.vehicle.troubles import NUMBERS, Inputs, Look, Trigger, troubles
 
 
 class Action(IntEnum):
@@ -41,7 +42,8 @@ class Episode(NamedTuple):
     answered: bool  # the boat went home for it, or the operator overruled that
 
 
-Memory = Mapping[Trigger, Episode]
+AnyTrigger = Trigger | PartTrigger
+Memory = Mapping[AnyTrigger, Episode]
 _new = tuple.__new__  # a third of the time of Episode(...): each trouble has one, ten times a second
 
 
@@ -56,7 +58,6 @@ _DOES: Final = {Action.HOME: (Mode.HOME, Mode.HOLD), Action.HOLD: (Mode.HOLD,), 
 NO_TROUBLE: Final[Memory] = MappingProxyType({})
 _WELL: Final = Verdict(NO_TROUBLE, Action.NONE, "", ())
 _NEVER_S: Final = math.inf
-_NAMES: Final = {trigger: trigger.name.lower() for trigger in Trigger}  # as the vehicle's file has them
 _DONE: Final = {action: action.name.lower() for action in Action}
 
 
@@ -66,17 +67,20 @@ class Rules:
     def __init__(self, settings: config.Vehicle) -> None:
         self.settings, self.table, self.pause_s = settings, settings.failsafe, settings.failsafe.pause_s
         self.clear_s = settings.failsafe.clear_s
-        self.lasting_s = {trigger: _lasting_s(self.table, trigger) for trigger in Trigger}
-        self.actions = {trigger: {mode: _action(self.table, trigger, mode) for mode in Mode} for trigger in Trigger}
+        self.of_parts = triggers(settings)
+        every: tuple[AnyTrigger, ...] = (*Trigger, *self.of_parts)
+        self.names = {trigger: trigger.name.lower() for trigger in every}  # as the vehicle's file has them
+        self.lasting_s = {trigger: _lasting_s(self.table, trigger) for trigger in every}
+        self.actions = {trigger: {mode: _action(self.table, trigger, mode) for mode in Mode} for trigger in every}
 
 
-def _lasting_s(table: config.Failsafe, trigger: Trigger) -> float:
+def _lasting_s(table: config.Failsafe, trigger: AnyTrigger) -> float:
     """How long a trouble without an age of its own must last before the boat acts."""
-    row: object = getattr(table, _NAMES[trigger], None)
+    row: object = getattr(table, trigger.name.lower(), None)
     return row.after_s if isinstance(row, config.Trouble) and not isinstance(row, config.Silence) else 0.0
 
 
-def _action(table: config.Failsafe, trigger: Trigger, mode: Mode) -> Action:
+def _action(table: config.Failsafe, trigger: AnyTrigger, mode: Mode) -> Action:
     if trigger is Trigger.KILL:  # in idle, too: the worst of all that is shown
         return Action.STOP
     if trigger is Trigger.RESTARTED:  # its table says what the boat does once
@@ -85,14 +89,17 @@ def _action(table: config.Failsafe, trigger: Trigger, mode: Mode) -> Action:
         return Action.DISCONNECT if trigger is Trigger.THRUSTER and table.thruster.disconnect else Action.WARN
     if trigger is Trigger.CONTROL:
         return Action.STOP
-    row: config.Trouble = getattr(table, _NAMES[trigger])
+    row: config.Trouble = getattr(table, trigger.name.lower())
     own: str = getattr(row, mode.name.lower())
     return Action[(row.action if own == "same" else own).upper()]
 
 
 def failsafe(rules: Rules, memory: Memory, state: State, inputs: Inputs, now_s: float) -> Verdict:
     """Evaluate every trouble once."""
-    found = troubles(Look(rules.settings, state, inputs, memory, now_s))
+    look = Look(rules.settings, state, inputs, memory, now_s)
+    found: list[tuple[AnyTrigger, str]] = [*troubles(look)]
+    if rules.of_parts:
+        found += [(each, reason) for each in rules.of_parts if (reason := each.sees(look))]
     if not found and not memory:
         return _WELL
     after = _remembered(rules, memory, found, now_s)
@@ -107,7 +114,7 @@ def failsafe(rules: Rules, memory: Memory, state: State, inputs: Inputs, now_s: 
             after[trigger] = episode._replace(answered=True)
         if action > worst:
             worst, reason = action, why
-        answers.append((action, Notice(_NAMES[trigger], why, episode.since_s, _DONE[action])))
+        answers.append((action, Notice(rules.names[trigger], why, episode.since_s, _DONE[action])))
     answers.sort(key=itemgetter(0), reverse=True)
     return Verdict(after, worst, reason, tuple([notice for _, notice in answers]))
 
@@ -141,10 +148,10 @@ def overruled(memory: Memory) -> Memory:
 
 def bits(notices: tuple[Notice, ...]) -> int:
     """The troubles as the log has them: bit n is trigger n."""
-    return sum(1 << Trigger[notice.name.upper()] for notice in notices) if notices else 0
+    return sum(1 << NUMBERS[notice.name] for notice in notices) if notices else 0
 
 
-def _remembered(rules: Rules, memory: Memory, found: list[tuple[Trigger, str]], now_s: float) -> dict[Trigger, Episode]:
+def _remembered(rules: Rules, memory: Memory, found: list[tuple[AnyTrigger, str]], now_s: float) -> dict[AnyTrigger, Episode]:
     """The memory with the troubles just found. One that has not lasted long enough is forgotten as soon as it is absent."""
     after = {}
     for trigger, reason in found:
@@ -159,7 +166,7 @@ def _remembered(rules: Rules, memory: Memory, found: list[tuple[Trigger, str]], 
     return after
 
 
-def _answer(rules: Rules, trigger: Trigger, episode: Episode, state: State, now_s: float) -> tuple[Action, str]:
+def _answer(rules: Rules, trigger: AnyTrigger, episode: Episode, state: State, now_s: float) -> tuple[Action, str]:
     """The action for one trouble now, and why. A trouble that is absent but not cleared yet is only reported."""
     action, why = rules.actions[trigger][state.mode], episode.reason
     if episode.seen_s != now_s:

@@ -9,7 +9,7 @@ import math
 from importlib import import_module
 from typing import NamedTuple, Protocol
 
-from delfim import config, geodesy
+from delfim import config, geodesy, parts
 from delfim.messages import Navigation
 from delfim.vehicle.links import Links, Readable
 from delfim.vehicle.state import Motion, State
@@ -40,7 +40,15 @@ class Source(Protocol):
 def open_sources(settings: config.Vehicle, links: Links, state: State) -> tuple[Source, ...]:
     """The vehicle's sources in order of preference. A source's file is loaded only when it is used. Raises DelfimError."""
     names = settings.navigation.sources
-    return tuple(import_module(f"{__package__}.sources.{name}").open_source(settings, links, state) for name in names)
+    return tuple(open_source(name, settings, links, state) for name in names)
+
+
+def open_source(name: str, settings: config.Vehicle, links: Links, state: State) -> Source:
+    """Raises DelfimError."""
+    part = parts.find(settings.aboard, name)
+    module = parts.load(part, part.source) if part is not None else import_module(f"{__package__}.sources.{name}")
+    source: Source = module.open_source(settings, links, state)
+    return source
 
 
 def preferred(source: Source, sources: tuple[Source, ...], now_s: float, stale_s: float) -> bool:

@@ -203,6 +203,17 @@ class HandsetReport(NamedTuple):
     quality_pct: int | None = None  # of its radio; None: the receiver does not tell
 
 
+@dataclass(slots=True)
+class PartHealth:
+    """How the loop's calls to a laboratory's part fare (`foreign.py`)."""
+
+    failed: int = 0  # calls that raised, took too long, or returned nonsense
+    slow: int = 0  # calls longer than the contract allows
+    worst_s: float = 0.0  # the longest
+    reason: str = ""  # of the last that failed, in words
+    off: str = ""  # why what part of it is switched off, in words; empty: it is not
+
+
 class StartConditions(NamedTuple):
     """The state of the computer that the checks need."""
 
@@ -259,6 +270,7 @@ class State:
     announced: tuple[Announced, ...] = ()  # the newest, oldest first
     computer: StartConditions = field(default_factory=StartConditions)  # the computer at the program's start
     cycles: int = 0
+    parts: dict[str, PartHealth] = field(default_factory=dict)  # of a laboratory, by name
     counts: dict[str, int] = field(default_factory=dict)  # number of inputs refused, dropped, repaired, by name
     profile: Profile = field(default_factory=Profile)
 

@@ -312,6 +312,7 @@ class Trigger(IntEnum):
 
 
 _SEEN: Final = tuple((trigger, trigger.sees) for trigger in Trigger)  # ten times a second: no look-ups in an enumeration
+NUMBERS: Final = {trigger.name.lower(): int(trigger) for trigger in Trigger}  # by names; those of parts as they come aboard
 
 
 def troubles(look: Look) -> list[tuple[Trigger, str]]:

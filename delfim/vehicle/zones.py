@@ -29,7 +29,7 @@ BARE: Final = 8  # stretches of a way that no area covers; a way with more leads
 Side = tuple[float, float, float, float, float, float]
 
 
-class Part(NamedTuple):
+class Facet(NamedTuple):
     """Some consecutive sides of a polygon, and the box around them."""
 
     box: Box
@@ -46,7 +46,7 @@ class Zone(NamedTuple):
     north_m: float = 0.0  # centre of the circle
     east_m: float = 0.0
     radius_m: float = 0.0
-    parts: tuple[Part, ...] = ()
+    parts: tuple[Facet, ...] = ()
     areas: tuple["Zone", ...] = ()
 
 
@@ -54,7 +54,7 @@ def polygon(name: str, keep_in: bool, corners: Sequence[Point]) -> Zone:
     """A zone from the corners of a polygon, in either direction."""
     around = [*corners, corners[0]]
     sides = tuple((*a, b[0] - a[0], b[1] - a[1], *b) for a, b in pairwise(around))
-    parts = [Part(box_of(around[at : at + PART + 1]), sides[at : at + PART]) for at in range(0, len(sides), PART)]
+    parts = [Facet(box_of(around[at : at + PART + 1]), sides[at : at + PART]) for at in range(0, len(sides), PART)]
     return Zone(name, keep_in, sides, box_of(corners), parts=tuple(parts))
 
 

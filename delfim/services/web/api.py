@@ -169,6 +169,16 @@ class TrafficSeen(Facts, frozen=True):
     guard: str = "off"  # "on", "off", "cannot avoid: " and why
 
 
+class PartFacts(Facts, frozen=True):
+    """How the loop's calls to a laboratory's part fare."""
+
+    failed: int = 0
+    slow: int = 0  # longer than 2 ms
+    worst_s: float = 0.0
+    reason: str = ""  # of the last that failed
+    off: str = ""  # why what part of it is switched off; empty: it is not
+
+
 class State(Facts, frozen=True):
     """The vehicle's report of itself."""
 
@@ -203,6 +213,7 @@ class State(Facts, frozen=True):
     sysstat: dict[str, Node] = {}
     measured: dict[str, float | None] = {}  # by sensors, by their names with units; null: not finite
     counts: dict[str, int] = {}  # inputs that were refused, dropped or repaired
+    parts: dict[str, PartFacts] = {}  # of a laboratory, and how the loop's calls to each fare
     latency: Latency = Latency()
     log: LogStatus = LogStatus()
     services: dict[str, Service] = {}

@@ -42,6 +42,11 @@ def _vehicle(report: Report) -> Iterator[Metric]:
     measured = [({"value": name}, value) for name, value in vehicle.measured.items() if value is not None]
     yield Metric("delfim_measured", "gauge", "Last value of each sensor, its name ends with the unit; see its age.", measured)
     events = [({"event": name}, float(n)) for name, n in vehicle.counts.items()]
+    parts = [({"part": name}, health) for name, health in vehicle.parts.items()]
+    if parts:
+        failed, worst = "Calls to a laboratory's part that failed.", "The longest call to a laboratory's part."
+        yield Metric("delfim_part_calls_failed_total", "counter", failed, [(labels, each.failed) for labels, each in parts])
+        yield Metric("delfim_part_call_worst_seconds", "gauge", worst, [(labels, each.worst_s) for labels, each in parts])
     yield Metric("delfim_events_total", "counter", "Inputs that were refused, dropped or repaired.", events)
     for name, value, text in (
         ("delfim_heading_degrees", vehicle.heading_deg, "True heading."),

@@ -15,7 +15,7 @@ from delfim.simulator.propulsor import VOLTAGE_V
 from delfim.vehicle import console, record, thrusters
 from delfim.vehicle.control.hull import full_mps
 from delfim.vehicle.state import Notice, State
-from delfim.vehicle.troubles import Trigger
+from delfim.vehicle.troubles import NUMBERS
 
 HONEST: Final = frozenset((*OF_THRUSTERS, "console_lost", "guest_lost", "disk_full", "disk_slow", "shallow", "gnss_poor"))
 SETTLES_S: Final = 5.0  # after a fault of sensors or bus: late frames come, and sources change
@@ -29,7 +29,6 @@ DRAIN: Final = 2.0  # times the current at full revolutions: a propeller that th
 STEP: Final = 0.011  # of a charge that is told in whole percent
 NOT_A_MODE: Final = "a way round is looked for"  # ends a note that begins with goto
 MODES: Final = {mode.name.lower(): mode for mode in Mode}
-NAMES: Final = frozenset(trigger.name.lower() for trigger in Trigger)
 SIDES: Final = "batteries_starboard", "batteries_port"  # by the address of their thruster
 
 
@@ -169,7 +168,7 @@ def _of_troubles(before: Iterable[Notice], after: Iterable[Notice], noted: tuple
     for text in (news | gone).difference(noted):
         yield f"not told: {text}"
     for text in noted:
-        if text.endswith(": over") and text.partition(": ")[0] in NAMES and text not in gone:
+        if text.endswith(": over") and text.partition(": ")[0] in NUMBERS and text not in gone:
             yield f"told, and not so: {text}"
     if any(not each.reason for each in after):
         yield "a trouble without a reason"
@@ -250,7 +249,7 @@ class Reported:
             if values[name] != value:
                 yield f"logged is {name} {values[name]}, and it is {value}"
         troubles = values["troubles"]
-        named = {each.name.lower() for each in Trigger if isinstance(troubles, int) and troubles >> each.value & 1}
+        named = {name for name, bit in NUMBERS.items() if isinstance(troubles, int) and troubles >> bit & 1}
         if named != {each.name for each in state.notices}:
             yield f"logged are the troubles {named}, and there are {state.notices}"
 

@@ -9,7 +9,7 @@ from importlib import import_module
 from operator import itemgetter
 from typing import Final, Protocol, runtime_checkable
 
-from delfim import config
+from delfim import config, parts
 from delfim.canproxy.socket import CanAddress
 from delfim.frames import Frame
 from delfim.simulator.model import Model, hull_of
@@ -125,6 +125,8 @@ def nodes_of(settings: config.Vehicle, seed: int, model: Model | None = None) ->
     for kind in NODES:
         named |= import_module(f"{__name__}.{kind}").nodes(settings, model, seed)
     others = (import_module(f"{__name__}.{kind}").devices_of(settings, model, seed) for kind in OTHER_BUSES)
-    beside = tuple(each for each in others if each is not None)
+    of_parts = [parts.load(part, part.played) for part in settings.aboard if part.played]
+    on_buses = (each.devices_of(settings, model, seed) for each in of_parts if hasattr(each, "devices_of"))
+    beside = tuple(each for each in (*others, *on_buses) if each is not None)
     ais = next((each.sentences for each in beside if isinstance(each, Shipping)), None)
     return Nodes(model, named, beside, instruments_of(settings, model, seed, ais))

@@ -14,6 +14,7 @@ from delfim import config
 from delfim.messages import Navigation
 from delfim.nmea0183.framing import framed
 from delfim.nmea0183.speaking import clock, gga, rmc
+from delfim.parts import load
 from delfim.simulator.model import Model
 from delfim.simulator.nodes.measuring import (
     CORRECTED_S,
@@ -80,6 +81,7 @@ class SimulatedInstruments:
         self._all = [one for each in placed(settings) for one in self._made(*each.split(":"))]
         if BOARD in settings.navigation.sources:
             self._all += self._board(settings)
+        self._all += _of_parts(settings, model, seed)
 
     @property
     def ports(self) -> frozenset[str]:
@@ -167,12 +169,21 @@ def placed(settings: config.Vehicle) -> tuple[str, ...]:
 def port_devices(settings: config.Vehicle) -> dict[str, str]:
     """The devices of all ports, by their names."""
     ports = {name: port.device.replace("gpsd:", "tcp:") for name, port in settings.nmea0183.ports.items()}
-    return ports | {BOARD: settings.mavlink_front_seat.device}
+    of_parts = {part.name: str(getattr(getattr(settings, part.name, None), "device", "")) for part in settings.aboard}
+    return ports | {BOARD: settings.mavlink_front_seat.device} | of_parts
+
+
+def _of_parts(settings: config.Vehicle, model: Model, seed: int) -> Iterator[Instrument]:
+    """The devices of a laboratory's parts on lines."""
+    for part in settings.aboard:
+        if part.played and hasattr(module := load(part, part.played), "instrument_of"):
+            device = module.instrument_of(settings, model, seed)
+            yield Instrument(part.name, device, device.say)
 
 
 def instruments_of(
     settings: config.Vehicle, model: Model, seed: int, ais: deque[bytes] | None = None
 ) -> SimulatedInstruments | None:
     """The instruments that the vehicle's file calls for; None: there are none."""
-    has_any = placed(settings) or BOARD in settings.navigation.sources
+    has_any = placed(settings) or BOARD in settings.navigation.sources or any(part.played for part in settings.aboard)
     return SimulatedInstruments(settings, model, seed, ais) if has_any else None

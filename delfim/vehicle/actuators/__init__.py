@@ -5,9 +5,9 @@ To add one: a file here with a function `open_actuator(settings, links)`, and it
 """
 
 from importlib import import_module
-from typing import Protocol
+from typing import Any, Protocol
 
-from delfim import config
+from delfim import config, parts
 from delfim.vehicle.links import Links, LoopInput
 from delfim.vehicle.state import Actuation
 
@@ -28,5 +28,11 @@ class Actuator(Protocol):
 
 def open_actuator(name: str, settings: config.Vehicle, links: Links) -> Actuator:
     """Opens an actuator, and loads its file only then. Raises DelfimError."""
-    actuator: Actuator = import_module(f"{__name__}.{name}").open_actuator(settings, links)
+    actuator: Actuator = module(name, settings).open_actuator(settings, links)
     return actuator
+
+
+def module(name: str, settings: config.Vehicle) -> Any:
+    """The file of a driver. Raises PermanentFailure for a part's that cannot be imported."""
+    part = parts.find(settings.aboard, name)
+    return parts.load(part, part.driver) if part is not None else import_module(f"{__name__}.{name}")

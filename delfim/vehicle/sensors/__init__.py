@@ -5,9 +5,9 @@ To add a sensor: a file here with `VALUES` and a function `open_sensor(settings,
 """
 
 from importlib import import_module
-from typing import NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
-from delfim import config
+from delfim import config, parts
 from delfim.errors import ConfigError
 from delfim.vehicle.links import Links, LoopInput
 
@@ -39,9 +39,15 @@ def open_sensors(settings: config.Vehicle, links: Links) -> tuple[Sensor, ...]:
     for key, name in needed:
         if name not in known:
             raise ConfigError("vehicle", key, f"no sensor of sensors.names measures {name}")
-    return tuple(import_module(f"{__name__}.{name}").open_sensor(settings, links) for name in settings.sensors.names)
+    return tuple(module(name, settings).open_sensor(settings, links) for name in settings.sensors.names)
 
 
 def values(settings: config.Vehicle) -> tuple[Value, ...]:
     """The values of all sensors of the boat."""
-    return tuple(each for name in settings.sensors.names for each in import_module(f"{__name__}.{name}").VALUES)
+    return tuple(each for name in settings.sensors.names for each in module(name, settings).VALUES)
+
+
+def module(name: str, settings: config.Vehicle) -> Any:
+    """The file of a sensor. Raises PermanentFailure for a part's that cannot be imported."""
+    part = parts.find(settings.aboard, name)
+    return parts.load(part, part.sensor) if part is not None else import_module(f"{__name__}.{name}")

@@ -1,0 +1,60 @@
+"""All that a laboratory's own part needs of Delfim (docs/parts.md). The names here stay as they are while `parts.API` is the
+same; everything else in the project may change from one version to the next.
+"""
+
+from delfim.canproxy.socket import CanAddress, CanSocket
+from delfim.clock import Clock
+from delfim.config import ActionName, Baud, Device, Fraction, Interface, Metres, Seconds, Silence, Speed, Trouble, Vehicle
+from delfim.errors import BusError, ConfigError, DelfimError, FormatError, PermanentFailure
+from delfim.frames import Frame
+from delfim.geodesy import from_plane
+from delfim.messages import Navigation
+from delfim.parts import API, Part, TroubleRow
+from delfim.tables import Table, text
+from delfim.vehicle.actuators import Actuator
+from delfim.vehicle.links import Links, LoopInput, ReadableLine
+from delfim.vehicle.navigation import Fix, Source
+from delfim.vehicle.sensors import Value
+from delfim.vehicle.state import Actuation, State, ThrusterReport
+from delfim.vehicle.troubles import Look
+
+__all__ = [
+    "API",
+    "ActionName",
+    "Actuation",
+    "Actuator",
+    "Baud",
+    "BusError",
+    "CanAddress",
+    "CanSocket",
+    "Clock",
+    "ConfigError",
+    "DelfimError",
+    "Device",
+    "Fix",
+    "FormatError",
+    "Fraction",
+    "Frame",
+    "Interface",
+    "Links",
+    "Look",
+    "LoopInput",
+    "Metres",
+    "Navigation",
+    "Part",
+    "PermanentFailure",
+    "ReadableLine",
+    "Seconds",
+    "Silence",
+    "Source",
+    "Speed",
+    "State",
+    "Table",
+    "ThrusterReport",
+    "Trouble",
+    "TroubleRow",
+    "Value",
+    "Vehicle",
+    "from_plane",
+    "text",
+]

@@ -1,0 +1,131 @@
+"""A laboratory's own parts: Python packages outside the project, which a boat has because its file names them.
+
+A package's entry point in the group `delfim.parts` is a row, a `Part`. The vehicle's file names it in `[parts]` with its
+version; only then it is imported. No other file pays for the look among the installed packages, which takes some 30 ms.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from functools import cache
+from importlib import import_module
+from importlib.metadata import EntryPoint, entry_points
+from typing import Any, Final, NamedTuple
+
+from delfim.errors import ConfigError, DelfimError, PermanentFailure, did_you_mean, in_words
+from delfim.tables import Table
+
+GROUP: Final = "delfim.parts"
+API: Final = 1  # of the rows and of `delfim.api`: a part that was made for another one is refused
+TROUBLES: Final = range(25, 32)  # numbers for the troubles of parts: bits in the state log, of which the boat's own are lower
+
+
+class TroubleRow(NamedTuple):
+    """A trouble that a part detects, with a table in `[failsafe]` of the vehicle's file."""
+
+    name: str  # of its table, small letters and _
+    number: int  # one of TROUBLES
+    table: type[Table]  # a `delfim.api.Trouble`, or a `Silence`, which compares `after_s` itself
+    sees: str  # module:function; it takes a `delfim.api.Look` and returns the reason in words, or None; ten times a second
+
+
+class Part(NamedTuple):
+    """A row. A text names a module, or a function as module:function, which is loaded when it is used."""
+
+    name: str  # as the vehicle's file has it, small letters, digits and _
+    table: type[Table] | None = None  # its keys, in a table of its name
+    driver: str = ""  # module with `open_actuator(settings, links)`
+    source: str = ""  # module with `open_source(settings, links, state)`
+    sensor: str = ""  # module with `VALUES` and `open_sensor(settings, links)`
+    service: str = ""  # module:coroutine, which takes the runtime
+    troubles: tuple[TroubleRow, ...] = ()
+    played: str = ""  # its device in simulation: module with `devices_of` on a bus, or `instrument_of` on a line
+    api: int = API
+
+
+def installed() -> dict[str, list[EntryPoint]]:
+    """The entry points of all packages of this computer that have parts, by the names of the parts; nothing is imported."""
+    found = dict[str, list[EntryPoint]]()
+    for each in entry_points(group=GROUP):
+        found.setdefault(each.name, []).append(each)
+    return found
+
+
+def version_of(entry: EntryPoint) -> str:
+    return entry.dist.version if entry.dist is not None else "unknown"
+
+
+def named(wanted: object, file: str) -> tuple[Part, ...]:
+    """The parts that `[parts]` of a vehicle's file names, in its order; without it none, and nothing is looked up. Raises
+    ConfigError where one is not installed, has another version, or cannot be imported."""
+    if not wanted or not isinstance(wanted, Mapping):
+        return ()
+    rows = tuple(_loaded(str(name), str(version), file) for name, version in wanted.items())
+    numbers = dict[int, str]()
+    for name, trouble in ((row.name, trouble) for row in rows for trouble in row.troubles):
+        key = f"parts.{name}"
+        if trouble.number not in TROUBLES:
+            raise ConfigError(file, key, f"trouble {trouble.name} has number {trouble.number}", f"25 to {TROUBLES[-1]}")
+        if (other := numbers.setdefault(trouble.number, trouble.name)) != trouble.name:
+            raise ConfigError(file, key, f"its trouble {trouble.name} has number {trouble.number}, as {other} has")
+    return rows
+
+
+def _loaded(name: str, version: str, file: str) -> Part:
+    entries, key = _entries(name), f"parts.{name}"
+    if not entries:
+        raise ConfigError(file, key, f"no installed package has a part of this name{did_you_mean(name, installed())}")
+    if len(entries) > 1:
+        owners = " and ".join(sorted(each.dist.name if each.dist is not None else each.value for each in entries))
+        raise ConfigError(file, key, f"{owners} both have a part of this name; remove one of them")
+    if (there := version_of(entries[0])) != version:
+        raise ConfigError(file, key, f"version {there} is installed, and the file is made for {version}")
+    try:
+        row = _row(entries[0])
+    except DelfimError as error:
+        raise ConfigError(file, key, str(error)) from None
+    if not isinstance(row, Part):
+        raise ConfigError(file, key, f"{entries[0].value} is no delfim.api.Part")
+    if row.api != API:
+        raise ConfigError(file, key, f"it was made for interface {row.api} of parts, and this Delfim has {API}")
+    if row.name != name:
+        raise ConfigError(file, key, f"its row has another name, {row.name}")
+    return row
+
+
+@cache
+def _entries(name: str) -> tuple[EntryPoint, ...]:
+    return tuple(entry_points(group=GROUP, name=name))
+
+
+@cache
+def _row(entry: EntryPoint) -> object:
+    """Raises DelfimError."""
+    try:
+        return entry.load()
+    except (Exception, SystemExit) as error:  # foreign code, of which anything may come
+        raise DelfimError(f"it cannot be imported: {in_words(error)}") from error
+
+
+def load(part: Part, place: str) -> Any:
+    """The module or function that a row names. Raises PermanentFailure."""
+    module, _, function = place.partition(":")
+    try:
+        found = import_module(module)
+        return getattr(found, function) if function else found
+    except (Exception, SystemExit) as error:
+        raise PermanentFailure(f"part {part.name}: {place} cannot be imported: {in_words(error)}") from error
+
+
+def find(aboard: Sequence[Part], name: str) -> Part | None:
+    """The part of this name among those aboard; None: it is one of the boat's own names."""
+    return next((each for each in aboard if each.name == name), None)
+
+
+def of_kind(aboard: Sequence[Part], kind: str) -> Iterator[str]:
+    """The names of those that have a driver, a source, a sensor ..."""
+    return (each.name for each in aboard if getattr(each, kind))
+
+
+def forget() -> None:
+    """Look anew for packages that were installed or removed meanwhile."""
+    _entries.cache_clear()
+    _row.cache_clear()

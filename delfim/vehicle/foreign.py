@@ -1,0 +1,197 @@
+"""The loop's calls to a laboratory's part. What the part raises, and the time that it takes, costs the part: after three calls
+that failed it is switched off until the program starts again, and the boat goes on as if its device were silent.
+
+A call that takes longer than BROKEN_S is broken off, in real time alone: a clock of the computer would make lock step and
+replay differ from run to run.
+"""
+
+import math
+import signal
+import time
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager, nullcontext
+from types import FrameType
+from typing import Any, Final, Self, TypeVar
+
+from delfim import config
+from delfim.errors import FormatError, in_words, one_line
+from delfim.messages import Navigation
+from delfim.parts import Part, TroubleRow, load
+from delfim.vehicle.actuators import Actuator
+from delfim.vehicle.links import LoopInput
+from delfim.vehicle.navigation import Fix, Source
+from delfim.vehicle.state import Actuation, PartHealth, State
+from delfim.vehicle.troubles import NUMBERS, Look
+
+SLOW_S: Final = 0.002  # of one call: longer ones are counted
+BROKEN_S: Final = 0.1  # of one call: then it is broken off
+STRIKES: Final = 3  # calls that fail one after the other: then the part is switched off
+HEALS: Final = 0.02  # of a call that failed, for each that did not
+T = TypeVar("T")
+Within = Callable[[], AbstractContextManager[object]]
+
+
+@contextmanager
+def breaking_off() -> Iterator[None]:
+    """Raise TimeoutError in what runs within for longer than BROKEN_S. For the main thread of a program in real time."""
+    before = signal.signal(signal.SIGALRM, _break_off)
+    signal.setitimer(signal.ITIMER_REAL, BROKEN_S, BROKEN_S)  # again: code that catches everything must not go on
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        signal.signal(signal.SIGALRM, before)
+
+
+def _break_off(number: int, frame: FrameType | None) -> None:
+    raise TimeoutError(f"it took more than {BROKEN_S:g} s")
+
+
+class _Guarded:
+    """What a part's driver, source and sensor have in common. Each is switched off alone; they share the part's health."""
+
+    def __init__(self, name: str, state: State, within: Within = nullcontext) -> None:
+        self.name = name
+        self.health = state.parts.setdefault(name, PartHealth())
+        self._state, self._within, self._strikes, self._is_off = state, within, 0.0, False
+
+    def _call(self, otherwise: T, what: str, call: Callable[..., T], *arguments: Any) -> T:
+        """The call's result, or `otherwise` where it fails or the part is switched off."""
+        if self._is_off:
+            return otherwise
+        began_s = time.perf_counter()
+        try:
+            with self._within():
+                result = call(*arguments)
+            self._strikes = max(self._strikes - HEALS, 0.0)
+        except Exception as error:  # foreign code, of which anything may come
+            result = otherwise
+            self._strike(f"{what}: {in_words(error)}")
+        took_s = time.perf_counter() - began_s
+        self.health.slow += took_s > SLOW_S
+        self.health.worst_s = max(self.health.worst_s, took_s)
+        return result
+
+    def _strike(self, words: str) -> None:
+        self._state.count(f"{self.name}_failed")
+        self.health.failed += 1
+        self.health.reason = words
+        self._strikes += 1.0
+        if self._strikes > STRIKES - 1:
+            self._is_off = True
+            self.health.off = f"part {self.name} is switched off: {words}"
+
+
+def _is_sound(fix: object) -> bool:
+    """Whether this is a message of navigation, each of its numbers finite."""
+    if not isinstance(fix, Fix) or not isinstance(fix.navigation, Navigation):
+        return False
+    return all(each is None or _are_numbers((each,)) for each in (*fix.navigation, fix.t0_ns, fix.received_s))
+
+
+def _are_numbers(values: object) -> bool:
+    return isinstance(values, tuple) and all(isinstance(each, float | int) and math.isfinite(each) for each in values)
+
+
+class GuardedSource(_Guarded):
+    """A source of navigation of a part."""
+
+    def __init__(self, source: Source, name: str, state: State, within: Within = nullcontext) -> None:
+        super().__init__(name, state, within)
+        self._source, self.input = source, source.input
+
+    @property
+    def heard_s(self) -> float:
+        return self._source.heard_s
+
+    @heard_s.setter
+    def heard_s(self, value: float) -> None:
+        self._source.heard_s = value
+
+    def read(self, now_s: float) -> Fix | None:
+        return self._call(None, "read", self._read, now_s)
+
+    def _read(self, now_s: float) -> Fix | None:
+        fix = self._source.read(now_s)
+        if fix is None or _is_sound(fix):
+            return fix
+        raise FormatError("its message is no Fix, or has numbers that are not finite")
+
+    def report(self, now_s: float) -> dict[str, object]:
+        return self._call({}, "report", self._source.report, now_s)
+
+
+class GuardedSensor(_Guarded):
+    """A sensor of a part, or the reports of its motors. Values that are no finite numbers are not taken."""
+
+    def __init__(
+        self, sensor: LoopInput, name: str, state: State, within: Within = nullcontext, values: tuple[str, ...] = ()
+    ) -> None:
+        super().__init__(name, state, within)
+        self._sensor, self.input, self._values = sensor, sensor.input, values
+
+    def read(self, state: State, now_s: float) -> None:
+        self._call(None, "read", self._read, state, now_s)
+
+    def _read(self, state: State, now_s: float) -> None:
+        self._sensor.read(state, now_s)
+        for value in self._values:
+            if not _are_numbers(state.measured.get(value, (0.0, 0.0))):
+                del state.measured[value]
+                raise FormatError(f"{value} is no finite number")
+
+
+class GuardedActuator(_Guarded):
+    """A driver of a part. Switched off, it is still told to stop."""
+
+    def __init__(self, actuator: Actuator, rows: int, state: State, within: Within = nullcontext) -> None:
+        super().__init__(actuator.name, state, within)
+        self._actuator, self._rows, self.period_s = actuator, rows, actuator.period_s
+        self.inputs: tuple[LoopInput, ...] = tuple(GuardedSensor(each, self.name, state, within) for each in actuator.inputs)
+
+    def send(self, sent: Actuation, now_s: float) -> int:
+        return int(self._call(self._rows, "send", self._actuator.send, sent, now_s))
+
+    def repeat(self, now_s: float) -> int:
+        return int(self._call(self._rows, "repeat", self._actuator.repeat, now_s))
+
+    def stop(self) -> None:
+        """Raises OSError."""
+        try:
+            with self._within():
+                self._actuator.stop()
+        except Exception as error:
+            raise OSError(f"part {self.name}: stop: {in_words(error)}") from error
+
+    def disconnect(self, names: tuple[str, ...]) -> None:
+        self._call(None, "disconnect", self._actuator.disconnect, names)
+
+    def report(self) -> dict[str, object]:
+        return self._call({}, "report", self._actuator.report)
+
+
+class PartTrigger(int):
+    """A trouble of a part, which says so if it cannot be judged: then it is there. Like `Trigger`, a number."""
+
+    name: str
+    _part: str
+    _sees: Callable[[Look], object]
+
+    def __new__(cls, part: Part, row: TroubleRow) -> Self:
+        trigger = super().__new__(cls, row.number)
+        trigger.name, trigger._part, trigger._sees = row.name.upper(), part.name, load(part, row.sees)
+        return trigger
+
+    def sees(self, look: Look) -> str | None:
+        try:
+            reason = self._sees(look)
+            return None if reason is None else one_line(str(reason))
+        except Exception as error:  # foreign code, of which anything may come
+            return f"part {self._part} cannot tell: {in_words(error)}"
+
+
+def triggers(settings: config.Vehicle) -> tuple[PartTrigger, ...]:
+    """The troubles of the parts aboard. Raises PermanentFailure where one cannot be imported."""
+    found = tuple(PartTrigger(part, row) for part in settings.aboard for row in part.troubles)
+    NUMBERS.update((each.name.lower(), int(each)) for each in found)
+    return found

@@ -1,0 +1,44 @@
+"""Packages of a laboratory, installed as pip would: a folder on the path, and beside it what says that it is installed."""
+
+import shutil
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from delfim import parts
+
+ROOT = Path(__file__).parents[2]
+EXAMPLES = ROOT / "etc/parts"
+
+
+def installed(place: Path, *kinds: str, version: str = "1.0") -> None:
+    """Put the examples of these kinds there."""
+    for kind in kinds:
+        name = f"example_{kind}"
+        shutil.copytree(EXAMPLES / kind / name, place / name, ignore=shutil.ignore_patterns("__pycache__"))
+        known(place, name, f"{name}:PART", version)
+
+
+def known(place: Path, name: str, entry: str, version: str = "1.0", package: str = "") -> None:
+    """What an installer writes of a package with this part."""
+    package = package or name
+    info = place / f"{package}-{version}.dist-info"
+    info.mkdir(parents=True, exist_ok=True)
+    (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {package}\nVersion: {version}\n")
+    (info / "entry_points.txt").write_text(f"[delfim.parts]\n{name} = {entry}\n")
+
+
+@pytest.fixture
+def laboratory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """A folder on the path of this process for packages that are forgotten afterwards."""
+    place = tmp_path / "laboratory"
+    place.mkdir()
+    monkeypatch.syspath_prepend(str(place))
+    before = set(sys.modules)
+    yield place
+    for name in set(sys.modules) - before:
+        if str(place) in str(getattr(sys.modules[name], "__file__", "")):
+            del sys.modules[name]
+    parts.forget()

@@ -1,0 +1,119 @@
+"""The rows of a laboratory's parts: what a vehicle's file may say of them, in the words that its other keys have."""
+
+import pytest
+
+from delfim import config, parts
+from delfim.errors import ConfigError
+from delfim.suite import services
+from tests.parts.laboratory import ROOT, installed, known, laboratory
+
+__all__ = ["laboratory"]
+DELFIMX = ROOT / "etc/delfimx.toml"
+ALL = ("motor", "source", "sensor", "trouble", "service")
+
+
+def load(*values: str) -> config.Vehicle:
+    return config.load(DELFIMX, values)
+
+
+def refused(*values: str) -> str:
+    with pytest.raises(ConfigError) as error:
+        load(*values)
+    return str(error.value).removeprefix(f"{DELFIMX}: ")
+
+
+def test_a_file_that_names_no_part_looks_for_none(monkeypatch):
+    def never(**_: object) -> None:
+        pytest.fail("entry points were looked up")
+
+    monkeypatch.setattr(parts, "entry_points", never)
+    assert load().aboard == ()
+    assert type(load()) is config.Vehicle
+
+
+def test_its_keys_are_those_of_the_file_and_are_checked_in_the_same_words(laboratory):
+    installed(laboratory, *ALL)
+    aboard = [f'parts.example_{kind}="1.0"' for kind in ALL]
+    told = load(
+        *aboard, "example_motor.most=0.5", "failsafe.few_satellites.hold='home'", "failsafe.few_satellites.satellites=6"
+    )
+    assert [part.name for part in told.aboard] == [f"example_{kind}" for kind in ALL]
+    assert (told.example_motor.most, told.failsafe.few_satellites.hold) == (0.5, "home")
+    assert isinstance(told, config.Vehicle)
+    for value, words in (
+        ("example_motor.most=7", "example_motor.most: 7 is not allowed (allowed: 0.0 to 1.0)"),
+        ("example_motor.mots=0.5", "example_motor.mots: unknown key; did you mean most?"),
+        (
+            "failsafe.few_satellites.action='flee'",
+            'failsafe.few_satellites.action: "flee" is not allowed (allowed: warn, hold, ',
+        ),
+        ("sensors.names=['example_sensr']", 'sensors.names[0]: "example_sensr" is not allowed (allowed: sysstat, dronecan, '),
+    ):
+        assert refused(*aboard, value).startswith(words)
+    assert refused("example_motor.most=0.5").startswith("example_motor: unknown key")
+
+
+def test_only_what_is_named_is_imported(laboratory):
+    installed(laboratory, "sensor")
+    known(laboratory, "trap", "trap:PART")
+    (laboratory / "trap.py").write_text("raise SystemExit('imported because it is installed')")
+    load('parts.example_sensor="1.0"')
+    assert refused('parts.trap="1.0"') == "parts.trap: it cannot be imported: SystemExit: imported because it is installed"
+
+
+@pytest.mark.parametrize(
+    ("entry", "text", "words"),
+    [
+        ("odd:PART", "", "it cannot be imported: ModuleNotFoundError: No module named 'odd'"),
+        ("odd:PART", "1 / 0", "it cannot be imported: ZeroDivisionError: division by zero"),
+        ("odd:PART", "PART = 3", "odd:PART is no delfim.api.Part"),
+        ("odd:PART", "from delfim.api import Part\nPART = Part('even')", "its row has another name, even"),
+        (
+            "odd:PART",
+            "from delfim.api import Part\nPART = Part('odd', api=9)",
+            "it was made for interface 9 of parts, and this",
+        ),
+        (
+            "odd:PART",
+            "from delfim.api import *\nPART = Part('odd', troubles=(TroubleRow('wet', 3, Trouble, 'odd:wet'),))",
+            "trouble wet has number 3 (allowed: 25 to 31)",
+        ),
+    ],
+)
+def test_a_row_that_makes_no_sense_is_refused_by_name(laboratory, entry, text, words):
+    known(laboratory, "odd", entry)
+    if text:
+        (laboratory / "odd.py").write_text(text)
+    assert refused('parts.odd="1.0"').startswith(f"parts.odd: {words}")
+
+
+def test_versions_twins_and_names_that_the_boat_has_itself(laboratory):
+    installed(laboratory, "sensor")
+    assert refused('parts.example_sensor="1.1"') == (
+        "parts.example_sensor: version 1.0 is installed, and the file is made for 1.1"
+    )
+    assert refused('parts.exampel_sensor="1.0"').endswith("has a part of this name; did you mean example_sensor?")
+    known(laboratory, "example_sensor", "example_sensor:PART", package="twin")
+    parts.forget()
+    assert refused('parts.example_sensor="1.0"').startswith("parts.example_sensor: example_sensor and twin both have a part")
+    known(laboratory, "dsor", "dsor_of_ours:PART")
+    (laboratory / "dsor_of_ours.py").write_text("from delfim.api import Part\nPART = Part('dsor')")
+    assert refused('parts.dsor="1.0"') == "parts.dsor: dsor is a name of the boat's own; it needs another one"
+
+
+def test_two_troubles_with_one_number_are_refused(laboratory):
+    installed(laboratory, "trouble")
+    known(laboratory, "wet", "wet:PART")
+    row = "from delfim.api import *\nPART = Part('wet', troubles=(TroubleRow('wet', 25, Trouble, 'wet:sees'),))"
+    (laboratory / "wet.py").write_text(row)
+    words = refused('parts.example_trouble="1.0"', 'parts.wet="1.0"')
+    assert words == "parts.wet: its trouble wet has number 25, as few_satellites has"
+
+
+def test_a_service_has_a_process_of_its_own_unless_the_file_says_otherwise(laboratory):
+    installed(laboratory, "service")
+    rows = {row.name: row for row in services(load('parts.example_service="1.0"'))}
+    assert rows["example_service"].place == "process"
+    assert list(rows)[-1] == "vehicle", "which starts last and is stopped first"
+    inside = services(load('parts.example_service="1.0"', "services.example_service.place='runtime'"))
+    assert {row.name: row.place for row in inside}["example_service"] == "runtime"
