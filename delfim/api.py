@@ -6,7 +6,7 @@ from delfim.canproxy.socket import CanAddress, CanSocket
 from delfim.clock import Clock
 from delfim.config import ActionName, Baud, Device, Fraction, Interface, Metres, Seconds, Silence, Speed, Trouble, Vehicle
 from delfim.errors import BusError, ConfigError, DelfimError, FormatError, PermanentFailure
-from delfim.frames import Frame
+from delfim.frames import Frame, extended, standard
 from delfim.geodesy import from_plane
 from delfim.messages import Navigation
 from delfim.parts import API, Part, TroubleRow
@@ -55,6 +55,8 @@ __all__ = [
     "TroubleRow",
     "Value",
     "Vehicle",
+    "extended",
     "from_plane",
+    "standard",
     "text",
 ]

@@ -12,9 +12,9 @@ ROOT = Path(__file__).parents[1]
 
 
 @contextlib.contextmanager
-def running(tmp_path: Path, port: int, *more: str, package: Path = ROOT) -> Iterator[Path]:
+def running(tmp_path: Path, port: int, *more: str, package: Path | str = ROOT) -> Iterator[Path]:
     """The boat's nodes and its program, as at sea but for the bus, speaking to a console on this port; the path of its command
-    socket. `more`: values of the vehicle's file. `package`: where the folder `delfim` of these programs is."""
+    socket. `more`: values of the vehicle's file. `package`: the path of these programs, where `delfim` is."""
     bus = f"canloop:afloat-{os.getpid()}-{tmp_path.name[-8:]}"
     values = (
         f'can.interface="{bus}"',

@@ -3,8 +3,12 @@
 import pytest
 
 from delfim import config, parts
+from delfim.canproxy.socket import CanAddress
 from delfim.errors import ConfigError
+from delfim.frames import standard
+from delfim.simulator.lockstep import Lockstep
 from delfim.suite import services
+from delfim.vehicle.state import NoLog
 from tests.parts.laboratory import ROOT, installed, known, laboratory
 
 __all__ = ["laboratory"]
@@ -117,3 +121,47 @@ def test_a_service_has_a_process_of_its_own_unless_the_file_says_otherwise(labor
     assert list(rows)[-1] == "vehicle", "which starts last and is stopped first"
     inside = services(load('parts.example_service="1.0"', "services.example_service.place='runtime'"))
     assert {row.name: row.place for row in inside}["example_service"] == "runtime"
+
+
+def test_a_serial_line_has_one_reader(laboratory):
+    installed(laboratory, "source")
+    words = refused('parts.example_source="1.0"', "navigation.sources=['example_source']", "slipd.device='/dev/ttyUSB0'")
+    assert words.startswith("example_source.device: /dev/ttyUSB0 is read by slipd.device already")
+
+
+HORN = """
+import math
+from delfim.api import CanAddress, Frame, Part, standard
+
+PART = Part("horn", played="horn")
+
+
+class Horn:
+    interface, hears, due_s, blown = "canloop:horn", (CanAddress(standard(0x160)),), math.inf, 0
+
+    def feed(self, frame, now_s):
+        self.blown += 1
+        self.due_s = now_s
+
+    def step(self, now_s, utc_ns):
+        if now_s < self.due_s:
+            return []
+        self.due_s = math.inf
+        return [Frame(standard(0x161), bytes([self.blown]))]
+
+
+def devices_of(settings, model, seed):
+    return Horn()
+"""
+
+
+def test_a_device_on_a_bus_hears_and_answers_in_simulation(laboratory):
+    known(laboratory, "horn", "horn:PART")
+    (laboratory / "horn.py").write_text(HORN)
+    run = Lockstep(load('parts.horn="1.0"'), 1, lambda clock: NoLog())
+    ear = run.buses["canloop:horn"].bound(CanAddress(standard(0x161)), computer="a test")
+    for blown in (1, 2):
+        ear.sendto(b"", CanAddress(standard(0x160)))
+        for _ in run.cycles(1.0):
+            pass
+        assert [frame.data for frame in ear.receive_many()] == [bytes([blown])]

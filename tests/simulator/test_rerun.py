@@ -72,6 +72,21 @@ def test_the_same_frames_bit_by_bit(day):
     assert "all the same, bit by bit" in result.text()
 
 
+def test_a_program_held_up_between_its_two_clocks_is_repeated_in_its_order(day, tmp_path):
+    """The wall clock of a command is reckoned from both clocks, which a busy machine reads some time apart."""
+    folder, moved = copied(day, tmp_path), 0
+    sidecar = folder / "state/000000.meta.jsonl"
+    events = [json.loads(line) for line in sidecar.read_text().splitlines()]
+    for event in events:
+        if event["event"] == "command":
+            event["monotonic_s"] += 0.25  # a cycle and more
+            moved += 1
+    sidecar.write_text("".join(json.dumps(event) + "\n" for event in events))
+    assert moved > 0
+    result = rerun(logged(tmp_path), None)
+    assert result.exact, result.text()
+
+
 def test_other_gains_give_other_frames(day, tmp_path):
     folder = copied(day, tmp_path)
     sidecar = folder / "state/000000.meta.jsonl"
