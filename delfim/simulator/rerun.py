@@ -321,7 +321,7 @@ def rerun(files: Sequence[LogFile], vehicle_file: str | None, span: Span = ALWAY
         raise DelfimError(f"no black box of {', '.join(sorted(missing))} beside this state log")
     run = Rerun(settings, heard(boxes, files), starts[0], first_ns(columns), span)
     unheard = [(i, row.name) for i, row in enumerate(settings.thrusters) if row.driver not in ("dsor", *PROTOCOLS)]
-    # By the monotonic clock: the wall clock of what is no cycle is reckoned from both, which a busy machine reads some time apart.
+    # By the monotonic clock: the wall clock of what is no cycle is reckoned from both, and a busy machine reads them apart.
     due = sorted([*cycles(columns, unheard), *commands(told), *looks(columns, told)], key=lambda each: each.at_s)
     ended = any(event["event"] == "end" for event in told)
     if not ended:

@@ -82,7 +82,7 @@ class _Guarded:
             self.health.off = f"part {self.name} is switched off: {words}"
 
 
-def _is_sound(fix: object) -> bool:
+def is_sound(fix: object) -> bool:
     """Whether this is a message of navigation, each of its numbers finite."""
     if not isinstance(fix, Fix) or not isinstance(fix.navigation, Navigation):
         return False
@@ -113,7 +113,7 @@ class GuardedSource(_Guarded):
 
     def _read(self, now_s: float) -> Fix | None:
         fix = self._source.read(now_s)
-        if fix is None or _is_sound(fix):
+        if fix is None or is_sound(fix):
             return fix
         raise FormatError("its message is no Fix, or has numbers that are not finite")
 

@@ -1,0 +1,315 @@
+"""The contract of a laboratory's part, tried in simulation: silence, garbage, a line that takes nothing, stop, and a voyage.
+
+    for each in tried("acme", "1.0"):
+        assert not each.fault, each.what
+
+Each is tried on a fresh boat: that of a vehicle's file which names the part, or the boat of the examples with it.
+"""
+
+import inspect
+import json
+import math
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from random import Random
+from typing import Any, Final, NamedTuple
+
+from delfim import config, parts
+from delfim.canproxy.socket import CanAddress, CanSocket
+from delfim.clock import ManualClock
+from delfim.errors import DelfimError, in_words
+from delfim.frames import extended, standard
+from delfim.parts import Part
+from delfim.serialform import Form
+from delfim.simulator.line import LockstepLine
+from delfim.simulator.lockstep import Lockstep
+from delfim.simulator.lockstepbus import LockstepBus
+from delfim.simulator.nodes import nodes_of
+from delfim.tables import read_toml
+from delfim.vehicle import console
+from delfim.vehicle.actuators import Actuator, open_actuator
+from delfim.vehicle.foreign import SLOW_S, is_sound, triggers
+from delfim.vehicle.links import Links
+from delfim.vehicle.navigation import open_source
+from delfim.vehicle.sensors import module
+from delfim.vehicle.state import Actuation, NoLog, State
+from delfim.vehicle.troubles import Inputs, Look
+
+BOAT: Final = str(Path(__file__).parents[1] / "etc/delfimx.toml")
+PIECES: Final = 300  # of garbage
+READS: Final = 100
+VOYAGE_S: Final = 60.0
+THRUSTERS: Final = """thrusters=[{{name="starboard", driver="{0}", y_m=1.0, thrust_n=[-300.0, 500.0]}}, \
+{{name="port", driver="{1}", address=1, y_m=-1.0, thrust_n=[-300.0, 500.0]}}]"""
+
+
+class Tried(NamedTuple):
+    what: str  # was tried
+    fault: str  # in words; empty: it is as it must be
+    worst_s: float = 0.0  # the longest call
+
+
+class Wires:
+    """All lines and buses that a part opens, with somebody who speaks there."""
+
+    def __init__(self) -> None:
+        self.clock = ManualClock()
+        self.lines, self.buses = dict[str, Line](), dict[str, LockstepBus]()
+        self.links = Links(self._bus, self._line)
+        self._ends = dict[str, CanSocket]()
+
+    def _line(self, device: str, baud: int, form: Form = "8N1") -> LockstepLine:
+        return self.lines.setdefault(device, Line(self.clock))
+
+    def _bus(self, interface: str, filters: tuple[CanAddress, ...]) -> CanSocket:
+        if interface not in self.buses:
+            self.buses[interface] = LockstepBus(self.clock, interface)
+            self._ends[interface] = self.buses[interface].bound(CanAddress(0, 0), computer="devices")
+        return self.buses[interface].bound(*filters)
+
+    def say(self, data: bytes, chance: Random) -> None:
+        """Data on every line, and as frames on every bus."""
+        for line in self.lines.values():
+            line.put(data)
+        for end in self._ends.values():
+            arb = standard(chance.randrange(1 << 11)) if chance.random() < 0.5 else extended(chance.randrange(1 << 29))
+            end.sendto(data[:8], CanAddress(arb))
+
+    def said(self) -> int:
+        """How much the part has said since."""
+        count = sum(len(line.written) for line in self.lines.values())
+        for line in self.lines.values():
+            line.written.clear()
+        return count + sum(len(list(_received(end))) for end in self._ends.values())
+
+    def deaf(self) -> None:
+        """From now on nothing is taken."""
+        for line in self.lines.values():
+            line.refuses = True
+        for bus in self.buses.values():
+            bus.off = True
+
+
+class Line(LockstepLine):
+    refuses = False
+
+    def write(self, data: bytes) -> bool:
+        return False if self.refuses else super().write(data)
+
+
+def _received(end: CanSocket) -> Iterator[object]:
+    while (frame := end.receive()) is not None:
+        yield frame
+
+
+def settings_of(name: str, version: str, file: str = BOAT) -> config.Vehicle:
+    """The boat of a vehicle's file that names the part, or the file's boat with it. Raises ConfigError."""
+    tree = read_toml(file)
+    if name in tree.get("parts", {}):
+        return config.load(file)
+    named = f'parts.{name}="{version}"'
+    part = parts.find(config.load(file, [named]).aboard, name)
+    assert part is not None
+    values = [THRUSTERS.format("dsor", name)] if part.driver else []
+    values += [f'navigation.sources=["{name}"]'] if part.source else []
+    values += [f'sensors.names=["sysstat", "{name}"]'] if part.sensor else []
+    return config.load(file, [named, *values])
+
+
+def tried(name: str, version: str, file: str = BOAT) -> Iterator[Tried]:
+    """All that is tried of a part of this name. Raises ConfigError where the vehicle's file or its row is refused."""
+    settings = settings_of(name, version, file)
+    part = parts.find(settings.aboard, name)
+    assert part is not None
+    if part.driver:
+        yield from _driver(name, settings)
+    for kind in ("source", "sensor"):
+        if getattr(part, kind):
+            yield from _input(kind, name, settings)
+    for trigger in triggers(settings) if part.troubles else ():
+        reason = trigger.sees(Look(settings, State(), Inputs("", None), (), 0.0)) or ""
+        name = f"trouble {trigger.name.lower()}: a boat that knows nothing yet"
+        yield Tried(name, reason if "cannot tell" in reason else "")
+    if part.service:
+        faults = list[str]()
+        with _trying(faults):
+            if not inspect.iscoroutinefunction(parts.load(part, part.service)):
+                faults.append(f"{part.service} is no coroutine function")
+        yield Tried("service", "".join(faults))
+    if part.driver or part.source or part.sensor or part.played:
+        yield from _voyage(part, settings)
+
+
+@contextmanager
+def _trying(found: list[str]) -> Iterator[None]:
+    try:
+        yield
+    except Exception as error:  # foreign code, of which anything may come
+        found.append(f"it raised {type(error).__name__}: {in_words(error)}")
+
+
+class Timed:
+    """Calls, the longest of them, and what they raised."""
+
+    def __init__(self) -> None:
+        self.worst_s, self.faults = 0.0, list[str]()
+
+    def __call__(self, call: Callable[..., Any], *arguments: Any) -> Any:
+        began_s, result = time.perf_counter(), None
+        with _trying(self.faults):
+            result = call(*arguments)
+        self.worst_s = max(self.worst_s, time.perf_counter() - began_s)
+        return result
+
+    def tried(self, what: str, fault: str = "") -> Tried:
+        return Tried(what, next(iter(self.faults), fault), self.worst_s)
+
+
+def _driver(name: str, settings: config.Vehicle) -> Iterator[Tried]:
+    wires, timed = Wires(), Timed()
+    driver: Actuator | None = timed(open_actuator, name, settings, wires.links)
+    yield timed.tried(
+        "opened, it commands nothing: a second one is opened before the start", "it spoke" if wires.said() else ""
+    )
+    if driver is None:
+        return
+    count = len(settings.thrusters)
+    full, still = Actuation((1.0,) * count, (0.0,) * count, True), Actuation((0.0,) * count, (0.0,) * count, False)
+    timed, took = Timed(), list[object]()
+    for k in range(READS):
+        took.append(timed(driver.send, full if k % 2 else still, 0.2 * k))
+        if driver.period_s is not None:
+            took.append(timed(driver.repeat, 0.2 * k + 0.1))
+    wrong = next((f"send or repeat returned {each!r}, not 0" for each in took if each != 0), "")
+    yield timed.tried("commands are sent", wrong or ("" if wires.said() else "nothing came on its line or bus"))
+    for sensor in driver.inputs:
+        yield from _garbage("garbage where its reports come", sensor.read, wires)
+    timed = Timed()
+    timed(driver.stop)
+    yield timed.tried("stop is sent", "" if wires.said() else "nothing came on its line or bus")
+    yield _jsonable("report", driver.report)
+    wires.deaf()
+    timed = Timed()
+    refused = timed(driver.send, full, 0.0)
+    yield timed.tried(
+        "a line that takes nothing is told", "" if refused else f"send returned {refused!r}, not how many were lost"
+    )
+    faults = list[str]()
+    try:
+        driver.stop()
+    except OSError:
+        pass
+    except Exception as error:
+        faults.append(f"stop raised {type(error).__name__}, not OSError")
+    else:
+        faults.append("stop did not raise OSError")
+    yield Tried("a stop that is not taken raises OSError", "".join(faults))
+
+
+def _input(kind: str, name: str, settings: config.Vehicle) -> Iterator[Tried]:
+    wires, timed, state = Wires(), Timed(), State()
+    if kind == "source":
+        opened = timed(open_source, name, settings, wires.links, state)
+    else:
+        opened = timed(module(name, settings).open_sensor, settings, wires.links)
+    yield timed.tried(f"{kind} opened")
+    if opened is None:
+        return
+    read = opened.read if kind == "sensor" else lambda _, now_s: opened.read(now_s)
+    timed = Timed()
+    values = [timed(read, state, 0.2 * k) for k in range(READS)]
+    yield timed.tried(f"{kind}: silence", "it returned something" if any(values) else "")
+    yield from _garbage(f"{kind}: garbage", read, wires, state)
+    if (said := _played(name, settings)) and wires.lines:
+        yield from _timings(kind, read, said, wires, state)
+    if kind == "source":
+        yield _jsonable("report", lambda: opened.report(0.0))
+
+
+def _garbage(what: str, read: Callable[[State, float], object], wires: Wires, state: State | None = None) -> Iterator[Tried]:
+    """Pieces of all lengths, an endless line among them. What comes of it must make sense."""
+    timed, chance, state = Timed(), Random(what), state or State()
+    faults = list[str]()
+    for k in range(PIECES):
+        length = 65_536 if k == PIECES // 2 else chance.randrange(0, 200)
+        wires.say(chance.randbytes(length).replace(b"\n", b"" if length > 200 else b"\n"), chance)
+        fix = timed(read, state, 0.2 * k)
+        if fix is not None and not is_sound(fix):
+            faults.append("its message has numbers that are not finite")
+        faults += [f"{name} is {value!r}" for name, (value, _) in state.measured.items() if not math.isfinite(value)]
+    if timed.worst_s > 10.0 * SLOW_S:
+        faults.append(f"a call took {1e3 * timed.worst_s:.1f} ms")
+    yield timed.tried(what, "".join(faults[:1]))
+
+
+def _played(name: str, settings: config.Vehicle) -> bytes:
+    """What the part's device in simulation says first; empty: it has none on a line."""
+    nodes, clock = nodes_of(settings, 1), ManualClock()
+    for _ in range(READS):
+        nodes.step(clock.monotonic_s(), clock.time_ns())
+        for port, data in nodes.instruments.step(clock.monotonic_s(), clock.time_ns()) if nodes.instruments else ():
+            if port == name:
+                return data
+        clock.advance(0.1)
+    return b""
+
+
+def _timings(kind: str, read: Callable[[State, float], object], said: bytes, wires: Wires, state: State) -> Iterator[Tried]:
+    """What its device says: as it comes, byte by byte, all at once, and the same again and again."""
+    (line,) = list(wires.lines.values())[:1]
+    bytewise = [said[k : k + 1] for k in range(len(said))]
+    for what, pieces in (
+        (", after garbage", [said] * 3),
+        (" byte by byte", bytewise),
+        (" many times at once", [said * 50]),
+        (" frozen", [said] * 50),
+    ):
+        timed, state.measured = Timed(), {}
+        wires.clock.advance(1.0)
+        found = list[object]()
+        for piece in pieces:
+            line.put(piece)
+            found.append(timed(read, state, wires.clock.monotonic_s()))
+        is_heard = any(is_sound(each) for each in found) if kind == "source" else bool(state.measured)
+        yield timed.tried(f"{kind}: what its device says{what}", "" if is_heard else "it was not understood")
+
+
+def _jsonable(what: str, report: Callable[[], object]) -> Tried:
+    faults = list[str]()
+    with _trying(faults):
+        json.dumps(report(), allow_nan=False)
+    return Tried(f"{what} can be JSON", "".join(faults))
+
+
+def _voyage(part: Part, settings: config.Vehicle) -> Iterator[Tried]:
+    """A voyage in lock step, twice: it must be the same, and the part must not fail."""
+    ends = list[tuple[float, float, tuple[float, ...]]]()
+    faults = list[str]()
+    for _attempt in range(2):
+        with _trying(faults):
+            run = Lockstep(settings, 1, lambda clock: NoLog())
+            refused: str | None = "not yet"
+            for _ in run.cycles(VOYAGE_S):
+                if refused is not None:
+                    refused = run.command(console.Heading(90.0, 1.0))
+            if refused is not None and (part.played or not part.source):
+                faults.append(refused)
+            faults += [each.reason for each in run.state.parts.values() if each.reason]
+            if part.sensor and part.played:
+                missing = [each.name for each in module(part.name, settings).VALUES if each.name not in run.state.measured]
+                faults += [f"{missing[0]} was not measured"] if missing else []
+            model = run.nodes.model
+            ends.append((model.north_m, model.east_m, run.state.actuation.thrust))
+    if len(set(ends)) > 1:
+        faults.append("two voyages with the same seed differ")
+    yield Tried(f"a voyage of {VOYAGE_S:.0f} s in simulation, twice", "".join(faults[:1]))
+
+
+def version_of(name: str) -> str:
+    """The version of the package with this part. Raises DelfimError."""
+    entries = parts.installed().get(name, [])
+    if not entries:
+        raise DelfimError(f"no installed package has a part of the name {name}; delfim parts list shows them")
+    return parts.version_of(entries[0])

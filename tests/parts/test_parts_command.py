@@ -1,0 +1,71 @@
+"""`delfim parts`: what `new` writes works and keeps the contract, and what does not keep it is named in words."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from delfim.commands.parts import KINDS
+from tests.parts.laboratory import ROOT, installed, known
+
+
+def delfim(*words: str, place: Path) -> subprocess.CompletedProcess[str]:
+    env = os.environ | {"PYTHONPATH": f"{place}:{ROOT}"}
+    return subprocess.run([sys.executable, "-m", "delfim", *words], env=env, capture_output=True, text=True, timeout=200)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_what_it_writes_is_installed_and_keeps_the_contract(tmp_path, kind):
+    told = delfim("parts", "new", kind, "acme", "--output", str(tmp_path / "packages"), place=tmp_path)
+    assert told.returncode == 0, told.stderr
+    package = tmp_path / "packages/acme"
+    assert not [path for path in package.rglob("*") if path.is_file() and "example" in path.read_text() + path.name]
+    (tmp_path / "acme").symlink_to(package / "acme")
+    known(tmp_path, "acme", "acme:PART")
+    assert "acme                 1.0        of the package acme (acme:PART)" in delfim("parts", "list", place=tmp_path).stdout
+    checked = delfim("parts", "check", "acme", place=tmp_path)
+    assert checked.returncode == 0, checked.stdout + checked.stderr
+    assert checked.stdout.endswith("acme: nothing is wrong with this part\n")
+    assert delfim("parts", "new", kind, "acme", "--output", str(tmp_path / "packages"), place=tmp_path).returncode == 2
+
+
+@pytest.mark.parametrize(
+    ("file", "before", "after", "words"),
+    [
+        ("motor/driver.py", "self._thrust, self._rest = 0.0", "line.write(b'hi'); self._thrust, self._rest = 0.0", "it spoke"),
+        ("motor/driver.py", "return 0 if self.input.write(", "return 0 if not self.input.write(", "returned 1, not 0"),
+        ("motor/driver.py", 'raise OSError("example_motor: the line takes no stop")', "pass", "stop did not raise OSError"),
+        ("motor/driver.py", "except ValueError", "except KeyError", "garbage where its reports come: it raised ValueError"),
+        ("motor/driver.py", '{"thrust": self._thrust}', '{"thrust": self}', "report can be JSON: it raised TypeError"),
+        ("motor/driver.py", 'self.input.write(b"\\nthrust 0\\n")', "True", "stop is sent: nothing came"),
+        ("source/source.py", "fix = None", "fix = Fix(None, 0, 0.0)", "silence: it returned something"),
+        ("source/source.py", "self._rest = self._rest[-LINE_MAX:]", "self._rest = b''", "byte by byte: it was not understood"),
+        ("sensor/sensor.py", "except ValueError", "except KeyError", "garbage: it raised ValueError"),
+        (
+            "service/service.py",
+            "async def serve",
+            "def nothing(): ...\n\n\nserve = nothing\n\n\nasync def other",
+            "is no coroutine",
+        ),
+        ("trouble/sees.py", "if navigation is None or ", "if ", "cannot tell: AttributeError"),
+    ],
+)
+def test_what_does_not_keep_it_is_named(tmp_path, file, before, after, words):
+    kind, name = file.split("/")
+    installed(tmp_path, kind)
+    text = (tmp_path / f"example_{kind}" / name).read_text()
+    assert text.count(before) == 1
+    (tmp_path / f"example_{kind}" / name).write_text(text.replace(before, after))
+    checked = delfim("parts", "check", f"example_{kind}", place=tmp_path)
+
+    assert checked.returncode == 1, checked.stdout + checked.stderr
+    assert words in checked.stdout
+    assert "wrong" in checked.stdout.splitlines()[-1]
+
+
+def test_a_part_that_is_not_installed_and_a_name_that_is_none(tmp_path):
+    assert "no installed package has a part of the name acme" in delfim("parts", "check", "acme", place=tmp_path).stderr
+    assert "is no name for a part" in delfim("parts", "new", "motor", "Acme!", place=tmp_path).stderr
+    assert "writes one to begin with" in delfim("parts", "list", place=tmp_path).stdout
