@@ -1,14 +1,15 @@
 """The way that a mode will take, as points and a speed for the guard. Pure, and bounded in the number of points."""
 
 import math
-from itertools import islice
+from collections.abc import Iterator, Sequence
+from itertools import chain, islice
 from typing import Final
 
 from delfim.modes import Mode
 from delfim.vehicle import setpoints
 from delfim.vehicle.control.memory import Memory, Settings
 from delfim.vehicle.control.path import arc_point, nearest, piece_of, start
-from delfim.vehicle.state import Line, Motion, Setpoint
+from delfim.vehicle.state import Arc, Line, Motion, Setpoint
 from delfim.vehicle.traffic.encounter import Own
 from delfim.vehicle.traffic.trialways import RouteAhead
 from delfim.vehicle.zones import Point
@@ -42,10 +43,11 @@ def route_ahead(mode: Mode, memory: Memory, setpoint: Setpoint, motion: Motion, 
     elif mode is Mode.PATH and setpoint.plan is not None and memory.leg < len(setpoint.plan.path):
         points, speed_mps = _along_path(memory, setpoint, motion, settings)
     elif mode is Mode.GOTO and setpoint.target is not None:
-        to = (*setpoint.via[memory.leg : memory.leg + POINTS], setpoint.target)
+        to = (*setpoint.via[memory.leg :], setpoint.target)[:POINTS]
         points, speed_mps = [(each.north_m, each.east_m) for each in to], setpoint.target.speed_mps
     elif mode is Mode.HOME and 0 <= memory.leg < len(setpoint.track):
-        points = list(setpoint.track[max(memory.leg - TRACK, 0) : memory.leg + 1])[:: -(TRACK // POINTS)]
+        driven = setpoint.track[max(memory.leg - TRACK, 0) : memory.leg + 1]
+        points = [*driven[: 0 : -(len(driven) // POINTS + 1)], driven[0]]
         speed_mps = settings.control.home.speed_mps
     elif mode in (Mode.COURSE, Mode.HEADING, Mode.GREX, Mode.MANUAL):
         asked_rad = setpoint.heading_rad if mode is Mode.COURSE else own.course_rad
@@ -64,26 +66,28 @@ def route_ahead(mode: Mode, memory: Memory, setpoint: Setpoint, motion: Motion, 
 def _along_path(memory: Memory, setpoint: Setpoint, motion: Motion, settings: Settings) -> tuple[list[Point], float]:
     """From beside the path the boat comes onto it at 45 degrees, then along its pieces."""
     assert setpoint.plan is not None
-    path, points, leg = setpoint.plan.path, list[Point](), memory.leg
+    path, first, leg = setpoint.plan.path, list[Point](), memory.leg
     if leg < 0:
         leg = piece_of(leg)
-        points = [start(path[leg])]
+        first = [start(path[leg])]
     else:
         tangent_rad, cross_m, left_m, _ = nearest(path[leg], motion, memory.swept_rad)
         if abs(cross_m) > settings.control.path.lookahead_m:
             ahead_m = min(abs(cross_m), max(left_m, 0.0))
             cos, sin = math.cos(tangent_rad), math.sin(tangent_rad)
             onto = motion.north_m + ahead_m * cos + cross_m * sin, motion.east_m + ahead_m * sin - cross_m * cos
-            points.append(onto)
-    for piece in islice(path, leg, leg + POINTS):
+            first.append(onto)
+    return list(islice(chain(first, _ends(path[leg:], memory.swept_rad)), POINTS)), path[leg].speed_mps
+
+
+def _ends(pieces: Sequence[Line | Arc], swept_rad: float) -> Iterator[Point]:
+    """Where straight pieces end, and chords of arcs; `swept_rad`: of the first piece."""
+    for piece in pieces:
         if isinstance(piece, Line):
-            points.append((piece.to_north_m, piece.to_east_m))
+            yield piece.to_north_m, piece.to_east_m
         else:
-            swept_rad = memory.swept_rad if piece is path[memory.leg] else 0.0
             left_rad = max(abs(piece.turn_rad) - swept_rad, 0.0)
             chords = min(max(1, math.ceil(left_rad / CHORD_RAD)), POINTS)
-            sweeps = (swept_rad + left_rad * i / chords for i in range(1, chords + 1))
-            points += [arc_point(piece, math.copysign(swept, piece.turn_rad)) for swept in sweeps]
-        if len(points) >= POINTS:
-            break
-    return points[:POINTS], path[max(memory.leg, 0)].speed_mps
+            for i in range(1, chords + 1):
+                yield arc_point(piece, math.copysign(swept_rad + left_rad * i / chords, piece.turn_rad))
+        swept_rad = 0.0
