@@ -5,6 +5,7 @@ costs the same however many vessels are known; `at` looks at each vessel once, a
 """
 
 import math
+from collections import Counter
 from operator import itemgetter
 from typing import Final
 
@@ -44,7 +45,7 @@ class Tracker:
         self.disputed = NEVER_S, ""  # when the reports of a vessel contradicted each other last, and which one
         self._tracks = dict[str, VesselTrack]()
         self._facts = dict[str, VesselFacts]()  # by key; the last heard stands last
-        self._by_kind = dict[str, int]()
+        self._by_kind = Counter[str]()
         self.left_out_s = NEVER_S  # when a vessel that is met soon was not kept
         self._here: tuple[Origin, tuple[float, float, float, float]] | None = None  # of the last `at`
         self._found = list[tuple[float, Target]]()  # by the last `at`: who is met when
@@ -173,10 +174,7 @@ class Tracker:
                 self.refuse("too many vessels with one number: those met last are not kept")
                 return False
         self.refuse("two vessels with one number")
-        if free in tracks:
-            self._forget(free)
-        self._begin(free, new)
-        return True
+        return self._begin(free, new)
 
     def _met_s(self, track: VesselTrack, now_s: float) -> float:
         """When a vessel is met by the boat as it moved at the last look."""
@@ -188,19 +186,18 @@ class Tracker:
     def _speaks(self, track: VesselTrack, now_s: float) -> bool:
         return now_s - track.at_s <= silence_s(self._settings, track)
 
-    def _begin(self, key: str, new: VesselTrack) -> None:
-        """A vessel that is new, if there is room, or another one in the place of this key."""
-        before, kind = self._tracks.get(key), new.kind
-        if before is not None:
-            new.kind = before.kind
-        elif self._by_kind.get(kind, 0) >= MOST_OF.get(kind, MOST + 1) or not self._has_room(new):
+    def _begin(self, key: str, new: VesselTrack) -> bool:
+        """A vessel that is new, or another one in the place of this key. Returns whether there is room."""
+        if key in self._tracks:
+            self._forget(key)
+        if self._by_kind[new.kind] >= MOST_OF.get(new.kind, math.inf) or not self._has_room(new):
             self.refuse("too many: those met last are not kept")
-            return
-        else:
-            self._by_kind[kind] = self._by_kind.get(kind, 0) + 1
+            return False
+        self._by_kind[new.kind] += 1
         if (facts := self._facts.get(key if new.kind in MOST_OF else key[:NUMBER])) is not None:
             new.measure(facts)
         self._tracks[key] = new
+        return True
 
     def _has_room(self, new: VesselTrack) -> bool:
         """Whether this one fits. When all places are taken the one that is met last gives way, a lost one before those that are
@@ -227,8 +224,7 @@ class Tracker:
         return False
 
     def _forget(self, key: str) -> None:
-        kind = self._tracks.pop(key).kind
-        self._by_kind[kind] -= 1
+        self._by_kind[self._tracks.pop(key).kind] -= 1
 
     def refuse(self, reason: str) -> None:
         """Count a report that is not taken."""
