@@ -7,7 +7,10 @@ _FILES: Final = (
     *("zones", "troubles", "checks", "helm"),
 )
 _HANDS: Final = "hands", "handset/__init__", "handset/channels", "handset/crsf", "handset/sbus", "mavlink/signing"
-_TRAFFIC: Final = "alarm", "beside", "cpa", "encounter", "judged", "keepclear", "leash", "shoreline", "trialways", "watchkeeper"
+_TRAFFIC: Final = (
+    *("alarm", "beside", "cpa", "encounter", "judged", "keepclear", "leash", "reckoning", "routeahead", "shoreline", "targets"),
+    *("trialways", "watchkeeper"),
+)
 _SERVICES: Final = "supervisor", "stop", "watchdog", "outlet", "door", "doors"
 CORE: Final = (
     *map("delfim/vehicle/{}.py".format, (*_FILES, *_HANDS)),
