@@ -89,7 +89,7 @@ class Lockstep:
 
     def _start(self) -> None:
         """The boat's program, from its beginning."""
-        self.state = State()
+        self.state, self.started_s = State(), self.elapsed_s
         links = Links(self._bus, self._line)
         record_to = FaultyLog(self.log, self.faults)
         self.noted = record_to.noted

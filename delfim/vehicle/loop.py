@@ -62,7 +62,7 @@ class VehicleLoop:
         self.returning = Returning(settings, self.helm, state)
         self.latency = Latency(skipped=COLD_CYCLES)
         self.judged_in = state.mode  # in which the failsafe looked for troubles last, for those who look on
-        guest.on_line, state.actuation = self.on_guest, propulsion.still
+        guest.on_line, state.actuation, state.started_s = self.on_guest, propulsion.still, clock.monotonic_s()
 
     # The five inputs.
 

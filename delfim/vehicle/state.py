@@ -227,6 +227,7 @@ class StartConditions(NamedTuple):
 class State:
     """Everything the vehicle knows now. One object, changed by the loop alone, read by console and log."""
 
+    started_s: float = -1e9  # monotonic time the program began to listen
     mode: Mode = Mode.IDLE
     reason: str = "started"  # why the boat is in this mode, in words
     mode_s: float = -1e9  # monotonic time it entered the mode

@@ -127,22 +127,18 @@ def navigation_twice(look: Look) -> str | None:
 
 
 def sensor_bad(look: Look) -> str | None:
-    state, required = look.state, look.settings.sysstat
+    state, since_s = look.state, look.state.started_s  # each has its time to report
     but: Collection[str] = _PROPELLERS if _has_no_power(look) else ()
-    if state.mode is Mode.IDLE and state.cycles < required.stale_s * look.settings.navigation.rate_hz:
-        but = {*but, *(name for name in required.required or () if name not in state.sysstat)}  # each has its time to report
-    wrong = sysstat.wrong(state, required, look.now_s, but)
-    return wrong or unheard(look.settings.sensors, look.state, look.now_s)
+    wrong = sysstat.wrong(state, look.settings.sysstat, look.now_s, but, since_s)
+    return wrong or unheard(look.settings.sensors, state, look.now_s, since_s)
 
 
-def unheard(settings: config.Sensors, state: State, now_s: float) -> str | None:
-    """The first required value of a sensor that is not there, in words."""
+def unheard(settings: config.Sensors, state: State, now_s: float, since_s: float = NEVER_S) -> str | None:
+    """The first required value of a sensor that is not there, in words; one that never was counts as heard at `since_s`."""
     for name in settings.required:
-        if name not in state.measured:
-            return f"{name} not heard yet"
-        age_s = now_s - state.measured[name][1]
+        age_s = now_s - state.measured.get(name, (0.0, since_s))[1]
         if age_s > settings.stale_s:
-            return f"{name} silent for {age_s:.1f} s"
+            return f"{name} silent for {age_s:.1f} s" if name in state.measured else f"{name} not heard yet"
     return None
 
 

@@ -223,12 +223,12 @@ def test_reasons_are_for_people(trigger, reason):
 
 
 @pytest.mark.parametrize(
-    ("mode", "cycles", "told"),
-    [(Mode.IDLE, 1, False), (Mode.IDLE, 24, False), (Mode.IDLE, 25, True), (Mode.PLAY, 1, True), (Mode.MANUAL, 1, True)],
+    ("mode", "age_s", "told"),
+    [(Mode.IDLE, 0.0, False), (Mode.IDLE, 5.0, False), (Mode.IDLE, 5.1, True), (Mode.PLAY, 5.0, False), (Mode.PLAY, 5.1, True)],
 )
-def test_a_boat_that_lies_idle_since_its_start_gives_each_node_its_time_to_report(mode, cycles, told):
+def test_a_program_that_has_started_gives_each_node_its_time_to_report(mode, age_s, told):
     here = state(mode)
-    here.cycles = cycles
+    here.started_s = 100.0 - age_s
     del here.sysstat["gps"]
     notices = look(RULES, NO_TROUBLE, here, WELL, 100.0).notices
     assert [notice.reason for notice in notices] == (["gps has not reported"] if told else [])

@@ -108,7 +108,7 @@ def test_each_mode_goes_on_as_the_table_says_within_three_seconds(mode):
 
 @pytest.mark.parametrize("mode", [Mode.HEADING, Mode.COURSE, Mode.GOTO, Mode.PLAY, Mode.PATH, Mode.HOLD])
 def test_a_mode_that_is_resumed_has_its_leg_its_set_points_and_its_place(mode):
-    run = sailing(mode, 'failsafe.restarted.action="resume"')
+    run = sailing(mode, 'failsafe.restarted.action="resume"', 'failsafe.sensor_bad.action="hold"')
     before, memory = run.state.setpoint, run.vehicle.helm.memory
     run.restart(1.0)
     go_on(run, 2.0)

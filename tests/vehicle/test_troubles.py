@@ -3,6 +3,7 @@
 import math
 from collections import deque
 from collections.abc import Collection
+from itertools import product
 
 import msgspec
 import pytest
@@ -168,10 +169,17 @@ def test_what_lies_idle_is_told_of_nodes_that_are_bad_and_of_values_that_are_req
     here.measured["depth_m"] = 3.0, NOW_S - 5.1
     assert seen(Trigger.SENSOR_BAD, here, settings=settings) == "depth_m silent for 5.1 s"
     nodes, here.measured["depth_m"] = here.sysstat.pop("gps"), (3.0, NOW_S)
-    for cycles, mode, words in ((24, Mode.IDLE, None), (25, Mode.IDLE, UNHEARD), (24, Mode.PLAY, UNHEARD)):
-        here.cycles, here.mode = cycles, mode
-        assert seen(Trigger.SENSOR_BAD, here, settings=settings) == words, "five seconds at five a second"
-    here.sysstat["gps"], here.cycles, here.mode = (nodes[0], NOW_S - 9.0), 24, Mode.IDLE
+    for age_s, mode, words in product((5.0, 5.1), (Mode.IDLE, Mode.PLAY), (UNHEARD, "depth_m not heard yet")):
+        here.started_s, here.mode, here.measured = NOW_S - age_s, mode, {"depth_m": (3.0, NOW_S)} if words == UNHEARD else {}
+        here.sysstat |= {} if words == UNHEARD else {"gps": (nodes[0], NOW_S)}
+        told = words if age_s > 5.0 else None
+        assert seen(Trigger.SENSOR_BAD, here, settings=settings) == told, "each has its time to report, after a restart, too"
+        here.sysstat.pop("gps", None)
+    for age_s, faults, is_told in ((5.0, Fault.NO_COMMAND, False), (5.1, Fault.NO_COMMAND, True), (5.0, Fault(5), True)):
+        here.started_s, here.measured = NOW_S - age_s, {"depth_m": (3.0, NOW_S)}
+        here.sysstat["gps"] = PropellerStatus(Status.BAD, faults, 0, 1.0, 20, 0), NOW_S
+        assert (seen(Trigger.SENSOR_BAD, here, settings=settings) is not None) is is_told, "nobody commanded before the start"
+    here.sysstat["gps"], here.started_s = (nodes[0], NOW_S - 9.0), NOW_S - 9.5
     assert seen(Trigger.SENSOR_BAD, here, settings=settings) == "gps silent for 9.0 s"
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from delfim import config
-from delfim.messages import BatteriesStatus, Status
+from delfim.messages import BatteriesStatus, Fault, Status
 from delfim.modes import Mode
 from delfim.simulator.invariants.cycle import CycleSeen
 from delfim.simulator.invariants.fencespec import PlainFence
@@ -42,6 +42,7 @@ class Glance:
     fence: PlainFence
     log_reason: str
     was_low: frozenset[str]
+    up_s: float  # time since the program's start
 
 
 Condition = Callable[[Glance], bool | None]  # None: not known here
@@ -95,13 +96,16 @@ def sensor_bad(look: Glance) -> bool | None:
     state, sysstat, sensors = look.state, look.settings.sysstat, look.settings.sensors
     for name in sysstat.required or ():
         report = state.sysstat.get(name)
-        if report is None and (
-            look.mode is not Mode.IDLE or state.cycles >= sysstat.stale_s * look.settings.navigation.rate_hz
-        ):
+        is_new = look.up_s <= sysstat.stale_s
+        if report is None:
+            is_wrong = not is_new
+        else:
+            is_bad = report[0].status is Status.BAD and not (is_new and report[0].faults == Fault.NO_COMMAND)
+            is_wrong = is_bad or look.now_s - report[1] > sysstat.stale_s
+        if is_wrong:
             return None if state.killed.reason else True
-        if report is not None and (look.now_s - report[1] > sysstat.stale_s or report[0].status is Status.BAD):
-            return None if state.killed.reason else True
-    return any(look.now_s - state.measured.get(name, (0.0, -math.inf))[1] > sensors.stale_s for name in sensors.required)
+    ages_s = [look.now_s - state.measured[name][1] if name in state.measured else look.up_s for name in sensors.required]
+    return max(ages_s, default=0.0) > sensors.stale_s
 
 
 def battery(name: str) -> Condition:
@@ -241,7 +245,9 @@ class Troubles:
         mode = was.mode if acted else state.mode
         sent = state.actuation if (state.mode, state.reason) == (was.mode, was.reason) else None
         low = frozenset(name for name, each in self._lasting.items() if each.acting_s < NEVER_S or each.seen_s > -NEVER_S)
-        look = Glance(settings, state, sent, mode, cycle.now_s, self._fence, run.vehicle.log.reason(), low)
+        look = Glance(
+            settings, state, sent, mode, cycle.now_s, self._fence, run.vehicle.log.reason(), low, cycle.now_s - run.started_s
+        )
         severities = [SEVERITY.index(notice.action) for notice in state.notices]
         if severities != sorted(severities, reverse=True):
             yield f"the worst trouble is not told first: {', '.join(told)}"

@@ -22,6 +22,7 @@ from delfim.messages import (
 from delfim.vehicle.links import Links
 from delfim.vehicle.sensors import Value
 from delfim.vehicle.state import State, ThrusterReport
+from delfim.vehicle.target import NEVER_S
 
 VALUES: tuple[Value, ...] = ()  # record.py has the logged fields
 FRAMES_PER_READ = 64
@@ -83,19 +84,25 @@ def _report_of(row: config.ThrusterTable, status: PropellerStatus, now_s: float)
     return tuple.__new__(ThrusterReport, told)  # a third of the time of ThrusterReport(...)
 
 
-def wrong(state: State, required: config.Sysstat, now_s: float, but: Container[str] = ()) -> str | None:
-    """The first reason why the boat may not sail, in words: a required node that is silent or bad, and not among `but`."""
+def wrong(
+    state: State, required: config.Sysstat, now_s: float, but: Container[str] = (), since_s: float = NEVER_S
+) -> str | None:
+    """The first reason why the boat may not sail, in words: a required node that is silent or bad, and not among `but`. From
+    `since_s` on each has its time to report, and a propeller to report that it hears commands."""
     reports, stale_s, bad = state.sysstat, required.stale_s, Status.BAD
+    is_new = now_s - since_s <= stale_s
     for name in required.required or ():
         if name in but:
             continue
         report = reports.get(name)
         if report is None:
+            if is_new:
+                continue
             return f"{name.replace('_', ' ')} has not reported"
         status, at_s = report
         if now_s - at_s > stale_s:
             return f"{name.replace('_', ' ')} silent for {now_s - at_s:.1f} s"
-        if status.status == bad:
+        if status.status == bad and not (is_new and status.faults == Fault.NO_COMMAND):
             return f"{name.replace('_', ' ')} bad: {words(status.faults)}"
     return None
 
