@@ -65,7 +65,7 @@ class Alone:
         if name := self._name:
             self.release()
             self._tell(f"{name} tried: {why}")
-            self._state.actuation = self._propulsion.send(STOP, now_s)
+            self._state.actuation, self._state.off_s = self._propulsion.send(STOP, now_s), now_s
 
     def _tell(self, words: str) -> None:
         self._state.reason = words

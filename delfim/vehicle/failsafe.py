@@ -173,7 +173,7 @@ def _answer(rules: Rules, trigger: AnyTrigger, episode: Episode, state: State, n
         return Action.WARN, why
     if trigger is Trigger.THRUSTER and state.failed and not state.unsteerable:
         return Action.WARN, why  # the others carry on
-    if action is Action.DISCONNECT and now_s - state.mode_s < rules.lasting_s[trigger]:
+    if action is Action.DISCONNECT and not state.overdue:
         return Action.WARN, why  # it was stopped just now and may still be coming to rest
     if action is not Action.HOME:
         return action, why

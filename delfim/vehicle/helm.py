@@ -91,8 +91,9 @@ class Helm:
         """Do the failsafe's action, or the next safer one that is possible. A boat that holds and was led away from its place
         holds anew, where it is, if a zone is on the way back."""
         state = self.state
+        if action >= Action.STOP:
+            self._propulsion.disconnect(state.overdue)
         if action is Action.DISCONNECT:
-            self._propulsion.disconnect(unstopped(self.settings, state, now_s))
             return
         setpoint = state.setpoint._replace(track=self.track.way_home())
         mode, reason = failsafe.fallback(action, reason, state.motion.has, setpoint)
@@ -151,8 +152,7 @@ class Helm:
             self.memory = self.memory._replace(north_m=north_m, east_m=east_m, room=room)
 
     def finish(self) -> None:
-        """The mode has reached its end: home if the mission says so, otherwise hold, or idle if the boat cannot hold or was
-        told to stop there."""
+        """The mode is at its end: home if the mission says so, else hold, or idle if it cannot or was told to stop there."""
         state, end = self.state, f"{self.state.mode.name.lower()} done"
         if state.mode in (Mode.PLAY, Mode.PATH) and state.setpoint.plan is not None and state.setpoint.plan.then_home:
             setpoint = state.setpoint._replace(track=self.track.way_home())
@@ -161,8 +161,7 @@ class Helm:
                 self.enter(Mode.HOME, end)
                 return
             end = f"{end}, cannot go home: {reason}"
-        reason = admit(Mode.HOLD, state.motion.has, state.setpoint)
-        if reason is not None:
+        if (reason := admit(Mode.HOLD, state.motion.has, state.setpoint)) is not None:
             self.stop(f"{end}, cannot hold: {reason}")
         elif state.mode is Mode.GOTO and state.setpoint.end == "idle":
             self.stop(end)
@@ -186,6 +185,7 @@ class Helm:
             reason = f"{reason}; begins at piece {state.setpoint.piece + 1} of {len(state.setpoint.plan.path)}"
         if mode is not state.mode:
             state.mode_s = self._clock.monotonic_s()
+        state.off_s = self._clock.monotonic_s() if mode is Mode.IDLE and state.actuation.run else state.off_s
         state.armed = mode is not Mode.IDLE
         state.has_left_idle |= state.armed
         state.mode, state.reason, state.reference = mode, reason, Reference()

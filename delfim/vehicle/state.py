@@ -231,6 +231,7 @@ class State:
     mode: Mode = Mode.IDLE
     reason: str = "started"  # why the boat is in this mode, in words
     mode_s: float = -1e9  # monotonic time it entered the mode
+    off_s: float = -1e9  # monotonic time its thrusters were last switched off
     armed: bool = False  # the boat left idle, or may; the propellers turn only when armed
     has_left_idle: bool = False  # in this voyage, restarts included: it is at sea
     restarted: str = ""  # what the boat does after a restart, in words, until somebody commands; empty: it was not restarted
@@ -253,6 +254,7 @@ class State:
     twice: deque[float] = field(default_factory=lambda: deque(maxlen=3))  # when navigation last did not follow on itself
     thrusters: dict[str, ThrusterReport] = field(default_factory=dict)  # by row: its last report
     failed: dict[str, str] = field(default_factory=dict)  # thrusters that dropped out, by row, and why; until the boat is idle
+    overdue: tuple[str, ...] = ()  # thrusters that are to lose their batteries: switched off, they turn on for too long
     unsteerable: str = ""  # why the boat cannot be steered without them, in words; empty: it can
     sysstat: dict[str, tuple[SystemStatus, float]] = field(default_factory=dict)  # by node: last report, its time
     measured: dict[str, tuple[float, float]] = field(default_factory=dict)  # by sensors: last value, its time

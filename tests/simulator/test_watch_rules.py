@@ -12,7 +12,7 @@ from delfim.simulator.invariants import thrustspec
 from delfim.simulator.mixed import mixed_mission, place_of
 from delfim.simulator.scenario import FaultAt, Scenario, settings_of
 from delfim.simulator.trial import sail
-from delfim.vehicle import console, failsafe, helm, loop, propulsion, record, setpoints, troubles
+from delfim.vehicle import console, failing, failsafe, helm, loop, propulsion, record, setpoints, troubles
 from delfim.vehicle.actuators.dsor import Propellers
 from delfim.vehicle.control import goto, guidance, heading, hold, hull, play
 from delfim.vehicle.helm import Helm
@@ -105,6 +105,16 @@ def entered_else(self: Helm, mode: Mode, reason: str, resumed: Any = None) -> No
     self.state.reason = "because"
 
 
+def waits_anew(self: failing.Failing, now_s: float) -> None:
+    self._off_s.clear()
+    WAITED(self, now_s)
+
+
+WAITED = failing.Failing._wait_for_rest
+STUCK = FaultAt(at_s=6.0, kind="thruster_stuck", where="starboard")
+TO_AND_FRO = [
+    {"at_s": 7.0 + 0.6 * n, **({"command": "mode", "mode": "manual"} if n % 2 else {"command": "stop"})} for n in range(13)
+]
 TAKE, ENTERED = loop.take, Helm.enter
 PUSHED, WENT_ON = Helm._push, Helm.go_on
 BREAKS: dict[str, tuple[Any, str, Any, tuple[dict[str, Any], ...], FaultAt | None, str]] = {
@@ -147,6 +157,10 @@ BREAKS: dict[str, tuple[Any, str, Any, tuple[dict[str, Any], ...], FaultAt | Non
     "other action": (
         *(failsafe, "_answer", but(failsafe._answer, lambda answer: (failsafe.Action.WARN, answer[1]))),
         *((EAST,), DARK, "brings warn in heading, not stop"),
+    ),
+    "cut off": (
+        *(failing.Failing, "_wait_for_rest", waits_anew, (EAST, *TO_AND_FRO), STUCK),
+        "thruster brings warn in idle, not disconnect",
     ),
     "no action": (
         Helm,
@@ -209,6 +223,10 @@ def test_a_boat_that_breaks_a_rule_is_told(name, monkeypatch):
 @pytest.mark.parametrize("orders", [(EAST,), (GOTO,), (PLAY,), (PUSH,)], ids=["heading", "goto", "play", "manual"])
 def test_a_boat_as_it_is_breaks_none(orders):
     assert not failures(*orders, fault=DARK, seconds=30.0)
+
+
+def test_a_motor_that_turns_on_is_cut_off_whatever_is_ordered():
+    assert not failures(EAST, *TO_AND_FRO, fault=STUCK)
 
 
 def test_a_refused_push_of_the_joystick_leaves_the_set_points_as_they_were():

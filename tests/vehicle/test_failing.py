@@ -125,3 +125,39 @@ def test_an_idle_boat_begins_anew_with_all_its_thrusters() -> None:
     boat.state.mode, boat.wanted = Mode.PLAY, Wanted(60.0, 0.0, 0.0)
     boat.sail(5.0)
     assert boat.state.actuation.thrust[1] > 0.5
+
+
+def test_a_motor_that_is_switched_off_has_its_time_and_orders_to_go_do_not_give_it_anew() -> None:
+    boat = Afloat(DELFIMX.thrusters)
+
+    def look(rpm: float, seconds: float = 0.1) -> tuple[str, ...]:
+        """What is overdue at the last of these looks."""
+        for _ in range(round(10.0 * seconds)):
+            boat.now_s += 0.1
+            run = boat.state.mode is not Mode.IDLE
+            boat.state.actuation = boat.propulsion.send(Wanted(0.0, 0.0, 0.0, run), boat.now_s)
+            boat.state.thrusters["port"] = ThrusterReport(boat.now_s, rpm=rpm)
+            boat.failing.look(boat.now_s)
+        return boat.state.overdue
+
+    def order(mode: Mode) -> None:
+        boat.state.mode, boat.state.off_s = mode, boat.now_s if mode is Mode.IDLE else boat.state.off_s
+
+    assert look(900.0, 9.0) == (), "by its mode it goes, and was never switched off"
+    order(Mode.IDLE)
+    assert look(900.0, 3.9) == ()
+    assert look(900.0, 0.2) == ("port",)
+    assert look(0.0) == (), "at rest"
+    assert look(900.0, 3.9) == (), "and again: the time is its own"
+    order(Mode.PLAY)
+    assert look(900.0, 0.3) == ("port",), "whatever is ordered"
+    assert look(100.0) == look(900.0, 9.0) == (), "it did as commanded once: it obeys, until it is switched off"
+    for _ in range(41):  # it stops and goes again before each look
+        order(Mode.IDLE)
+        order(Mode.PLAY)
+        told = look(900.0)
+    assert told == ("port",)
+    towed = msgspec.structs.replace(boat.settings, failsafe=config.Failsafe(thruster=config.ThrusterAstray(disconnect=False)))
+    boat.failing = Failing(towed, boat.state, boat.propulsion, cast(StateLog, boat.log))
+    order(Mode.IDLE)
+    assert look(900.0, 9.0) == ()

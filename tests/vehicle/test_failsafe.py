@@ -84,7 +84,7 @@ def troubled(trigger: Trigger, mode: Mode, now_s: float = 100.0) -> tuple[State,
             charge = 0.05 if trigger is Trigger.BATTERY_CRITICAL else 0.2
             here.sysstat["batteries_port"] = BatteriesStatus(Status.GOOD, Fault(0), 44.0, 1.0, charge, 20), now_s
         case Trigger.THRUSTER:
-            here.thrusters["port"] = ThrusterReport(now_s, 1100.0)
+            here.thrusters["port"], here.overdue = ThrusterReport(now_s, 1100.0), ("port",)
             inputs = Inputs("", None, astray(RULES.settings, here, now_s))
         case Trigger.MANUAL_SILENT:
             here.manual_s = now_s - 5.1
@@ -192,10 +192,9 @@ def test_in_idle_nothing_is_done_but_a_runaway_propeller_is_disconnected(trigger
 def test_a_propeller_that_was_stopped_just_now_may_come_to_rest_first():
     here, inputs = troubled(Trigger.THRUSTER, Mode.IDLE, 110.0)
     memory = watched(Trigger.THRUSTER, Mode.PLAY, 9.9).memory
-    here.mode_s = 109.0
-    assert look(RULES, memory, here, inputs, 110.0).action is Action.WARN
-    here.mode_s = 106.0
     assert look(RULES, memory, here, inputs, 110.0).action is Action.DISCONNECT
+    here.overdue = ()
+    assert look(RULES, memory, here, inputs, 110.0).action is Action.WARN
 
 
 @pytest.mark.parametrize("mode", Mode, ids=lambda mode: mode.name)

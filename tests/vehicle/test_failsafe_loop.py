@@ -156,12 +156,15 @@ def test_holding_near_the_fence_is_where_there_is_room(make_boat):
     assert 16.7 - reference.north_m >= 8.0, "its own radius and the margin"
 
 
-def test_a_propeller_that_does_not_stop_loses_its_batteries(boat):
+@pytest.mark.parametrize("every", [0, 7, 1], ids=["nobody orders", "every 0.7 s", "before each look"])
+def test_a_propeller_that_does_not_stop_loses_its_batteries_whatever_is_ordered(boat, every):
     boat.ready()
     runaway = messages.pack_propeller_status(PropellerStatus(Status.GOOD, Fault(0), 700, 9.0, 20, 0))
-    for _ in range(60):
+    for tick in range(90 if every else 42):
         boat.clock.advance(0.1)
         boat.navigate()
+        if every and tick and not tick % every:
+            boat.vehicle.on_command(console.SetMode("hold"))
         boat.report()
         boat.nodes.sendmsg(Frame(messages.sysstat_arb(Node.PROPELLER_PORT), runaway))
         boat.vehicle.on_sensor(boat.sensor)
@@ -169,7 +172,9 @@ def test_a_propeller_that_does_not_stop_loses_its_batteries(boat):
     newest = {frame.arb: frame.data for frame in boat.heard()}
     assert messages.unpack_batteries_command(newest[messages.BATTERIES_STARBOARD]).connected
     assert not messages.unpack_batteries_command(newest[messages.BATTERIES_PORT]).connected
-    assert "thruster: port propeller turns 700 instead of 0 rpm: disconnect" in boat.log.notes
+    assert boat.state.mode is Mode.IDLE
+    told = [note for note in boat.log.notes if note.startswith("thruster: port propeller turns 700 instead of ")]
+    assert told[-1].endswith(": stop" if every == 1 else ": disconnect"), "by the mode in which the boat looks"
 
 
 def test_every_change_of_mode_and_every_trouble_is_in_the_log_in_words(boat):

@@ -230,16 +230,20 @@ def test_what_is_set_is_what_everything_goes_by(boat):
 # The failsafe's actions.
 
 
-def test_power_that_is_cut_changes_no_mode(boat):
+def test_power_that_is_cut_changes_no_mode_and_a_stop_cuts_it_too(boat):
     boat.ready()
     boat.vehicle.on_command(console.Heading(0.0))
     helm, now_s, cut = boat.vehicle.helm, boat.clock.monotonic_s(), list[tuple[str, ...]]()
     boat.vehicle.propulsion.disconnect = cut.append
-    boat.state.thrusters = {"port": ThrusterReport(now_s, 900.0)}
-    boat.state.actuation = boat.state.actuation._replace(run=False)
+    boat.state.overdue = ("port",)
+    helm.fall_back(Action.HOME, "console silent", now_s)
+    assert not cut
+    helm.enter(Mode.HEADING, "test")
     before = list(boat.log.notes)
     helm.fall_back(Action.DISCONNECT, "port turns", now_s)
     assert (boat.state.mode, cut, boat.log.notes) == (Mode.HEADING, [("port",)], before)
+    helm.fall_back(Action.STOP, "port turns", now_s)
+    assert (boat.state.mode, cut) == (Mode.IDLE, [("port",)] * 2)
 
 
 @pytest.mark.parametrize(("action", "is_seeking"), [(Action.BACK, False), (Action.HOLD, True)])

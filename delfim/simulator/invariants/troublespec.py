@@ -121,33 +121,63 @@ def battery(name: str) -> Condition:
 
 
 def thruster(look: Glance) -> bool | None:
-    state, limits, sent = look.state, look.settings.failsafe.thruster, look.sent
-    if state.failed:
+    if look.state.failed:
         return True
+    found = [is_astray(look, i) for i in range(len(look.settings.thrusters))]
+    return True if True in found else None if None in found else False
+
+
+def is_astray(look: Glance, i: int) -> bool | None:
+    """Whether one thruster does not do as commanded."""
+    limits, row, sent = look.settings.failsafe.thruster, look.settings.thrusters[i], look.sent
+    report, rpm_max = look.state.thrusters.get(row.name), look.settings.rpm_max(row)
     if sent is None:
         return None
-    is_known = True
-    for i, row in enumerate(look.settings.thrusters):
-        report, rpm_max = state.thrusters.get(row.name), look.settings.rpm_max(row)
-        if report is None:
-            continue
-        if (
-            look.now_s - report.heard_s > FRESH_S
-            or report.rpm is None
-            or not rpm_max
-            or report.refuses
-            or report.angle_rad is not None
-        ):
-            is_known &= row.driver == "dsor" or not sent.run
-            continue
-        asked_rpm = sent.thrust[i] * rpm_max
-        if (
-            abs(report.rpm - asked_rpm) > limits.error_rpm + limits.error * abs(asked_rpm)
-            if sent.run
-            else abs(report.rpm) > limits.idle_rpm
-        ):
+    if report is None:
+        return False
+    is_old = look.now_s - report.heard_s > FRESH_S
+    if is_old or report.rpm is None or not rpm_max or report.refuses or report.angle_rad is not None:
+        return False if row.driver == "dsor" or not sent.run else None
+    asked_rpm = sent.thrust[i] * rpm_max
+    if not sent.run:
+        return abs(report.rpm) > limits.idle_rpm
+    return abs(report.rpm - asked_rpm) > limits.error_rpm + limits.error * abs(asked_rpm)
+
+
+class Unrest:
+    """Since when thrusters turn although they were switched off, whatever is ordered meanwhile: at the earliest, and at the
+    latest."""
+
+    def __init__(self) -> None:
+        self._since_s, self._sure_s = dict[int, float](), dict[int, float]()  # they do not do as commanded, perhaps or surely
+        self._first_s, self._last_s = dict[int, float](), dict[int, float]()
+        self._looked_s = self._ran_s = 0.0
+
+    def look(self, look: Glance) -> None:
+        is_idle, mode_s = look.mode is Mode.IDLE, look.state.mode_s
+        is_off = is_idle and look.sent is not None and not look.sent.run
+        for i in range(len(look.settings.thrusters)):
+            holds = is_astray(look, i)
+            for times in () if holds else (self._sure_s, self._last_s):  # it may have obeyed
+                times.pop(i, None)
+            for times in () if holds is not False else (self._since_s, self._first_s):
+                times.pop(i, None)
+            if holds is False:
+                continue
+            since_s = self._since_s.setdefault(i, look.now_s)
+            if is_idle or mode_s >= self._looked_s:  # or it may have been, between two looks
+                self._first_s.setdefault(i, max(since_s, mode_s if is_idle else self._looked_s))
+            if holds:
+                sure_s = self._sure_s.setdefault(i, look.now_s)
+                if is_off:
+                    self._last_s.setdefault(i, max(sure_s, mode_s) if mode_s >= self._ran_s else look.now_s)
+        self._looked_s, self._ran_s = look.now_s, self._ran_s if is_off else look.now_s
+
+    def is_over(self, after_s: float, now_s: float) -> bool | None:
+        """Whether one turns on for too long."""
+        if any(now_s - at_s >= after_s for at_s in self._last_s.values()):
             return True
-    return False if is_known else None
+        return None if any(now_s - at_s >= after_s for at_s in self._first_s.values()) else False
 
 
 def manual_silent(look: Glance) -> bool | None:
@@ -227,7 +257,7 @@ class Troubles:
 
     def __init__(self, run: Lockstep) -> None:
         self._run, self._fence, self._clear_s = run, PlainFence(run), run.settings.failsafe.clear_s
-        self._lasting = dict[str, Lasting]()
+        self._lasting, self._unrest = dict[str, Lasting](), Unrest()
 
     def overruled(self) -> None:
         """An order of the operator was obeyed that overrules what is told."""
@@ -248,6 +278,7 @@ class Troubles:
         look = Glance(
             settings, state, sent, mode, cycle.now_s, self._fence, run.vehicle.log.reason(), low, cycle.now_s - run.started_s
         )
+        self._unrest.look(look)
         severities = [SEVERITY.index(notice.action) for notice in state.notices]
         if severities != sorted(severities, reverse=True):
             yield f"the worst trouble is not told first: {', '.join(told)}"
@@ -315,10 +346,11 @@ class Troubles:
             return ""  # home was done, and began anew within this cycle
         if each.seen_s != look.now_s:
             action = "warn"  # absent, and not over yet
-        elif (name == "thruster" and look.state.failed and not look.state.unsteerable) or (
-            action == "disconnect" and look.now_s - look.state.mode_s < table.thruster.after_s
-        ):
+        elif name == "thruster" and look.state.failed and not look.state.unsteerable:
             action = "warn"
+        elif action == "disconnect":
+            is_over = self._unrest.is_over(table.thruster.after_s, look.now_s)
+            action = notice.action if is_over is None else "disconnect" if is_over else "warn"
         elif action == "home":
             if mode is Mode.HOME or each.is_answered:
                 action = "warn"
