@@ -84,9 +84,15 @@ class Onlooker:
         self._blind_s = run.settings.failsafe.navigation_silent.after_s + BLIND_S
         self._turning_since_s = math.inf
         self._was_inside, self._astray, self._drifted = True, False, False
-        self._troubles, self._orders, self._beginnings = Troubles(run), Orders(run), Beginnings(run)
-        self._rules = [*(rule(run) for rule in (RULES + FACTS if facts else RULES)), self._troubles, self._beginnings]
-        self._before, self._vehicle = before(run), run.vehicle
+        self._orders, self._facts = Orders(run), facts
+        self._remember()
+        self._before = before(run)
+
+    def _remember(self) -> None:
+        """Begin with the boat's program as it is: what rules remember of another one says nothing of this one."""
+        run = self._run
+        self._vehicle, self._troubles, self._beginnings = run.vehicle, Troubles(run), Beginnings(run)
+        self._rules = [*(rule(run) for rule in (RULES + FACTS if self._facts else RULES)), self._troubles, self._beginnings]
 
     def ready(self) -> None:
         """The next cycle begins."""
@@ -111,10 +117,11 @@ class Onlooker:
             self._adrift(now_s)
         if (around := run.vehicle.helm.plans.fence) is not None:
             self._fenced(around, state, idle)
-        if run.vehicle is not self._vehicle:  # another program, which has forgotten what these rules remember
-            self._rules = []
-        cycle = CycleSeen(run, self._before)
-        self._rules = [rule for rule in self._rules if not self._is_broken(rule, cycle)]
+        if run.vehicle is not self._vehicle:
+            self._remember()
+        else:
+            cycle = CycleSeen(run, self._before)
+            self._rules = [rule for rule in self._rules if not self._is_broken(rule, cycle)]
         self._before = before(run)
 
     def order(self, command: console.Commands, by: str) -> str | None:

@@ -27,6 +27,7 @@ PLAY = {"command": "play", "at_s": 4.0}
 PUSH = {"command": "manual", "starboard": 0.5, "port": 0.5, "at_s": 4.0}
 STAY = {"command": "mode", "mode": "hold", "at_s": 10.0}
 LOST = FaultAt(at_s=5.0, kind="console_lost", for_s=30.0)
+AGAIN = FaultAt(at_s=5.0, kind="restarted")
 DARK = FaultAt(at_s=8.0, kind="navigation_silent", for_s=3.0)
 
 
@@ -120,6 +121,10 @@ PUSHED, WENT_ON = Helm._push, Helm.go_on
 BREAKS: dict[str, tuple[Any, str, Any, tuple[dict[str, Any], ...], FaultAt | None, str]] = {
     "rate": (propulsion, "limited", twice(propulsion.limited, 3), (EAST,), None, "thrust from"),
     "off": (propulsion, "limited", but(propulsion.limited, off), (EAST,), None, "the thrusters are off"),
+    "restarted": (
+        *(propulsion, "limited", but(propulsion.limited, off)),
+        *(({**EAST, "at_s": 12.0},), AGAIN, "the thrusters are off"),
+    ),
     "bus": (
         *(Propellers, "send", lambda self, sent, now_s: SENT(self, sent._replace(thrust=(0.0, 0.0)), now_s)),
         *((EAST,), None, "the bus says"),

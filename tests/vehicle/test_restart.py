@@ -327,7 +327,7 @@ def test_fifty_restarts_and_power_cuts_on_one_voyage(seed):
     run = sailing(Mode.PLAY, f'failsafe.restarted.action="{random.choice(["hold", "resume"])}"', seed=seed, seconds=5)
     helm = run.vehicle.helm
     mission, rally, points = helm.plans.mission, helm.plans.rally, len(helm.track.points())
-    watch = Onlooker(run)
+    watch = Onlooker(run, facts=True)
     for number in range(9):
         mode = random.choice(MODES)
         run.guest_says(GUEST)

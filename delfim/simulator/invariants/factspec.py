@@ -128,6 +128,7 @@ class NotedChanges:
     def __init__(self, run: Lockstep) -> None:
         state = run.state
         self._vehicle, self._noted = run.vehicle, run.noted
+        self._noted.clear()  # what was told before it looks
         self._mode, self._reason, self._notices, self._mode_s = state.mode, state.reason, state.notices, state.mode_s
 
     def look(self, cycle: CycleSeen) -> Iterator[str]:

@@ -2,7 +2,7 @@
 action and by no other."""
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass
 from typing import Final
 
@@ -148,9 +148,10 @@ class Unrest:
     """Since when thrusters turn although they were switched off, whatever is ordered meanwhile: at the earliest, and at the
     latest."""
 
-    def __init__(self) -> None:
-        self._since_s, self._sure_s = dict[int, float](), dict[int, float]()  # they do not do as commanded, perhaps or surely
-        self._first_s, self._last_s = dict[int, float](), dict[int, float]()
+    def __init__(self, unknown: Collection[int]) -> None:
+        """`unknown`: thrusters that nobody looked at before."""
+        self._since_s, self._first_s = dict.fromkeys(unknown, -NEVER_S), dict.fromkeys(unknown, -NEVER_S)
+        self._sure_s, self._last_s = dict[int, float](), dict[int, float]()  # the same two, surely and not perhaps
         self._looked_s = self._ran_s = 0.0
 
     def look(self, look: Glance) -> None:
@@ -257,7 +258,9 @@ class Troubles:
 
     def __init__(self, run: Lockstep) -> None:
         self._run, self._fence, self._clear_s = run, PlainFence(run), run.settings.failsafe.clear_s
-        self._lasting, self._unrest = dict[str, Lasting](), Unrest()
+        is_new = run.elapsed_s == 0.0  # otherwise nobody saw since when a trouble is there
+        self._lasting = {} if is_new else {name: Lasting(NEVER_S, is_known=False) for name in CONDITIONS}
+        self._unrest = Unrest(() if is_new else range(len(run.settings.thrusters)))
 
     def overruled(self) -> None:
         """An order of the operator was obeyed that overrules what is told."""
@@ -266,8 +269,6 @@ class Troubles:
 
     def look(self, cycle: CycleSeen) -> Iterator[str]:
         state, was, run = cycle.state, cycle.was, cycle.run
-        if run.vehicle is not was.handed:
-            self._lasting = {name: Lasting(NEVER_S, is_known=False) for name in CONDITIONS}
         if state.watchdog_s != cycle.now_s:
             return
         settings, told = run.vehicle.helm.settings, {notice.name: notice for notice in state.notices}
