@@ -53,8 +53,7 @@ class Helm:
 
     def stop(self, reason: str) -> None:
         """Idle and propellers off, now. The reason is shown and logged; a kill remains the reason until it is cleared."""
-        killed = self.state.killed.reason
-        self.enter(Mode.IDLE, f"kill: {killed}" if killed else reason)
+        self.enter(Mode.IDLE, f"kill: {self.state.killed.reason}" if self.state.killed.reason else reason)
         self.state.actuation = self._propulsion.send(STOP, self._clock.monotonic_s())
 
     def steer(self, now_s: float) -> None:
@@ -185,7 +184,8 @@ class Helm:
             reason = f"{reason}; begins at piece {state.setpoint.piece + 1} of {len(state.setpoint.plan.path)}"
         if mode is not state.mode:
             state.mode_s = self._clock.monotonic_s()
-        state.off_s = self._clock.monotonic_s() if mode is Mode.IDLE and state.actuation.run else state.off_s
+        if mode is Mode.IDLE and (mode is not state.mode or state.actuation.run):
+            state.off_s = self._clock.monotonic_s()
         state.armed = mode is not Mode.IDLE
         state.has_left_idle |= state.armed
         state.mode, state.reason, state.reference = mode, reason, Reference()

@@ -212,6 +212,16 @@ def test_resets_one_after_the_other_do_not_keep_a_motor_that_turns_on_from_being
     assert not run(tmp_path, f'version = 1\nname = "test"\nseconds = 23\npatient = false\n{text}{fault}', 2169).failures
 
 
+def test_a_motor_that_was_off_for_want_of_a_heading_before_the_boat_stopped_has_its_time_to_come_to_rest(tmp_path):
+    """It was cut off at once: it had been astray for so long (a run that searched, shrunken to this)."""
+    boat = '[vehicle.navigation]\nsources = ["nmea2000"]\n[vehicle.failsafe.thruster]\nafter_s = 3.0\naction = "warn"\n'
+    order = '[[command]]\nat_s = 13.6\ncommand = "course"\ncourse_deg = 117\nspeed_mps = 1.9\n'
+    silent = '[[fault]]\nat_s = 15.06\nkind = "navigation_silent"\nwhere = "compass"\n'
+    fault = '[[fault]]\nat_s = 14.03\nkind = "thruster_reversed"\nwhere = "starboard"\n'
+    text = f'version = 1\nname = "test"\nseconds = 18\npatient = false\n{boat}{order}{silent}{fault}'
+    assert not run(tmp_path, text, 1417).failures
+
+
 @pytest.mark.parametrize(
     ("boat", "seed"),
     [

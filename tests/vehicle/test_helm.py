@@ -246,6 +246,20 @@ def test_power_that_is_cut_changes_no_mode_and_a_stop_cuts_it_too(boat):
     assert (boat.state.mode, cut) == (Mode.IDLE, [("port",)] * 2)
 
 
+def test_the_helm_knows_when_the_thrusters_were_switched_off(boat):
+    boat.ready()
+    helm, state, told = boat.vehicle.helm, boat.state, list[float]()
+    assert state.off_s < 0.0
+    for run, mode in ((True, Mode.HEADING), (False, Mode.IDLE), (True, Mode.IDLE), (False, Mode.HEADING)):
+        boat.clock.advance(1.0)
+        state.mode, state.actuation = mode, state.actuation._replace(run=run)
+        helm.stop(f"{mode}, {run}")
+        told.append(boat.clock.monotonic_s() - state.off_s)
+    assert told == [0.0, 1.0, 0.0, 0.0], "a stop of what is off already changes nothing"
+    helm.enter(Mode.MANUAL, "test")
+    assert boat.clock.monotonic_s() == state.off_s
+
+
 @pytest.mark.parametrize(("action", "is_seeking"), [(Action.BACK, False), (Action.HOLD, True)])
 def test_a_boat_that_goes_back_or_looks_for_a_place_does_not_hold_anew(boat, action, is_seeking):
     """Also where a zone is on the straight way to its place."""
