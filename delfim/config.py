@@ -51,6 +51,8 @@ SIDES = ("dsor", "heron", "mavlink_front_seat", "otter")  # drivers of a starboa
 SensorName = Literal["sysstat", "dronecan", "nmea0183", "nmea2000"]  # files in delfim/vehicle/sensors
 GuardedName = Literal["hold", "goto", "play", "path", "home", "course", "heading", "grex"]
 GuardedModes = Annotated[tuple[GuardedName, ...], msgspec.Meta(max_length=len(get_args(GuardedName)))]
+HELMSMEN_MAX, MODE_NAME_MAX = 16, 26  # payload programs that may have the boat; characters of their names
+PayloadRight = Literal["hold", "goto", "speed", "heading", "mission", "obstacles"]  # of a payload program
 HeardName = Literal["nmea2000", "nmea0183", "mavlink", "guest"]  # who tells of other vessels
 ToldName = Literal[  # rows in delfim/services/nmea2000rows.py
     "position", "course", "heading", "turn", "attitude", "rudder", "engine", "battery", "route", "alerts"
@@ -1324,6 +1326,7 @@ class PayloadTable(Table, frozen=True):
     cpu_max: Annotated[float, msgspec.Meta(gt=0.0, le=1024.0)] = 0.5  # processors, of what nobody else wants
     processes_max: Annotated[int, msgspec.Meta(ge=1, le=1000)] = 16  # processes and threads at once
     network: bool = False  # it may connect, also to the boat's doors on this computer; otherwise it has no network at all
+    may: tuple[PayloadRight, ...] = ()  # orders that the boat takes from it, in the mode of its name, below all others
 
     def __post_init__(self) -> None:
         if not self.command[0].startswith("/"):
@@ -1573,6 +1576,7 @@ class Vehicle(Table, frozen=True):
             if row.driver in ("dronecan", "vesc") and getattr(self, row.driver).command == "rpm" and not row.rpm_max:
                 words = f"{row.driver}.command is rpm: rpm_max must say the revolutions at full command"
                 raise ValueError(f"thrusters: {row.name}: {words}")
+        self._check_helmsmen()
         if self.sysstat.required is None:
             its = msgspec.structs.replace(self.sysstat, required=self._nodes())
             msgspec.structs.force_setattr(self, "sysstat", its)
@@ -1585,6 +1589,11 @@ class Vehicle(Table, frozen=True):
     def drivers(self) -> tuple[str, ...]:
         """The drivers of the thrusters, each once, in the order of the rows."""
         return tuple(dict.fromkeys(row.driver for row in self.thrusters))
+
+    @property
+    def helmsmen(self) -> tuple[str, ...]:
+        """The payload programs that may have the boat, in the order of the file."""
+        return tuple(name for name, table in self.payload.items() if {*table.may} - {"obstacles"})
 
     def figures_of(self, source: str) -> str:
         """The name of a source's figures in the state: motors of the same bus have the name itself."""
@@ -1605,6 +1614,12 @@ class Vehicle(Table, frozen=True):
             raise ValueError(f'fleet.broker: the boat must tell its frames there: add "{self.fleet.listen}" to mavlink.peers')
         if address(self.mavlink.listen)[1] == 0:
             raise ValueError("fleet.broker: orders must find the boat: mavlink.listen needs a port of its own, as 14555")
+
+    def _check_helmsmen(self) -> None:
+        names = [name.lower() for name in self.helmsmen]
+        if len(names) > HELMSMEN_MAX or len({*names}) < len(names) or any(len(name) > MODE_NAME_MAX for name in names):
+            words = f"up to {HELMSMEN_MAX} programs, with names of up to {MODE_NAME_MAX} letters that differ, may have the boat"
+            raise ValueError(f"payload: {words}: a console shows each as a mode of its name")
 
     def _nodes(self) -> tuple[NodeName, ...]:
         """The nodes of DelfimX that this boat has."""

@@ -22,6 +22,9 @@ class Mode(IntEnum):
     COURSE = 102
 
 
+PAYLOADS = 200  # on the console's link, from this number on: a payload program has the boat, by its place in the vehicle's file
+
+
 def mode_named(text: str) -> Mode:
     """Raises FormatError for a mode that does not exist, naming those that do."""
     try:

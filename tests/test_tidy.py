@@ -228,6 +228,7 @@ def test_the_vehicles_state_is_changed_by_the_loop_alone() -> None:
         "loop",
         "helm",
         "alone",
+        "entrusting",
         "failing",
         "planning",
         "returning",

@@ -8,6 +8,14 @@ from delfim.audit.rule import Finding, Rule
 
 NAMED: Final = ("manual", "heading", "course", "goto", "play", "path")  # orders that are called as their modes
 BY_OPERATOR: Final = "operator"
+BY_PAYLOAD: Final = "payload"  # begins the reason of a change of mode that a program ordered, and its operator's name
+RIGHTS: Final = {  # of payload programs, by their orders
+    "pause": "hold",
+    "sight": "obstacles",
+    **{word: word for word in ("goto", "speed", "heading")},
+    "course": "heading",
+    **dict.fromkeys(("upload", "play", "continue"), "mission"),
+}
 ENDS: Final = {"goto": ("hold", IDLE), "play": ("hold",), "path": ("hold",), "home": ("hold",)}  # of modes that are done
 SHORTEST: Final = 8  # letters of a reason
 STICK_S: Final = 1.05  # a stick that was let go says nothing for a second
@@ -25,7 +33,7 @@ def _uncaused(e: Evidence, change: ModeChange) -> str:
     reason, mode = change.reason, change.mode
     if not reason:
         return "without a reason"
-    if reason.startswith(BY_OPERATOR):
+    if reason.startswith((BY_OPERATOR, f"{BY_PAYLOAD} ")):
         return _unordered(e, change)
     if reason == f"{change.before} done":
         return "" if mode in ENDS.get(change.before, ()) else f"{change.before} does not end in {mode}"
@@ -67,9 +75,13 @@ def _unordered(e: Evidence, change: ModeChange) -> str:
         return ""  # take-over and giving back are no orders of the sidecar
     if change.mode == "goto" and change.before == "goto":
         return ""  # the way round that it waited for
-    return (
-        "" if any(_asks(each, change.mode) for each in e.obeyed(change.t_s, LOOK_S)) else "no order of this time asked for it"
-    )
+    whose = [each for each in e.obeyed(change.t_s, LOOK_S) if change.reason.startswith(BY_PAYLOAD) is bool(_program(each))]
+    return "" if any(_asks(each, change.mode) for each in whose) else "no order of this time asked for it"
+
+
+def _program(order: LoggedOrder) -> str:
+    """The payload program that gave an order; empty: an operator did."""
+    return order.operator.removeprefix(f"{BY_PAYLOAD}:") if order.operator.startswith(f"{BY_PAYLOAD}:") else ""
 
 
 def _has_handset(e: Evidence) -> bool:
@@ -100,7 +112,11 @@ def refused_changes_nothing(e: Evidence) -> Iterator[Finding]:
         if len(order.refused.strip()) < SHORTEST:
             yield Finding(order.t_s, f"{order.name} was refused without a reason")
         for each in e.changes(order.t_s, SAME_S):
-            if each.reason.startswith(BY_OPERATOR) and not e.obeyed(order.t_s, LOOK_S) and not _has_handset(e):
+            if (
+                each.reason.startswith((BY_OPERATOR, f"{BY_PAYLOAD} "))
+                and not e.obeyed(order.t_s, LOOK_S)
+                and not _has_handset(e)
+            ):
                 yield Finding(order.t_s, f"{order.name} was refused ({order.refused}), and the boat went to {each.mode}")
 
 
@@ -116,6 +132,21 @@ def orders_obeyed(e: Evidence) -> Iterator[Finding]:
         if asked and asked not in near and not is_stick:
             yield Finding(order.t_s, f"{order.name} was obeyed, and the boat is in {', '.join(sorted(near))}")
         pushed_s = order.t_s if order.name == "manual" else pushed_s
+
+
+def programs_below(e: Evidence) -> Iterator[Finding]:
+    """The boat is a program's from an operator's order that gives it until the next order of any operator."""
+    given = ""
+    for order in e.orders:
+        program = _program(order)
+        if not program:
+            given = str(order.value.get("name")) if order.name == BY_PAYLOAD and not order.refused else ""
+        elif not order.refused:
+            right = RIGHTS.get(order.name, "")
+            if right not in e.setting(f"payload.{program}.may"):
+                yield Finding(order.t_s, f"{order.name} of payload {program} was obeyed, which has no right to it")
+            elif program != given and right != "obstacles":
+                yield Finding(order.t_s, f"{order.name} of payload {program} was obeyed, and no operator had given it the boat")
 
 
 def modes_agree(e: Evidence) -> Iterator[Finding]:
@@ -141,5 +172,11 @@ RULES: Final = (
         refused_changes_nothing,
     ),
     Rule("orders-obeyed", "An order that is not refused leads to its mode.", "control.md", orders_obeyed),
+    Rule(
+        "programs-below",
+        "A payload program's order is obeyed where its table has the right, and while an operator gives it the boat.",
+        "payloads.md#who-has-the-boat",
+        programs_below,
+    ),
     Rule("modes-agree", "Records and sidecar tell the same mode.", "log-format.md#the-state-log-state", modes_agree),
 )

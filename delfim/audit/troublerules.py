@@ -200,7 +200,10 @@ def console_heard(e: Evidence) -> Iterator[Finding]:
 def guest_heard(e: Evidence) -> Iterator[Finding]:
     after_s = float(e.setting("failsafe.guest_silent.after_s"))
     silent = (e.t_s - e.column("guest_s") > after_s) & (e.record_modes == "grex")
-    yield from _due(e, "guest_silent", silent, 0.0, "the guest was silent for longer than its limit in GREX mode")
+    programs = (name for name in e.columns if name.startswith("payload_") and name.endswith("_s"))
+    for number, name in enumerate(programs, 1):
+        silent |= (e.t_s - e.column(name) > after_s) & (e.column("helmsman") == number)
+    yield from _due(e, "guest_silent", silent, 0.0, "who steered the boat was silent for longer than the limit")
 
 
 def manual_heard(e: Evidence) -> Iterator[Finding]:
@@ -317,7 +320,12 @@ RULES: Final = (
         _TABLE,
         console_heard,
     ),
-    Rule("guest-heard", "A guest that is silent for guest_silent.after_s in GREX mode is told of.", _TABLE, guest_heard),
+    Rule(
+        "guest-heard",
+        "A guest that is silent for guest_silent.after_s in GREX mode, or a payload program that has the boat, is told of.",
+        _TABLE,
+        guest_heard,
+    ),
     Rule("manual-heard", "Thrust by hand ends thrust_s, and the mode after_s after the last order.", _TABLE, manual_heard),
     Rule(
         "batteries-watched",

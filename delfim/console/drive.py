@@ -58,6 +58,7 @@ WORDS: dict[str, Word] = {
     "continue": Word("go on with what a hold interrupted, from where it was"),
     "mission": Word("load a mission file", ("file",)),
     "mode": Word("enter a mode by name", ("name",)),
+    "payload": Word("give the boat to a payload program; any other order takes it back", ("name",)),
     "shutdown": Word("stop and shut the computer down, so that the power may be cut"),
     "reboot": Word("stop, and start the computer again"),
     "help": Word("show all commands, or one", (), ("command",)),
@@ -93,6 +94,8 @@ def command(words: list[str]) -> dict[str, Any]:
             return {"command": verb, "text": _file(said["file"])}
         case "mode":
             return {"command": verb, "mode": said["name"]}
+        case "payload":
+            return {"command": verb, "name": said["name"]}
         case "path":
             verb, end = "mode", {"mode": "path"}
     return {"command": verb} | {name: _number(name, text, shape) for name, text in said.items()} | end
@@ -115,13 +118,14 @@ def line(state: dict[str, Any]) -> str:
     reference = state["reference"]
 
     leg = f"{reference['leg'] + 1}/{state['legs']}" if state["legs"] else "-"
+    whose = f"payload {state['helmsman']}: " if state["helmsman"] else ""
 
     def show(value: float | None, form: str) -> str:
         return "-" if value is None else format(value, form)
 
     thrust = " ".join(f"{name} {each['thrust']:.0%}" for name, each in state["thrusters"].items())
     return (
-        f"{state['mode']:7} {show(state['latitude_deg'], '.6f')} {show(state['longitude_deg'], '.6f')} "
+        f"{whose}{state['mode']:7} {show(state['latitude_deg'], '.6f')} {show(state['longitude_deg'], '.6f')} "
         f"heading {show(state['heading_deg'], '5.1f')} speed {show(state['speed_mps'], '.2f')} m/s "
         f"{thrust} leg {leg} "
         f"to go {show(reference['distance_m'], '.0f')} m  {state['reason']}"

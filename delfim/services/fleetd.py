@@ -88,6 +88,7 @@ def told(state: State, utc_ns: int) -> dict[str, Any]:
         "mode": state.mode,
         "reason": state.reason,
         "operator": state.operator,
+        "helmsman": state.helmsman,
         "latitude_deg": state.latitude_deg,
         "longitude_deg": state.longitude_deg,
         "heading_deg": state.heading_deg,

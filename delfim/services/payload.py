@@ -2,8 +2,8 @@
 
 A service in a process of its own, so that no pipe of theirs burdens the runtime: it watches the vehicle over the command
 socket as a console does. A program that does not read loses lines, one that floods is slowed down and its lines are dropped
-and counted, one that ends is started again after a pause. Each is confined by `delfim.services.confine`. How to write one:
-docs/payloads.md.
+and counted, one that ends is started again after a pause. Each is confined by `delfim.services.confine`. What it orders goes to
+the vehicle, which decides. How to write one: docs/payloads.md.
 """
 
 import asyncio
@@ -13,11 +13,14 @@ import logging
 import os
 import signal
 import sys
+from functools import partial
 from typing import Any, Final, cast
+
+import msgspec
 
 from delfim import config
 from delfim.clock import Clock
-from delfim.errors import PermanentFailure, in_words, one_line
+from delfim.errors import FormatError, PermanentFailure, in_words, one_line
 from delfim.logging.liblog import event_line
 from delfim.logging.nodelog import line as log_line
 from delfim.logging.openlog import open_log
@@ -25,11 +28,25 @@ from delfim.services import processes
 from delfim.services.cgroup import ROOT, Limits
 from delfim.services.children import ended
 from delfim.services.confine import ALONE, NETWORK
-from delfim.services.payloadlines import VALUES, BoundedLines, Value, lines, values
+from delfim.services.payloadorders import OrderLine
 from delfim.services.runtime import Runtime
 from delfim.services.supervisor import EXIT_PERMANENT
 from delfim.services.watching import watch
 from delfim.services.web.api import State
+from delfim.vehicle.payloadlines import (
+    LINE_BYTES,
+    ORDER_BYTES,
+    VALUES,
+    BoundedLines,
+    OrderBudget,
+    Value,
+    VoyageTold,
+    answered,
+    lines,
+    ordered,
+    values,
+    word_of,
+)
 
 LOOK_S: Final = 2.0  # between two looks at the programs' processes
 END_S: Final = 0.3  # from SIGTERM to SIGKILL, and for its last words; the runtime waits a second for a service
@@ -53,7 +70,9 @@ async def _within(seconds: float, event: asyncio.Event) -> None:
 class Payload(asyncio.SubprocessProtocol):
     """One program: its process, its lines, its figures."""
 
-    def __init__(self, name: str, table: config.PayloadTable, settings: config.Vehicle, clock: Clock) -> None:
+    def __init__(
+        self, name: str, table: config.PayloadTable, settings: config.Vehicle, clock: Clock, orders: OrderLine
+    ) -> None:
         self.name, self._table, self._pauses, self._clock = name, table, settings.supervisor, clock
         self._group, self._limits = f"payload-{name}", Limits(table.memory_max_mb << 20, table.cpu_max)
         self._feed = -1  # its standard input
@@ -61,11 +80,13 @@ class Payload(asyncio.SubprocessProtocol):
         self._transport: asyncio.SubprocessTransport | None = None
         self._ended, self._silent = asyncio.Event(), asyncio.Event()  # the process; both of its pipes
         self._pipes = 0
-        self._reports, self._said = BoundedLines(*REPORTS), BoundedLines(*SAID)
+        self._reports = BoundedLines(*REPORTS, ORDER_BYTES if table.may else LINE_BYTES)
+        self._said = BoundedLines(*SAID)
+        self._orders, self._budget, self._dropped = orders, OrderBudget(), 0  # lines that it was told of
         self._last_words = ""
         self._usage, self._cpu = processes.Usage(), 0.0
         self.state, self.reason, self.since_s = "starting", "", clock.monotonic_s()
-        self.restarts = self.told = self.unread = self.refused = self.reported = 0
+        self.restarts = self.told = self.unread = self.refused = self.reported = self.ordered = self.denied = 0
         self.values = dict[str, tuple[Value, float]]()  # the newest of each name, and when it came
 
     # The life of the process.
@@ -163,7 +184,10 @@ class Payload(asyncio.SubprocessProtocol):
         now_s = self._clock.monotonic_s()
         if fd == 1:
             for line in self._reports.feed(data, now_s):
-                self._report(line, now_s)
+                self._hear(line, now_s)
+            if self._table.may and self._reports.dropped > self._dropped:
+                dropped, self._dropped = self._reports.dropped - self._dropped, self._reports.dropped
+                self.tell(answered("", f"refused: {dropped} lines dropped: more than {REPORTS[0]:.0f} a second"))
         else:
             for line in self._said.feed(data, now_s):
                 self._last_words = one_line(line.decode(errors="replace"))[:SAID_CHARACTERS]
@@ -172,6 +196,31 @@ class Payload(asyncio.SubprocessProtocol):
             pipe = cast(asyncio.ReadTransport, self._transport.get_pipe_transport(fd))
             pipe.pause_reading()
             asyncio.get_running_loop().call_later(PAUSE_S, _resume, pipe)
+
+    def _hear(self, line: bytes, now_s: float) -> None:
+        """A line of values, or an order, which is logged as it came and answered."""
+        word = word_of(line)
+        if word is None:
+            self._report(line, now_s)
+            return
+        self._log.put(log_line(self._clock.time_ns(), line))
+        answer = partial(self._answer, word)
+        try:
+            if not self._table.may:
+                raise FormatError(f"{self.name} has no rights: its table says what it may")
+            command = ordered(line)
+        except FormatError as error:
+            answer(f"refused: {error}")
+            return
+        if why := self._budget.exceeded(command, now_s):
+            answer(f"refused: {why}")
+        else:
+            self._orders.order(self.name, command, answer)
+
+    def _answer(self, word: str, refused: str | None) -> None:
+        self.ordered += refused is None
+        self.denied += refused is not None
+        self.tell(answered(word, refused))
 
     def _report(self, line: bytes, now_s: float) -> None:
         """A line of values: logged as it came, the newest of each name kept."""
@@ -201,13 +250,15 @@ class Payload(asyncio.SubprocessProtocol):
         }
 
     def lines(self) -> dict[str, object]:
-        """How many lines it was told, did not read, and reported; how many were dropped or refused."""
+        """How many lines it was told, did not read, and reported; how many were dropped or refused; orders by their answers."""
         return {
             "told": self.told,
             "unread": self.unread,
             "reported": self.reported,
             "dropped": self._reports.dropped + self._said.dropped,
             "refused": self.refused,
+            "ordered": self.ordered,
+            "denied": self.denied,
         }
 
     def trouble(self, now_s: float) -> str:
@@ -232,8 +283,9 @@ class Payloads:
     def __init__(self, runtime: Runtime) -> None:
         settings, self._clock = runtime.config, runtime.clock
         self._socket = settings.console.socket
-        self.programs = [Payload(name, table, settings, self._clock) for name, table in settings.payload.items()]
-        self._before: State | None = None
+        self.orders = OrderLine(self._socket, self._clock)
+        self.programs = [Payload(name, table, settings, self._clock, self.orders) for name, table in settings.payload.items()]
+        self._before: VoyageTold | None = None
         self._trouble = "the vehicle has not answered yet"
 
     async def watch(self) -> None:
@@ -244,11 +296,11 @@ class Payloads:
         self._trouble = why
 
     def _heard(self, state: State) -> None:
-        self._trouble = ""
-        for line in lines(state, self._before):
+        self._trouble, now = "", msgspec.convert(state, VoyageTold, from_attributes=True)
+        for line in lines(now, self._before):
             for program in self.programs:
                 program.tell(line)
-        self._before = state
+        self._before = now
 
     async def look(self) -> None:
         """Keep the figures and the logs of the programs."""
@@ -293,6 +345,8 @@ async def serve(runtime: Runtime) -> None:
         links.enter_context(runtime.publishing("payload", payloads.figures))
         async with asyncio.TaskGroup() as group:
             group.create_task(payloads.watch())
+            if any(table.may for table in runtime.config.payload.values()):
+                group.create_task(payloads.orders.follow())
             group.create_task(payloads.look())
             for program in payloads.programs:
                 group.create_task(program.run())

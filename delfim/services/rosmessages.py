@@ -90,7 +90,8 @@ class Diagnosis(NamedTuple):
 
 def diagnosis(state: State) -> Iterator[Diagnosis]:
     """The mode, the checks that failed, and each trouble: an error where the boat does something about it."""
-    yield Diagnosis(OK, "mode", state.mode, (("reason", state.reason), ("operator", state.operator)))
+    whose = (("payload", state.helmsman),) if state.helmsman else ()
+    yield Diagnosis(OK, "mode", state.mode, (("reason", state.reason), ("operator", state.operator), *whose))
     for check in state.checks:
         yield Diagnosis(OK if check.ok else WARN, f"check {check.name}", check.reason)
     for notice in state.notices:

@@ -34,6 +34,7 @@ from delfim.services.voyagekeeping import VoyageKeeping
 from delfim.vehicle.build import build
 from delfim.vehicle.command import CommandServer
 from delfim.vehicle.console import Commands, ShutDown
+from delfim.vehicle.entrusting import payload_of
 from delfim.vehicle.foreign import breaking_off
 from delfim.vehicle.grex import Guest
 from delfim.vehicle.hands import Hand
@@ -188,7 +189,7 @@ async def _attend(
         return boat.snapshot({"boat": settings.boat.name, "log": log.status()._asdict(), **figures})
 
     def obeyed(command: Commands, operator: str = LOCAL) -> str | None:
-        deaf = broken.deaf if broken and operator not in aboard else None
+        deaf = broken.deaf if broken and operator not in aboard and not payload_of(operator) else None
         refused = deaf or boat.on_command(command, operator)
         reviews.hear(command, operator)
         if isinstance(command, ShutDown) and refused is None:

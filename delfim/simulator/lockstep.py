@@ -25,6 +25,7 @@ from delfim.simulator.nodes.talkers import port_devices
 from delfim.slices import Sliced
 from delfim.vehicle import console, voyage
 from delfim.vehicle.build import build
+from delfim.vehicle.entrusting import payload_of
 from delfim.vehicle.links import Links
 from delfim.vehicle.returning import RESTART
 from delfim.vehicle.state import State, StateLog
@@ -165,7 +166,7 @@ class Lockstep:
     def order(self, command: console.Commands, operator: str) -> str | None:
         """The same, and it is logged, as the doors of the boat do with each."""
         mode = self.state.mode
-        why = self.command(command)
+        why = self.vehicle.on_command(command, operator) if payload_of(operator) else self.command(command)
         self.ordered = Ordered(mode, str(command.__struct_config__.tag), why or "")
         if isinstance(self.log, OrderLog):
             self.log.command(command, why, self.state, operator)

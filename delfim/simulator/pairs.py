@@ -16,7 +16,9 @@ from delfim.vehicle.loop import HELD_BY_HAND
 from delfim.vehicle.troubles import Trigger
 
 REFUSED: Final = " refused"
-NO_ORDERS: Final = ("alive", "state", "watch", "return")  # words of a console, and of the program, that ask nothing of the boat
+NO_ORDERS: Final = (  # words of a console, and of the program, that ask nothing of the boat; of payloads, which campaigns lack
+    *("alive", "state", "watch", "return", "payload", "sight", "ordered"),
+)
 OBEYED_ALWAYS: Final = ("stop", "kill", "leave", "speed", "rally", "take", "shutdown")  # by the helm, whatever happens
 
 MODES: Final = {mode: f"mode {mode.name.lower()}" for mode in Mode}

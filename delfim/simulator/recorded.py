@@ -43,10 +43,10 @@ class GuestReference(NamedTuple):
 
 
 class Contact(NamedTuple):
-    """A word of the console or the guest."""
+    """A word of the console, the guest, or a payload program."""
 
     at_s: float  # monotonic
-    key: str  # of the state: "console_s", "guest_s"
+    key: str  # of the state: "console_s", "guest_s"; of the log: "payload_NAME_s"
     asked: GuestReference | None  # None: from the console
 
 
@@ -89,8 +89,9 @@ def _asked(columns: Any) -> Iterator[GuestReference]:
 
 
 def words_of(columns: Any) -> Iterator[Contact]:
-    """Each time that a console or guest was heard, with the guest's set point in the following cycle."""
-    for key in ("console_s", "guest_s"):
+    """Each time that a console, a guest, or a payload program was heard, with the guest's set point in the following cycle."""
+    payloads = (name for name in columns if name.startswith("payload_") and name.endswith("_s"))
+    for key in ("console_s", "guest_s", *payloads):
         before_s = NEVER_S
         for at_s, asked in zip(columns[key].tolist(), _asked(columns), strict=True):
             if at_s > before_s:

@@ -237,8 +237,11 @@ class Rerun:
             self._at(due.t_ns, due.at_s)
 
     def hear(self, word: Contact) -> None:
-        """Replay a word of the console or the guest."""
-        setattr(self.state, word.key, word.at_s)
+        """Replay a word of the console, the guest, or a payload program."""
+        if name := word.key.removeprefix("payload_") if word.key.startswith("payload_") else "":
+            self.state.payloads_s[name.removesuffix("_s")] = word.at_s
+        else:
+            setattr(self.state, word.key, word.at_s)
         if word.asked:
             self._ask(word.asked)
 

@@ -19,6 +19,7 @@ from delfim.vehicle import console
 
 DAY_S: Final = 86_400.0
 EXPECTED: Final = ("mode", "notice", "propellers", "waypoints", "nearest", "nearest_m")
+Words = Annotated[tuple[str, ...], msgspec.Meta(min_length=1)]
 Time = Annotated[float, msgspec.Meta(ge=0.0, le=DAY_S)]
 
 
@@ -68,6 +69,8 @@ class Scenario(tables.Table, frozen=True):
     mission: str = ""  # a mission file, beside this one
     vehicle: dict[str, Any] = msgspec.field(default_factory=dict)  # tables laid over the vehicle's file
     guest: ScenarioGuest | None = None
+    # payload programs in Python that run, by their names: a file, beside this one, and its words
+    payload: dict[str, Words] = msgspec.field(default_factory=dict)
     command: tuple[dict[str, Any], ...] = ()  # the operator's commands with `at_s`, and `held_s` or `refused` (class Order)
     fault: tuple[FaultAt, ...] = ()
     vessel: tuple[dict[str, Any], ...] = ()  # other vessels, rows of `simulation.traffic.vessel` in the vehicle's file
@@ -91,7 +94,8 @@ def load_scenario(path: str | Path) -> Scenario:
             OperatorWord.of(words)
     except FormatError as error:
         raise ConfigError(str(path), key, str(error)) from None
-    return scenario
+    programs = {name: (str(Path(path).parent / file), *words) for name, (file, *words) in scenario.payload.items()}
+    return msgspec.structs.replace(scenario, payload=programs)
 
 
 def settings_of(scenario: Scenario, vehicle: str | Path, overrides: tuple[str, ...] = ()) -> config.Vehicle:

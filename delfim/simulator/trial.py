@@ -3,7 +3,9 @@
 Every run is also checked against the invariants of `delfim.simulator.watch`.
 """
 
+import contextlib
 import math
+import sys
 from collections import deque
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -19,6 +21,7 @@ from delfim.modes import Mode
 from delfim.simulator.encounters import OWN_MPS, RANDOM, drawn, staged, staged_of
 from delfim.simulator.lockstep import Lockstep
 from delfim.simulator.nodes.shipping import Vessel
+from delfim.simulator.payloadprogram import PayloadProgram
 from delfim.simulator.scenario import Expect, OperatorWord, Scenario, fault_of, load_scenario, settings_of
 from delfim.simulator.watch import TURNS, Onlooker, TruePlace
 from delfim.vehicle import console
@@ -105,22 +108,29 @@ def sail(
     faults = [(each.at_s, fault_of(each, run.faults.thrusters)) for each in scenario.fault]
     broken = deque(sorted(faults, key=lambda pair: pair[0]))
     guest_s, counts_waypoints = 0.0, any(expected.waypoints for expected in scenario.expect)
-    for _ in run.cycles(scenario.seconds):
-        watch.look()
-        while broken and broken[0][0] <= run.elapsed_s:
-            each = broken.popleft()[1]
-            recorder.add("fault", each.kind, each.where)
-            run.breaks(each)
-        if scenario.guest is not None and run.elapsed_s >= guest_s:
-            guest_s = run.elapsed_s + GUEST_S
-            run.guest_says(msgspec.json.encode(scenario.guest))
-            watch.ready()
-        operator.speak(recorder)
-        recorder.look()
-        if look is not None:
-            look(run, watch.place)
-        if counts_waypoints:
-            recorder.passes(watch.place)
+    with contextlib.ExitStack() as last:
+        programs = [
+            last.enter_context(PayloadProgram(name, (sys.executable, *words), watch.order))
+            for name, words in scenario.payload.items()
+        ]
+        for _ in run.cycles(scenario.seconds):
+            watch.look()
+            while broken and broken[0][0] <= run.elapsed_s:
+                each = broken.popleft()[1]
+                recorder.add("fault", each.kind, each.where)
+                run.breaks(each)
+            if scenario.guest is not None and run.elapsed_s >= guest_s:
+                guest_s = run.elapsed_s + GUEST_S
+                run.guest_says(msgspec.json.encode(scenario.guest))
+                watch.ready()
+            for program in programs:
+                program.turn(run)
+            operator.speak(recorder)
+            recorder.look()
+            if look is not None:
+                look(run, watch.place)
+            if counts_waypoints:
+                recorder.passes(watch.place)
     missed = [words for expected in scenario.expect if (words := _missed(expected, recorder, run.elapsed_s, run.nodes.vessels))]
     run.close()
     return Result(recorder.events, [*watch.failures, *operator.failures, *missed], run.elapsed_s)

@@ -14,6 +14,7 @@ from delfim.simulator.invariants.thrustspec import CommandedThrust, ControlLaw, 
 from delfim.simulator.invariants.troublespec import Troubles
 from delfim.simulator.lockstep import Lockstep
 from delfim.vehicle import console
+from delfim.vehicle.entrusting import payload_of
 from delfim.vehicle.fence import Fence
 from delfim.vehicle.state import State
 from delfim.vehicle.zones import Point, clearance_m
@@ -29,7 +30,9 @@ CUT: Final = "dsor"  # the driver whose thrusters the boat cuts off from their b
 _TOLD_NOTHING: Final = frozenset(
     {"bus_off", "sensor_silent", "outlet_silent"}
 )  # faults after which a propeller is told nothing, or tells nothing
-OVERRULE: Final = console.SetMode | console.Heading | console.Course | console.Goto | console.Play | console.Continue
+OVERRULE: Final = (
+    console.Entrust | console.SetMode | console.Heading | console.Course | console.Goto | console.Play | console.Continue
+)
 _IDLE: Final = Mode.IDLE  # asked for in each cycle; the lookup in the enumeration takes longer than the comparison
 
 
@@ -128,18 +131,24 @@ class Onlooker:
         """Give an order, and look at what comes of it."""
         self._orders.before()
         why = self._run.order(command, by)
-        for words in self._orders.after(command, why):
+        payload = payload_of(by)
+        for words in self._orders.after(command, why, payload):
             self._fail(words)
         if why is None and (cycle := self._orders.entered(command)) is not None:
             for rule in self._rules:
                 if isinstance(rule, ControlLaw | Guidance) and (words := next(rule.look(cycle), "")):
                     self._fail(words)
         if why is None and not isinstance(command, console.Alive):
-            self._beginnings.ordered(self._run.state, is_hold=isinstance(command, console.SetMode) and command.mode == "hold")
+            is_hold = isinstance(command, console.Entrust) or (isinstance(command, console.SetMode) and command.mode == "hold")
+            self._beginnings.ordered(self._run.state, is_hold=is_hold)
         if self._run.state.mode is not _IDLE:
             self._turning_since_s, self._astray = math.inf, False
         begins = self._run.state.mode_s == self._run.elapsed_s
-        if why is None and (isinstance(command, OVERRULE) or (begins and isinstance(command, console.Manual | console.Pause))):
+        if (
+            why is None
+            and not payload
+            and (isinstance(command, OVERRULE) or (begins and isinstance(command, console.Manual | console.Pause)))
+        ):
             self._troubles.overruled()
         self.ready()
         return why

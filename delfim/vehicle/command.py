@@ -10,6 +10,7 @@ from typing import Any, cast
 
 from delfim.errors import FormatError
 from delfim.vehicle import console
+from delfim.vehicle.entrusting import PAYLOAD
 from delfim.vehicle.loop import LOCAL
 from delfim.vehicle.reviews import Reviews
 
@@ -19,12 +20,12 @@ BACKLOG_BYTES = 1 << 16
 
 
 class CommandServer:
-    """All connections of the local command socket. `obey` carries out a command and returns the reason of a refusal, or None;
-    `reviews` does the same with a plan after its review."""
+    """All connections of the local command socket. `obey` carries out a command of an operator, or of a payload program, and
+    returns the reason of a refusal, or None; `reviews` does the same with a plan after its review."""
 
     def __init__(
         self,
-        obey: Callable[[console.Commands], str | None],
+        obey: Callable[[console.Commands, str], str | None],
         reviews: Reviews,
         snapshot: Callable[[], dict[str, Any]],
         clients_max: int,
@@ -57,6 +58,7 @@ class Connection(asyncio.Protocol):
         self._loop = asyncio.get_running_loop()
         self._buffer = bytearray()
         self._is_due = self._under_review = False  # the next line; a plan of this connection
+        self._is_brief = False  # the answer to a payload program has no state
         self.watching = self.quick = False
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
@@ -98,12 +100,16 @@ class Connection(asyncio.Protocol):
             return
         if isinstance(command, console.Watch):
             self.watching, self.quick = True, command.quick
+        operator = LOCAL
+        self._is_brief = isinstance(command, console.OfPayload)
+        if isinstance(command, console.OfPayload):
+            operator, command = f"{PAYLOAD}{command.payload}", command.order
         if isinstance(command, console.Plan) and not (isinstance(command, console.LoadMission) and command.more):
             self._under_review = True
-            self._server.reviews.begin(LOCAL, command, self._answer)
+            self._server.reviews.begin(operator, command, self._answer)
             self._heed_stop(0)
         else:
-            self._answer(self._server.obey(command))
+            self._answer(self._server.obey(command, operator))
 
     def _heed_stop(self, began: int) -> None:
         """A stop that waits behind a plan under review ends the review."""
@@ -112,7 +118,7 @@ class Connection(asyncio.Protocol):
 
     def _answer(self, reason: str | None) -> None:
         self._under_review = False
-        self.write(console.answer(reason, self._server.snapshot()))
+        self.write(console.answer(reason, {} if self._is_brief else self._server.snapshot()))
         if self._transport is not None and len(self._buffer) <= LINE_BYTES:
             self._transport.resume_reading()
         if not self._is_due:

@@ -133,15 +133,20 @@ def reference(line: bytes) -> HeadingReference | None:
 def sighted(line: bytes, state: State, now_s: float) -> bool:
     """Another vessel in a line, into the state; False: there is none, or it is malformed."""
     try:
-        seen = _decode_seen(line if len(line) <= LINE_BYTES else b"").target
+        vessel = _decode_seen(line if len(line) <= LINE_BYTES else b"").target
     except UNREADABLE:
         return False
-    course_rad, heading_rad = (None if each is None else math.radians(each) for each in (seen.course_deg, seen.heading_deg))
-    place = math.radians(seen.latitude_deg), math.radians(seen.longitude_deg)
-    key = f"payload {seen.id}"
-    state.hear(VesselPosition(0, *place, course_rad, seen.speed_mps, heading_rad, None, "payload"), "guest", now_s, key)
-    state.hear(VesselFacts(0, seen.id, None, None, seen.length_m, seen.beam_m, None, None), "guest", now_s, key)
+    seen(vessel, "guest", state, now_s)
     return True
+
+
+def seen(vessel: SeenVessel, by: str, state: State, now_s: float) -> None:
+    """Another vessel, into the state."""
+    course_rad, heading_rad = (None if each is None else math.radians(each) for each in (vessel.course_deg, vessel.heading_deg))
+    place = math.radians(vessel.latitude_deg), math.radians(vessel.longitude_deg)
+    key = f"payload {vessel.id}"
+    state.hear(VesselPosition(0, *place, course_rad, vessel.speed_mps, heading_rad, None, "payload"), by, now_s, key)
+    state.hear(VesselFacts(0, vessel.id, None, None, vessel.length_m, vessel.beam_m, None, None), by, now_s, key)
 
 
 def told(line: bytes, state: State, is_lookout: bool, now_s: float) -> Setpoint | None:

@@ -35,7 +35,7 @@ class Helm:
 
     def __init__(self, settings: config.Vehicle, clock: Clock, state: State, propulsion: Propulsion, log: StateLog) -> None:
         self.settings, self.state = filled(settings), state
-        self._clock, self._propulsion, self._log = clock, propulsion, log
+        self._clock, self._propulsion, self._log, self.note = clock, propulsion, log, log.note
         self.limits, self.step = settings_of(settings), step  # another one keeps clear of other vessels
         self.memory = begin(Mode.IDLE, state.motion, state.setpoint, self.limits)
         self.track = Track(settings.control.home)
@@ -62,10 +62,7 @@ class Helm:
 
     def control(self, now_s: float) -> Wanted:
         state = self.state
-        dt_s = now_s - self._controlled_s
-        if dt_s > 1.0:
-            dt_s = 1.0
-        self._controlled_s = now_s
+        dt_s, self._controlled_s = min(now_s - self._controlled_s, 1.0), now_s
         if (short := self._propulsion.short) is not None:
             self.memory = lacking(self.memory, short)
         step = self.step
@@ -173,6 +170,9 @@ class Helm:
         state = self.state
         if mode is Mode.IDLE and state.mode is Mode.IDLE and state.reason == reason:
             return
+        is_same = state.helmsman and (mode, reason) == (state.mode, state.reason)  # a program may ask five times a second
+        if mode is Mode.IDLE:
+            state.relieve(reason)
         self._remember(mode)
         self.memory, self._seeking, self._retreat = begin(mode, state.motion, state.setpoint, self.limits), None, ()
         self._detour = None
@@ -189,7 +189,8 @@ class Helm:
         state.armed = mode is not Mode.IDLE
         state.has_left_idle |= state.armed
         state.mode, state.reason, state.reference = mode, reason, Reference()
-        self._log.note(f"{mode.name.lower()}: {reason}")
+        if not is_same:
+            self._log.note(f"{mode.name.lower()}: {reason}")
 
     def _remember(self, entered: Mode) -> None:
         """A hold remembers the mode that it interrupts; every other mode forgets it. Play that was left begins with its leg."""
@@ -222,9 +223,10 @@ class Helm:
             if reason is not None:
                 raise Refused(f"{mode.name.lower()} refused: {reason}")
         state.setpoint = setpoint
-        if not restarted:
+        who = f"payload {state.helmsman}" if state.helmsman else "operator"
+        if not restarted and not state.helmsman:  # who overrules no failsafe
             self.troubles, self.taken = failsafe.overruled(self.troubles), False
-        self.enter(mode, restarted or ("operator" if resumed is None else "operator continues"), resumed)
+        self.enter(mode, restarted or (who if resumed is None else f"{who} continues"), resumed)
 
     def obey(self, command: console.Commands, now_s: float) -> None:
         """Raises DelfimError with the reason why not."""
@@ -295,9 +297,11 @@ class Helm:
         if state.mode is Mode.HOLD:
             return
         leg = f" on leg {self.memory.leg + 1}" if state.mode is Mode.PLAY else ""
-        why = f"operator paused {state.mode.name.lower()}{leg}"
+        who = f"payload {state.helmsman}" if state.helmsman else "operator"
+        why = f"{who} paused {state.mode.name.lower()}{leg}"
         mode, reason = failsafe.fallback(Action.HOLD, why, state.motion.has, state.setpoint)
-        self.troubles, self.taken = failsafe.overruled(self.troubles), False
+        if not state.helmsman:
+            self.troubles, self.taken = failsafe.overruled(self.troubles), False
         self.enter(mode, reason)
 
     def _continue(self, command: console.Continue | None, now_s: float) -> None:
@@ -327,9 +331,6 @@ class Helm:
         if (turning := unstopped(self.settings, self.state, now_s)) or self.state.mode is not Mode.IDLE:
             raise Refused(f"reset refused: {' and '.join(turning)} still turning" if turning else "reset refused: stop first")
         self._propulsion.reset(command.node)
-
-    def _hear(self, command: console.Alive | console.Take, now_s: float) -> None:
-        """Nothing: the loop has already noted that the console is there, or commands."""
 
     def _choose(self, command: console.Leg, now_s: float) -> None:
         setpoint = self.state.setpoint._replace(leg=command.leg)
@@ -371,7 +372,7 @@ class Helm:
 
 
 _OBEYED: Final[dict[type[console.Command], Callable[[Helm, Any, float], None]]] = {
-    console.Alive: Helm._hear,
+    console.Alive: lambda helm, command, now_s: None,  # the loop has already noted that the console is there, ...
     console.Stop: Helm._halt,
     console.Kill: Helm._kill,
     console.Clear: Helm._clear,
@@ -392,7 +393,7 @@ _OBEYED: Final[dict[type[console.Command], Callable[[Helm, Any, float], None]]] 
     console.Unload: lambda helm, command, now_s: helm.plans.unload(),
     console.SetFence: Helm._load,
     console.Rally: lambda helm, command, now_s: helm.plans.call_at(command.points),
-    console.Take: Helm._hear,
+    console.Take: lambda helm, command, now_s: None,  # ... or commands
     console.Arm: Helm._arm,
     console.Reset: Helm._reset,
     console.Set: Helm._set,

@@ -15,13 +15,14 @@ from delfim.logging.statelog import Schema, StateWriter
 from delfim.modes import Mode
 from delfim.vehicle import record
 from delfim.vehicle.console import Alive, Commands, Manual, TellState, Watch
+from delfim.vehicle.entrusting import payload_of
 from delfim.vehicle.state import State
 
 COMMAND_MAX: Final = 160  # characters of a command in the system log; all of it is in the sidecar
 VESSELS_S: Final = 10.0  # between two lists of other vessels ...
 VESSELS_MAX: Final = 20  # ... the nearest of them
 UNSOUNDED: Final = math.nan, -1e9
-ORDERLY: Final = ("operator", "shutdown")  # begin the reasons of changes of mode that were meant to be
+ORDERLY: Final = ("operator", "shutdown", "payload")  # begin the reasons of changes of mode that were meant to be
 
 
 class Logbook:
@@ -39,7 +40,7 @@ class Logbook:
         self._writer = StateWriter(self._log.put, schema)
         self.status, self.poll = self._log.status, self._log.poll
         self._noted, self._vessels_s, self._sounding = False, -1e9, UNSOUNDED
-        self._say, self._manual = say, ""  # why the last manual command was refused
+        self._say, self._manual = say, ""  # why the last manual command, or one of a payload program, was refused
         self.event("start", version=__version__, settings=tables.shown(settings))
 
     def write(self, state: State, now_s: float) -> None:
@@ -63,14 +64,14 @@ class Logbook:
             value = msgspec.json.encode(command) if written is None else written
             what: dict[str, object] = {
                 "event": "command",
-                "at_s": state.console_s,
+                "at_s": state.ordered_s,
                 "value": msgspec.Raw(value),
                 "refused": refused or "",
             }
             what["operator"] = operator
             self._note(what)
             level = logging.INFO
-            if isinstance(command, Manual):  # ten a second: in the system log only when the answer changes
+            if isinstance(command, Manual) or payload_of(operator):  # several a second: only when the answer changes
                 level = logging.INFO if refused and refused != self._manual else logging.DEBUG
                 self._manual = refused or ""
             outcome = f"refused: {refused}" if refused else "done"

@@ -16,10 +16,9 @@ from delfim import config
 from delfim.clock import Clock
 from delfim.errors import DelfimError
 from delfim.modes import Mode
-from delfim.vehicle import console, failsafe, thrusters
+from delfim.vehicle import console, entrusting, failsafe, snapshot, thrusters
 from delfim.vehicle.actuators import Actuator
 from delfim.vehicle.failing import Failing
-from delfim.vehicle.failsafe import Action
 from delfim.vehicle.grex import Guest, told
 from delfim.vehicle.helm import Helm
 from delfim.vehicle.latency import Latency
@@ -94,9 +93,12 @@ class VehicleLoop:
     def on_command(self, command: console.Commands, operator: str = LOCAL) -> str | None:
         """A command of a console: carried out at once, propellers included. Returns why it was refused, or None. The last to
         command is the operator, whose silence is a trouble; while the hand-set is, others may only stop the boat."""
-        now_s, state = self.clock.monotonic_s(), self.state
+        now_s = self.state.ordered_s = self.clock.monotonic_s()
+        state = self.state
         if isinstance(command, console.TellState | console.Watch):  # onlookers do not keep the boat sailing
             return None
+        if name := entrusting.payload_of(operator):
+            return entrusting.order(self.helm, name, command, now_s)
         if isinstance(command, console.Alive) and state.operator not in ("", operator):  # nor do other consoles
             return None
         state.console_s = now_s
@@ -106,7 +108,7 @@ class VehicleLoop:
         if is_below and not isinstance(command, console.Halts):
             return f"refused: {HELD_BY_HAND}"
         try:
-            self.helm.obey(command, now_s)
+            entrusting.obey(self.helm, command, now_s)
         except DelfimError as refusal:
             return str(refusal)
         if not isinstance(command, console.Alive):
@@ -144,7 +146,8 @@ class VehicleLoop:
             for text in failsafe.news(state.notices, notices):
                 self.log.note(text)
             state.notices = notices
-        if action > Action.WARN:
+        if action > failsafe.Action.WARN:
+            entrusting.relieve(helm, f"failsafe: {reason}")
             helm.fall_back(action, reason, now_s)
         helm.fade(now_s)
         if now_s - state.navigation_s > REPEAT_S:
@@ -180,15 +183,14 @@ class VehicleLoop:
     def snapshot(self, extra: dict[str, object]) -> dict[str, object]:
         """The state for the console, JSON-ready."""
         lines, now_s = [line._asdict() for line in self.helm.checks()], self.clock.monotonic_s()
-        more = {
+        return snapshot.snapshot(self.state, now_s, {
             "checks": lines,
             "latency": self.latency.summary(),
             "thrusters": thrusters.told(self.helm.settings.thrusters, self.state, now_s),
             "traffic": self._watchkeeper.told(now_s),
             "paused": paused.mode.name.lower() if (paused := self.helm.paused) else None,
             **extra,
-        }
-        return console.snapshot(self.state, now_s, more)
+        })  # fmt: skip
 
     def follow(self, other: "VehicleLoop") -> None:
         """Copy another vehicle's mode, set points and memory, and compute with its own tables, which are immutable."""

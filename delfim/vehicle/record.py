@@ -34,6 +34,14 @@ def _source(names: tuple[str, ...]) -> Callable[[State, float], object]:
     return lambda s, now_s: names.index(s.source) if s.source else 0
 
 
+def _heard(payload: str) -> Callable[[State, float], object]:
+    return lambda s, now_s: s.payloads_s.get(payload, -1e9)
+
+
+def _helmsman(names: tuple[str, ...]) -> Callable[[State, float], object]:
+    return lambda s, now_s: names.index(s.helmsman) + 1 if s.helmsman else 0
+
+
 def _of_reference(name: str) -> Callable[[State, float], object]:
     def value(s: State, now_s: float) -> object:
         known = getattr(s.reference, name)
@@ -139,7 +147,8 @@ FIELDS = (
 
 
 def fields(settings: config.Vehicle) -> tuple[Field, ...]:
-    """The fields of every boat, then those of this boat's sources, where there are several, of its thrusters and sensors."""
+    """The fields of every boat, then those of this boat's payload programs that may have it, of its sources, where there are
+    several, of its thrusters and sensors."""
     stale_s, sources = settings.sensors.stale_s, settings.navigation.sources
     source = Field(
         "source", "B", "", "of navigation: its place in navigation.sources", lambda s, now_s: sources.index(s.source)
@@ -148,7 +157,14 @@ def fields(settings: config.Vehicle) -> tuple[Field, ...]:
     measured = [
         Field(each.name, "d", each.unit, each.description, _measured(each.name, stale_s)) for each in sensors.values(settings)
     ]
-    return (*FIELDS, *([source] if len(sources) > 1 else []), *thrusters, *measured)
+    payloads = [
+        Field(f"payload_{name}_s", "d", "s", f"time since boot of the last word of payload {name}", _heard(name))
+        for name in settings.helmsmen
+    ]
+    if payloads:
+        helmsman = "payload program that has the boat, by its place in the vehicle's file, from 1; 0: none"
+        payloads.append(Field("helmsman", "B", "", helmsman, _helmsman(settings.helmsmen)))
+    return (*FIELDS, *payloads, *([source] if len(sources) > 1 else []), *thrusters, *measured)
 
 
 def _of_row(settings: config.Vehicle, index: int, row: config.ThrusterTable) -> Iterator[Field]:

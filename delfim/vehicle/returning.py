@@ -121,6 +121,8 @@ class Returning:
         """In the mode that the vehicle's file says, or else hold."""
         was = Mode[back.sailed.mode.upper()]
         action = self._limits.after(back.sailed.mode)
+        if action == "resume" and back.sailed.helmsman:  # an operator gives the boat to a program, nobody else
+            action = "hold"
         if action == "idle":
             self._give_up("so the boat's file says for this mode")
             return
@@ -161,7 +163,8 @@ class Returning:
             return ""
         leg = f" on leg {sailed.memory.leg + 1}" if sailed.mode == "play" else ""
         leg = f" on piece {sailed.memory.leg + 1}" if sailed.mode == "path" and sailed.memory.leg >= 0 else leg
-        return f"it was in {sailed.mode}{leg}"
+        whose = f" of payload {sailed.helmsman}" if sailed.helmsman else ""
+        return f"it was in {sailed.mode}{leg}{whose}"
 
 
 def _lost(why: str) -> str:

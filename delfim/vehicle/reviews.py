@@ -11,6 +11,7 @@ from typing import NamedTuple, TypeVar
 from delfim.errors import DelfimError, Refused
 from delfim.slices import Sliced
 from delfim.vehicle import console
+from delfim.vehicle.entrusting import forbidden, payload_of, within
 from delfim.vehicle.loop import VehicleLoop
 from delfim.vehicle.mission import Mission
 from delfim.vehicle.missionreader import Reading, gathered
@@ -44,6 +45,12 @@ class Reviews:
 
     def begin(self, operator: str, command: console.Plan, answer: Answer) -> None:
         """Review this plan instead of the present one. `answer` is called once, possibly before this returns."""
+        if name := payload_of(operator):
+            try:
+                command = self._of_payload(name, command)
+            except Refused as refusal:
+                self._refuse(Review(command, operator, answer), f"refused: {refusal}")
+                return
         self.cancel("a newer plan replaced it")
         self._now = review = Review(command, operator, answer)
         if not isinstance(command, console.LoadMission):
@@ -58,6 +65,15 @@ class Reviews:
         reading = self._loop.run_in_executor(None, self._reading.lines)
         reading.add_done_callback(lambda read: None if read.cancelled() else self._was_read(review, read.result()))
 
+    def _of_payload(self, name: str, command: console.Plan) -> console.Plan:
+        """What is reviewed of a payload program's plan, before any work. Raises Refused."""
+        helm = self._boat.helm
+        if why := forbidden(helm.settings, helm.state, name, command):
+            raise Refused(why)
+        if self._now is not None and not payload_of(self._now.operator):
+            raise Refused(f"a plan of {self._now.operator} is being checked")
+        return within(command, helm.plans.zones)
+
     def written(self, command: console.Commands) -> bytes | None:
         """The JSON of a plan that is being obeyed."""
         return self._written[1] if self._written is not None and self._written[0] is command else None
@@ -66,6 +82,8 @@ class Reviews:
         """A command was obeyed or refused: a stop, or a command of another operator, ends the review."""
         if self._now is not None and self._now.operator == RESTART:
             return  # what was aboard before is loaded whoever commands now; only a newer plan ends that
+        if payload_of(operator):
+            return
         if isinstance(command, console.Stop | console.ShutDown):
             self.cancel("a stop was commanded")
         elif self._now is not None and operator != self._now.operator and not isinstance(command, QUIET):

@@ -260,6 +260,10 @@ class State:
     measured: dict[str, tuple[float, float]] = field(default_factory=dict)  # by sensors: last value, its time
     operator: str = ""  # the console, or HANDSET, that commands; its silence is a trouble; empty: none
     console_s: float = -1e9  # monotonic time of the last word of the console
+    ordered_s: float = -1e9  # monotonic time of the last order of anybody, obeyed or refused
+    helmsman: str = ""  # the payload program that the operator gave the boat to; empty: none has it
+    relieved: str = ""  # why the last one that had it no longer does, in words; empty: none had it yet, or one has
+    payloads_s: dict[str, float] = field(default_factory=dict)  # monotonic time of the last word of each that may have it
     namesakes: str = ""  # the notice that two consoles have one number; empty: they do not
     manual_s: float = -1e9
     guest_s: float = -1e9
@@ -280,6 +284,13 @@ class State:
     def count(self, name: str, by: int = 1) -> None:
         """Count an event that is not worth stopping for. Names are code, so the table is bounded."""
         self.counts[name] = self.counts.get(name, 0) + by
+
+    def relieve(self, why: str) -> str:
+        """Take the boat back from the payload program that has it. Returns that in words; empty: none had it."""
+        words, self.helmsman = f"{why}: payload {self.helmsman} no longer has the boat" if self.helmsman else "", ""
+        if words:
+            self.relieved, self.reason = why, words
+        return words
 
     def count_lost(self, pgn: int, lost: Counter[str]) -> None:
         """Count the fast packets of a PGN that were lost, by reason; `lost` is empty then."""

@@ -171,9 +171,10 @@ def console_silent(look: Look) -> str | None:
 
 
 def guest_silent(look: Look) -> str | None:
-    age_s = look.now_s - look.state.guest_s
-    silent = look.state.mode is Mode.GREX and age_s > look.settings.failsafe.guest_silent.after_s
-    return f"guest silent for {age_s:.1f} s" if silent else None
+    state, name = look.state, look.state.helmsman  # a payload program that has the boat is a guest
+    age_s = look.now_s - (state.payloads_s[name] if name else state.guest_s)
+    silent = (name or state.mode is Mode.GREX) and age_s > look.settings.failsafe.guest_silent.after_s
+    return f"{f'no word from payload {name}' if name else 'guest silent'} for {age_s:.1f} s" if silent else None
 
 
 def fence(look: Look) -> str | None:
@@ -321,10 +322,9 @@ def charge(state: State) -> tuple[float, str]:
     least, name, reports = 1.0, "", state.sysstat
     for batteries in _BATTERIES:
         report = reports.get(batteries)
-        if report is not None and isinstance(status := report[0], BatteriesStatus):
-            known = status.charge
-            if known is not None and (known < least or not name):
-                least, name = known, batteries
+        known = report[0].charge if report is not None and isinstance(report[0], BatteriesStatus) else None
+        if known is not None and (known < least or not name):
+            least, name = known, batteries
     return least, name
 
 

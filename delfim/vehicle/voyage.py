@@ -52,6 +52,7 @@ def sailed(helm: Helm, state: State) -> VoyageState:
         paused=(paused.mode.name.lower(), paused.memory) if paused is not None else None,
         has_left_idle=state.has_left_idle,
         operator=state.operator,
+        helmsman=state.helmsman,
         killed=state.killed._replace(held=()),
         heading_rad=setpoint.heading_rad,
         speed_mps=setpoint.speed_mps,

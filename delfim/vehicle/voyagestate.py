@@ -21,6 +21,7 @@ class VoyageState(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     paused: tuple[str, Memory] | None = None  # the mode that a hold interrupted
     has_left_idle: bool = False  # since the voyage began
     operator: Annotated[str, msgspec.Meta(max_length=100)] = ""
+    helmsman: Annotated[str, msgspec.Meta(max_length=100)] = ""  # who does not get the boat back by itself
     killed: Killed = Killed()
     heading_rad: float = 0.0  # set points, as in `Setpoint`
     speed_mps: float = 0.0

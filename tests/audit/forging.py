@@ -83,8 +83,8 @@ class Forged:
     def event(self, t_s: float, event: str, **more: Any) -> None:
         self.events.append({"event": event, "t_ns": BEGAN_NS + round(t_s * 1e9), "monotonic_s": t_s, **more})
 
-    def order(self, t_s: float, value: Mapping[str, Any], refused: str = "") -> None:
-        self.event(t_s, "command", at_s=t_s, value=value, refused=refused, operator="local")
+    def order(self, t_s: float, value: Mapping[str, Any], refused: str = "", operator: str = "local") -> None:
+        self.event(t_s, "command", at_s=t_s, value=value, refused=refused, operator=operator)
 
     def mode(self, t_s: float, name: str, reason: str) -> None:
         """The mode changed; records from then on say so. In idle nothing is commanded."""

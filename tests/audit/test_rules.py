@@ -169,6 +169,32 @@ def guest_gone(told: bool) -> Callable[[Forged], None]:
     return change
 
 
+def program(
+    *, given: bool = True, may: tuple[str, ...] = ("heading",), back_s: float = 130.0, told: bool = True, of: str = "uphill"
+) -> Callable[[Forged], None]:
+    """A payload program that has the boat from 105 s on turns it at 120 s, and is silent from 125 s on."""
+
+    def change(log: Forged) -> None:
+        log.settings = log.settings | {"payload": {"uphill": {"may": may}}}
+        if given:
+            log.order(105.0, {"command": "payload", "name": "uphill"})
+            log.mode(105.0, "hold", "operator")
+        log.order(min(back_s, 140.0), {"command": "take"})
+        log.events.sort(key=lambda each: each["monotonic_s"])
+        log.order(120.0, {"command": "heading", "heading_deg": 90}, operator=f"payload:{of}" if of else "local")
+        log.mode(120.0, "heading", "payload uphill")
+        log.events.sort(key=lambda each: each["monotonic_s"])
+        log.columns["payload_uphill_s"] = np.minimum(log.t_s, 125.0)
+        log.columns["helmsman"] = np.where(log.since(105.0, 130.2), 1, 0)
+        if told:
+            log.trouble("guest_silent", 130.2, "no word from payload uphill for 5.2 s", "hold")
+            log.mode(130.2, "hold", "no word from payload uphill for 5.2 s")
+        else:
+            log.columns["helmsman"] = np.where(log.since(105.0), 1, 0)
+
+    return change
+
+
 def battery(charge: float, told: bool) -> Callable[[Forged], None]:
     def change(log: Forged) -> None:
         log.columns["port_charge"] = np.where(log.since(110.0), charge, log.columns["port_charge"])
@@ -384,6 +410,11 @@ CASES: list[tuple[str, Change, Change, str]] = [
     ("console-heard", console_gone(120.2), console_gone(0.0), "console_silent was not told"),
     ("console-heard", console_gone(120.2), console_gone(112.0), "2.0 s after its last word"),
     ("guest-heard", guest_gone(told=True), guest_gone(told=False), "guest_silent was not told"),
+    ("guest-heard", program(), program(told=False), "guest_silent was not told"),
+    ("mode-causes", program(), program(of=""), "no order of this time asked for it"),
+    ("programs-below", program(), program(given=False), "no operator had given it the boat"),
+    ("programs-below", program(), program(back_s=110.0), "no operator had given it the boat"),
+    ("programs-below", program(), program(may=("goto",)), "which has no right to it"),
     ("manual-heard", by_hand_in_order, by_hand_too_long, "thrust by hand"),
     ("manual-heard", by_hand_in_order, by_hand, "manual mode 6."),
     ("batteries-watched", battery(0.2, told=True), battery(0.2, told=False), "battery_low was not told"),

@@ -28,7 +28,7 @@ from delfim.services.nmea2000rows import TOLD, pgns_of
 from delfim.services.runtime import LoadedService, Runtime
 from delfim.services.web.api import State as ToldState
 from delfim.vehicle import thrusters
-from delfim.vehicle.console import snapshot
+from delfim.vehicle.snapshot import snapshot
 from delfim.vehicle.state import Actuation, Motion, Notice, Reference, State, ThrusterReport
 
 logging.getLogger("nmea2000").setLevel(logging.ERROR)

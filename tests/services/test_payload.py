@@ -25,9 +25,8 @@ from delfim import config
 from delfim.clock import SystemClock
 from delfim.errors import ConfigError
 from delfim.services import payload, processes, watching
-from delfim.services.payloadlines import LINE_BYTES, VALUES, BoundedLines, lines, values
 from delfim.services.runtime import LoadedService, Runtime
-from delfim.services.web.api import AnnouncedItem, State
+from delfim.vehicle.payloadlines import LINE_BYTES, VALUES, ActionTold, BoundedLines, VoyageTold, lines, values
 from tests.afloat import running
 from tests.services.boat import STATE, served, vehicle, vehicle_file
 
@@ -356,27 +355,27 @@ def test_what_a_vehicles_file_may_not_say(words: str, reason: str) -> None:
         config.load(ROOT / "etc/delfimx.toml", [words])
 
 
-SAILS = State(
+SAILS = VoyageTold(
     mode="play", reason="operator", cycle=7, utc_ns=5, speed_mps=2.0, course_deg=90.0, heading_deg=91.0, mission="Doca"
 )
 
 
 def test_a_program_is_told_events_and_navigation_as_the_guest_is() -> None:
     first = [json.loads(line) for line in lines(SAILS, None)]
-    assert first[0] == {"event": "mode", "mode": "play", "reason": "operator"}
+    assert first[0] == {"event": "mode", "mode": "play", "helmsman": "", "reason": "operator"}
     assert first[1] == {
         "utc_ns": 5, "latitude_deg": None, "longitude_deg": None, "heading_deg": 91.0, "north_mps": 0.0, "east_mps": 2.0,
-        "mode": "play", "mission": "Doca", "leg": 0,
+        "mode": "play", "helmsman": "", "mission": "Doca", "leg": 0,
     }  # fmt: skip
     assert list(lines(SAILS, SAILS)) == [], "no new navigation"
-    hold = State(mode="hold", reason="x" * 5000, cycle=8, mission="Doca")
+    hold = VoyageTold(mode="hold", reason="x" * 5000, cycle=8, mission="Doca")
     told = list(lines(hold, SAILS))
     assert [json.loads(line).get("mode") for line in told] == ["hold", "hold"]
     assert max(map(len, told)) < 4096
-    other = State(mode="hold", reason="", cycle=8, mission="Tejo")
+    other = VoyageTold(mode="hold", reason="", cycle=8, mission="Tejo")
     assert [json.loads(line) for line in lines(other, hold)] == [{"event": "leg", "mission": "Tejo", "leg": 0}]
-    items = tuple(AnnouncedItem(number, 206, (25.0, None)) for number in (1, 2, 3))
-    before, after = (State(mode="hold", reason="", announced=each) for each in (items[:2], items[1:]))
+    items = tuple(ActionTold(number, 206, (25.0, None)) for number in (1, 2, 3))
+    before, after = (VoyageTold(mode="hold", reason="", announced=each) for each in (items[:2], items[1:]))
     assert [json.loads(line) for line in lines(after, before)] == [{"event": "action", "command": 206, "params": [25.0, None]}]
 
 

@@ -25,8 +25,8 @@ from delfim.services.web.api import State as ToldState
 from delfim.vehicle import thrusters
 from delfim.vehicle.actuators import open_actuator
 from delfim.vehicle.command import CommandServer
-from delfim.vehicle.console import snapshot
 from delfim.vehicle.links import Links
+from delfim.vehicle.snapshot import snapshot
 from delfim.vehicle.state import Actuation, State
 from tests.canproxy.test_instruments import Bus
 from tests.services.test_powerd import batteries
@@ -197,7 +197,7 @@ def test_the_service_asks_the_supervisor_when_the_vehicle_tells_of_an_empty_batt
         return as_told(settings, state, now_s)
 
     async def vehicle(runtime: Runtime) -> None:
-        commands = CommandServer(lambda command: None, NO_REVIEWS, told_now, 1)
+        commands = CommandServer(lambda command, operator: None, NO_REVIEWS, told_now, 1)
         loop = asyncio.get_running_loop()
         async with await loop.create_unix_server(commands.connection, settings.console.socket):
             with runtime.ticking(0.05, commands.publish):

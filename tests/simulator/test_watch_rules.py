@@ -12,7 +12,7 @@ from delfim.simulator.invariants import thrustspec
 from delfim.simulator.mixed import mixed_mission, place_of
 from delfim.simulator.scenario import FaultAt, Scenario, settings_of
 from delfim.simulator.trial import sail
-from delfim.vehicle import console, failing, failsafe, helm, loop, propulsion, record, setpoints, troubles
+from delfim.vehicle import console, failing, failsafe, helm, loop, propulsion, record, setpoints, snapshot, troubles
 from delfim.vehicle.actuators.dsor import Propellers
 from delfim.vehicle.control import goto, guidance, heading, hold, hull, play
 from delfim.vehicle.helm import Helm
@@ -200,13 +200,13 @@ BREAKS: dict[str, tuple[Any, str, Any, tuple[dict[str, Any], ...], FaultAt | Non
         *(failsafe, "news", but(failsafe.news, lambda lines: [*lines, "shallow: over"])),
         *((EAST,), DARK, "told, and not so"),
     ),
-    "page": (console, "snapshot", but(console.snapshot, lambda r: r | {"mode": "idle"}), (EAST,), None, "reported is mode"),
+    "page": (snapshot, "snapshot", but(snapshot.snapshot, lambda r: r | {"mode": "idle"}), (EAST,), None, "reported is mode"),
     "heading": (
-        *(console, "snapshot", but(console.snapshot, lambda r: r | {"heading_deg": (r["heading_deg"] or 0.0) + 9.0})),
+        *(snapshot, "snapshot", but(snapshot.snapshot, lambda r: r | {"heading_deg": (r["heading_deg"] or 0.0) + 9.0})),
         *((EAST,), None, "the reported heading"),
     ),
     "elsewhere": (
-        *(console, "snapshot", but(console.snapshot, lambda r: r | {"latitude_deg": (r["latitude_deg"] or 0.0) + 1e-4})),
+        *(snapshot, "snapshot", but(snapshot.snapshot, lambda r: r | {"latitude_deg": (r["latitude_deg"] or 0.0) + 1e-4})),
         *((EAST,), None, "the reported position"),
     ),
     "record": (record, "values", but(record.values, lambda v: (*v[:9], 99, *v[10:])), (EAST,), None, "logged is mode"),

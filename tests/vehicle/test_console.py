@@ -104,8 +104,9 @@ def test_heading_is_shown_on_the_compass(boat):
 
 
 def test_what_may_be_asked_is_obeyed() -> None:
-    """But for those that the loop answers: they only ask for the state, or are the program's own."""
-    assert set(helm._OBEYED) == set(console.KINDS.values()) - {console.TellState, console.Watch, console.Return}
+    """But for those that the loop answers: they only ask for the state, are the program's own, or of payload programs."""
+    of_payloads = {console.Entrust, console.Sight, console.OfPayload}
+    assert set(helm._OBEYED) == set(console.KINDS.values()) - {console.TellState, console.Watch, console.Return} - of_payloads
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,6 @@
 """The words of the interface: the vehicle's, the computer's, and their schema. SI units, the unit in the name.
 
-The vehicle's words are those of `delfim.vehicle.console.snapshot`. A field that is not named here is left out, a missing one
+The vehicle's words are those of `delfim.vehicle.snapshot`. A field that is not named here is left out, a missing one
 has its default, so that a page and a vehicle of two versions understand each other.
 """
 
@@ -185,6 +185,7 @@ class State(Facts, frozen=True):
     mode: str
     reason: str
     operator: str = ""  # who commands; empty: nobody
+    helmsman: str = ""  # the payload program that has the boat; empty: none
     boat: str = "boat"
     cycle: int = 0
     utc_ns: int = 0  # navigation's clock, 0 if it sends none

@@ -34,7 +34,8 @@ def _vehicle(report: Report) -> Iterator[Metric]:
     if vehicle is None:
         return
     ages = [({"input": name}, age) for name, age in vehicle.age_s.items() if age is not None]
-    yield Metric("delfim_mode", "gauge", "The present mode is 1.", [({"mode": vehicle.mode}, 1)])
+    payload = {"payload": vehicle.helmsman} if vehicle.helmsman else {}
+    yield Metric("delfim_mode", "gauge", "The present mode is 1.", [({"mode": vehicle.mode} | payload, 1)])
     yield Metric("delfim_input_age_seconds", "gauge", "Age of each input; an input that was never heard is missing.", ages)
     yield Metric("delfim_notices", "gauge", "Troubles the failsafe sees.", [({}, len(vehicle.notices))])
     faulty = [({"node": name}, float(node.status != "good")) for name, node in vehicle.sysstat.items()]

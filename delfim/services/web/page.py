@@ -57,8 +57,9 @@ def head(view: PageView) -> str:
     why = vehicle.reason if vehicle.reason != "operator" else "as the operator asked"
     if vehicle.mode == "play":
         why = f"{vehicle.mission or 'mission'}, leg {vehicle.reference.leg + 1} of {vehicle.legs}: {why}"
+    mode = f"payload {vehicle.helmsman}: {vehicle.mode}" if vehicle.helmsman else vehicle.mode
     return (
-        f'<div class="band {mood(vehicle)}"><p>{name}</p><h1>{escape(vehicle.mode.capitalize())}</h1>'
+        f'<div class="band {mood(vehicle)}"><p>{name}</p><h1>{escape(mode[:1].upper() + mode[1:])}</h1>'
         f'<p class="why">{escape(why)}{f" ({escape(vehicle.operator)} commands)" if vehicle.operator else ""}</p></div>'
     )
 
@@ -184,12 +185,9 @@ def inputs(view: PageView) -> str:
 
 
 def _limit_s(settings: config.Vehicle, name: str, is_measured: bool) -> float:
-    named = {
-        "navigation": settings.navigation.stale_s,
-        "console": settings.failsafe.console_silent.after_s,
-        "guest": settings.failsafe.guest_silent.after_s,
-    }
-    return named.get(name, settings.sensors.stale_s if is_measured else settings.sysstat.stale_s)
+    named = {"navigation": settings.navigation.stale_s, "console": settings.failsafe.console_silent.after_s}
+    named |= dict.fromkeys(("guest", "payload"), settings.failsafe.guest_silent.after_s)  # a payload's name follows
+    return named.get(name.partition(" ")[0], settings.sensors.stale_s if is_measured else settings.sysstat.stale_s)
 
 
 def latency(view: PageView) -> str:

@@ -12,7 +12,7 @@ from delfim.simulator.invariants.cycle import CycleSeen
 from delfim.simulator.lockstep import Lockstep
 from delfim.simulator.model import WATER, Hull
 from delfim.simulator.propulsor import VOLTAGE_V
-from delfim.vehicle import console, record, thrusters
+from delfim.vehicle import record, snapshot, thrusters
 from delfim.vehicle.control.hull import full_mps
 from delfim.vehicle.state import Notice, State
 from delfim.vehicle.troubles import NUMBERS
@@ -197,7 +197,7 @@ class Reported:
         if state.mode is self._mode and state.cycles % CYCLES:
             return
         self._mode = state.mode
-        report = console.snapshot(state, now_s, {"thrusters": thrusters.told(self._rows, state, now_s)})
+        report = snapshot.snapshot(state, now_s, {"thrusters": thrusters.told(self._rows, state, now_s)})
         yield from self._of_boat(report, state, now_s)
         yield from self._of_record(state, now_s)
         if self._is_plain and now_s > self._doubt_s and state.navigation_s == cycle.was.now_s and state.navigation is not None:

@@ -272,7 +272,7 @@ class Beginnings:
 
     def look(self, cycle: CycleSeen) -> Iterator[str]:
         state, has = cycle.state, cycle.memory
-        begins = state.mode is not cycle.was.mode and not state.reason.startswith(("operator", "restarted"))
+        begins = state.mode is not cycle.was.mode and not state.reason.startswith(("operator", "payload", "restarted"))
         if begins and state.mode in STEERED and state.navigation_s >= state.mode_s:  # without navigation it has not begun yet
             should = begun(state.mode, state.setpoint, state.motion)
             held, push, speed_mps = has.integrals.yaw_nm, has.integrals.surge_n, has.integrals.speed_mps

@@ -19,6 +19,15 @@ SAME: Final = 1e-9
 NEAR: Final = 1e-6
 ACTIONS: Final = ("none", "warn", "hold", "back", "home", "stop")
 HALTS: Final = console.Stop | console.ShutDown
+ASKS: Final = console.Alive | console.TellState | console.Watch
+FREE: Final = ("alive", "sight")  # what a payload program may say though the boat is not its own
+RIGHT: Final = {
+    "pause": "hold",
+    "sight": "obstacles",
+    **{word: word for word in ("goto", "speed", "heading")},
+    "course": "heading",
+    **dict.fromkeys(("upload", "play", "continue"), "mission"),
+}
 
 
 class BeforeOrder(NamedTuple):
@@ -36,6 +45,20 @@ class BeforeOrder(NamedTuple):
     paused: object
 
 
+class Whose(NamedTuple):
+    """What an order of a payload program leaves as it is, even if it is obeyed."""
+
+    helmsman: str
+    operator: str
+    console_s: float
+    troubles: object
+
+
+def whose(run: Lockstep) -> Whose:
+    state = run.state
+    return Whose(state.helmsman, state.operator, state.console_s, run.vehicle.helm.troubles)
+
+
 def aboard(run: Lockstep) -> BeforeOrder:
     state, helm = run.state, run.vehicle.helm
     plans = helm.plans
@@ -50,20 +73,28 @@ class Orders:
 
     def __init__(self, run: Lockstep) -> None:
         self._run, self._fence = run, PlainFence(run)
-        self._was = aboard(run)
+        self._was, self._whose = aboard(run), whose(run)
 
     def before(self) -> None:
-        self._was = aboard(self._run)
+        self._was, self._whose = aboard(self._run), whose(self._run)
 
-    def after(self, command: console.Commands, why: str | None) -> Iterator[str]:
-        """What is wrong with the answer, in words."""
+    def after(self, command: console.Commands, why: str | None, payload: str = "") -> Iterator[str]:
+        """What is wrong with the answer, in words. `payload`: the program that ordered; empty: an operator did."""
         now, was, name = aboard(self._run), self._was, str(command.__struct_config__.tag)
         if why is not None:
+            if self._whose.helmsman and not payload:  # it takes the boat back all the same, and the reason says so
+                was = was._replace(boat=was.boat._replace(reason=now.boat.reason))
             for field, one, other in zip(BeforeOrder._fields, was, now, strict=True):
                 if one is not other and one != other:
                     yield f"{name} was refused ({why}), and changed {field}"
             if not why.strip(": "):
                 yield f"{name} was refused without a reason"
+        if payload:
+            yield from self._below(payload, command, why)
+            if self._whose.helmsman != payload or (why or "").startswith("refused: "):  # by the rights of programs
+                return
+        elif not isinstance(command, ASKS | console.Entrust) and self._run.state.helmsman:
+            yield f"{name} of an operator left the boat to payload {self._run.state.helmsman}"
         wanted = self._wanted(command)
         if wanted is not None:
             mode, setpoint = wanted
@@ -86,6 +117,15 @@ class Orders:
                 yield f"{name} was refused ({why}), and nothing forbids it"
         elif isinstance(command, console.Manual):
             yield from self._does(name, Mode.MANUAL, was.boat.setpoint._replace(starboard=command.starboard, port=command.port))
+
+    def _below(self, payload: str, command: console.Commands, why: str | None) -> Iterator[str]:
+        """What a program may not do."""
+        word, table = str(command.__struct_config__.tag), self._run.settings.payload.get(payload)
+        has = self._whose.helmsman == payload or word in FREE
+        if why is None and not (has and table is not None and table.may and (word == "alive" or RIGHT[word] in table.may)):
+            yield f"{word} of payload {payload} was obeyed, which may not order it now"
+        if whose(self._run)[1:] != self._whose[1:]:
+            yield f"{word} of payload {payload} passed for an operator's, or overruled the failsafe"
 
     def entered(self, command: console.Commands) -> CycleSeen | None:
         """The first step of a mode that an order began, which is done at once. None: it began none, or went on with one, or a
@@ -122,6 +162,8 @@ class Orders:
                 asked_mps = control.speed.cruise_mps if command.speed_mps is None else command.speed_mps
                 target = Waypoint(*place, min(asked_mps, control.speed.max_mps), control.path.acceptance_m)
                 return Mode.GOTO, setpoint._replace(target=target, via=(), end=command.end or control.goto.end)
+            case console.Entrust(name=name) if state.helmsman == name:
+                return Mode.HOLD, setpoint
             case console.Play():
                 return Mode.PLAY, setpoint._replace(leg=command.leg)
             case console.SetMode(mode="idle"):

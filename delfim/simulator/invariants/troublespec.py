@@ -190,7 +190,12 @@ def console_silent(look: Glance) -> bool | None:
 
 
 def guest_silent(look: Glance) -> bool | None:
-    return look.mode is Mode.GREX and look.now_s - look.state.guest_s > look.settings.failsafe.guest_silent.after_s
+    state, after_s = look.state, look.settings.failsafe.guest_silent.after_s
+    if state.helmsman:  # which loses the boat by that
+        return look.now_s - state.payloads_s[state.helmsman] > after_s
+    if look.settings.helmsmen:
+        return None
+    return look.mode is Mode.GREX and look.now_s - state.guest_s > after_s
 
 
 def fence(look: Glance) -> bool | None:

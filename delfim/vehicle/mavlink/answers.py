@@ -5,8 +5,8 @@ from collections.abc import Callable, Iterable
 from typing import Final
 
 from delfim import __version__
-from delfim.modes import Mode
-from delfim.vehicle.mavlink.telemetry import TelemetryView
+from delfim.modes import PAYLOADS, Mode
+from delfim.vehicle.mavlink.telemetry import TelemetryView, shown_mode
 from delfim.vehicle.mavlink.wire import Message, dialect
 
 CAPABILITIES: Final = (
@@ -18,7 +18,7 @@ CAPABILITIES: Final = (
     | dialect.MAV_PROTOCOL_CAPABILITY_MISSION_RALLY
     | dialect.MAV_PROTOCOL_CAPABILITY_COMPONENT_ACCEPTS_GCS_CONTROL
 )
-STANDARD: Final = {
+STANDARD: Final[dict[int, int]] = {
     Mode.HOLD: dialect.MAV_STANDARD_MODE_POSITION_HOLD,
     Mode.PLAY: dialect.MAV_STANDARD_MODE_MISSION,
     Mode.HOME: dialect.MAV_STANDARD_MODE_SAFE_RECOVERY,
@@ -36,15 +36,16 @@ def version(view: TelemetryView, index: int) -> Iterable[Message]:
 
 def modes(view: TelemetryView, index: int) -> Iterable[Message]:
     """AVAILABLE_MODES: one of them, counted from 1; 0 is all."""
-    every = list(Mode)
-    for number, mode in enumerate(every, 1):
+    names = view.boat.helm.settings.helmsmen
+    every = {int(mode): mode.name.lower() for mode in Mode} | {PAYLOADS + i: f"payload {name}" for i, name in enumerate(names)}
+    for number, (mode, name) in enumerate(every.items(), 1):
         if index in (0, number):
-            name, standard = mode.name.lower().encode(), STANDARD.get(mode, dialect.MAV_STANDARD_MODE_NON_STANDARD)
-            yield dialect.MAVLink_available_modes_message(len(every), number, standard, mode, 0, name)
+            standard = STANDARD.get(mode, dialect.MAV_STANDARD_MODE_NON_STANDARD)
+            yield dialect.MAVLink_available_modes_message(len(every), number, standard, mode, 0, name.encode())
 
 
 def mode(view: TelemetryView, index: int) -> Iterable[Message]:
-    now = view.boat.state.mode
+    now = shown_mode(view)
     standard = STANDARD.get(now, dialect.MAV_STANDARD_MODE_NON_STANDARD)
     return (dialect.MAVLink_current_mode_message(standard, now, now),)
 

@@ -9,7 +9,7 @@ from collections.abc import Callable
 from typing import Final, NamedTuple
 
 from delfim.errors import FormatError, Refused
-from delfim.modes import Mode
+from delfim.modes import PAYLOADS, Mode
 from delfim.vehicle import console
 from delfim.vehicle.mavlink.plans import GLOBAL
 from delfim.vehicle.mavlink.wire import Message, dialect
@@ -46,6 +46,7 @@ class Terms(NamedTuple):
     leg: Callable[[int], int]  # of an item of the mission; raises FormatError
     speed_max_mps: float
     mode: Mode  # that the boat is in
+    payloads: tuple[str, ...]  # programs that may have the boat
     guided_waits: bool  # as in ArduRover: mode 15 waits for a point, and does not go to the first waypoint
 
 
@@ -80,6 +81,8 @@ def _mode(o: Order, boat: Terms) -> console.Commands:
         raise FormatError("ask for the mode by its custom number")
     if custom == RTL:
         return console.SetMode("home")
+    if custom in range(PAYLOADS, PAYLOADS + len(boat.payloads)):
+        return console.Entrust(boat.payloads[int(custom) - PAYLOADS])
     if custom not in list(Mode):
         raise FormatError(f"no mode {custom:g}")
     if custom == Mode.GOTO and not boat.guided_waits:

@@ -55,7 +55,8 @@ def _ordered(consoles: Consoles, peer: Peer, source: Speaker, order: commands.Or
         return DENIED, "a command must address this vehicle"
     boat, guided_waits = consoles.boat, consoles.settings.autopilot == "ardurover"
     try:
-        terms = commands.Terms(consoles.missions.leg, boat.helm.settings.control.speed.max_mps, boat.state.mode, guided_waits)
+        settings, leg = boat.helm.settings, consoles.missions.leg
+        terms = commands.Terms(leg, settings.control.speed.max_mps, boat.state.mode, settings.helmsmen, guided_waits)
         refused = consoles.ask(source, make(order, terms))
     except FormatError as error:
         return DENIED, str(error)

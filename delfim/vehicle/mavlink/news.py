@@ -9,9 +9,15 @@ from delfim.vehicle.mavlink.missions import Missions
 from delfim.vehicle.mavlink.peers import Peers
 from delfim.vehicle.mavlink.plans import command_name
 from delfim.vehicle.mavlink.wire import Speaker, dialect
-from delfim.vehicle.state import HANDSET
+from delfim.vehicle.state import HANDSET, State
 
 TOLD_AGAIN_S: Final = 2.0  # earliest repetition of a lasting trouble
+
+
+def _shown(state: State) -> str:
+    """The mode and why. That of a payload program has its name, and where there is no other reason says what the boat does."""
+    mode, whose = state.mode.name.lower(), f"payload {state.helmsman}" if state.helmsman else ""
+    return f"{whose or mode}: {mode if state.reason == whose else state.reason}"
 
 
 class News:
@@ -19,7 +25,7 @@ class News:
 
     def __init__(self, boat: VehicleLoop, peers: Peers, missions: Missions) -> None:
         self._boat, self._peers, self._missions = boat, peers, missions
-        self._said: tuple[Mode, str, tuple[tuple[str, str], ...], str, str] | None = None
+        self._said: tuple[str, str, tuple[tuple[str, str], ...], str, str] | None = None
         self._told: dict[tuple[str, str], tuple[str, float]] = {}  # by trouble and action: the last text, and when it was told
         self._leg_now: tuple[int, int] = 0, 0  # the number of the plan, and its leg
         self._announced = 0
@@ -33,14 +39,11 @@ class News:
         state, say = self._boat.state, self._peers.say
         troubles = tuple((notice.name, notice.action) for notice in state.notices)
         console = commander.name if commander is not None else "no console"
-        said = state.mode, state.reason, troubles, HANDSET if state.operator == HANDSET else console, state.namesakes
+        said = _shown(state), state.reason, troubles, HANDSET if state.operator == HANDSET else console, state.namesakes
         was, self._said = self._said or said, said
         if was[:2] != said[:2]:
-            calm = state.reason.startswith("operator") or state.reason.endswith(" done")
-            say(
-                dialect.MAV_SEVERITY_NOTICE if calm else dialect.MAV_SEVERITY_ALERT,
-                f"{state.mode.name.lower()}: {state.reason}",
-            )
+            calm = state.reason.startswith(("operator", "payload")) or state.reason.endswith(" done")
+            say(dialect.MAV_SEVERITY_NOTICE if calm else dialect.MAV_SEVERITY_ALERT, said[0])
         self._tell_troubles()
         if was[3] != said[3]:
             say(dialect.MAV_SEVERITY_NOTICE, f"{said[3]} commands")

@@ -11,7 +11,7 @@ from typing import Final, Literal, NamedTuple
 from delfim.config import Mavlink
 from delfim.geodesy import compass, from_plane, wrap
 from delfim.messages import BatteriesStatus, Node
-from delfim.modes import Mode
+from delfim.modes import PAYLOADS, Mode
 from delfim.vehicle import sensors, thrusters
 from delfim.vehicle.failsafe import Action, bits
 from delfim.vehicle.loop import VehicleLoop
@@ -77,7 +77,13 @@ def heartbeat(view: TelemetryView) -> Message:
     acting = any(Action[notice.action.upper()] > Action.WARN for notice in state.notices)
     doing = dialect.MAV_STATE_ACTIVE if mode is not Mode.IDLE else dialect.MAV_STATE_STANDBY
     status = dialect.MAV_STATE_CRITICAL if acting else doing
-    return dialect.MAVLink_heartbeat_message(dialect.MAV_TYPE_SURFACE_BOAT, autopilot(view), base, mode, status, 3)
+    return dialect.MAVLink_heartbeat_message(dialect.MAV_TYPE_SURFACE_BOAT, autopilot(view), base, shown_mode(view), status, 3)
+
+
+def shown_mode(view: TelemetryView) -> int:
+    """The number of the mode: that of the payload program that has the boat, whatever the boat does for it."""
+    state, names = view.boat.state, view.boat.helm.settings.helmsmen
+    return PAYLOADS + names.index(state.helmsman) if state.helmsman else int(state.mode)
 
 
 def autopilot(view: TelemetryView) -> int:
@@ -292,8 +298,9 @@ def all_in_one(view: TelemetryView) -> Iterator[Message]:
     owner_id = view.owner - 256 if view.owner > 127 else view.owner
     speed, wanted = _fifths(math.hypot(m.north_mps, m.east_mps)), _fifths(r.speed_mps or 0.0)
     far, ahead = min(round((r.distance_m or 0.0) / 10), _U16), max(round((port + starboard) / 2), 0)
+    kind = dialect.MAV_TYPE_SURFACE_BOAT, autopilot(view), shown_mode(view)
     yield dialect.MAVLink_high_latency2_message(
-        _boot_ms(view), dialect.MAV_TYPE_SURFACE_BOAT, autopilot(view), state.mode, *place, 0, 0, heading, target, far, ahead,
+        _boot_ms(view), *kind, *place, 0, 0, heading, target, far, ahead,
         0, wanted, speed, 0, 0, 0xFF, 0xFF, 0, 0, left, r.leg & 0xFFFF, failures, owner_id, port, starboard,
     )  # fmt: skip
 
