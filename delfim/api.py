@@ -1,4 +1,4 @@
-"""All that a laboratory's own part needs of Delfim (docs/parts.md). The names here stay as they are while `parts.API` is the
+"""All that a laboratory's own part needs of Delfim (docs/own-parts.md). The names here stay as they are while `parts.API` is the
 same; everything else in the project may change from one version to the next.
 """
 

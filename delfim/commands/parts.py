@@ -46,7 +46,7 @@ def _list(_: argparse.Namespace) -> int:
 def _new(asked: argparse.Namespace) -> int:
     if not re.fullmatch("[a-z][a-z0-9_]{0,31}", asked.name):
         raise DelfimError(f"{asked.name!r} is no name for a part: a small letter, then up to 31 small letters, digits or _")
-    example, place = f"example_{asked.kind}", Path(asked.output) / asked.name
+    example, place = f"example_{asked.kind}", Path(asked.output) / f"delfim-{asked.name}"  # no name that Python would import
     if place.exists():
         raise DelfimError(f"{place} is there already")
     shutil.copytree(EXAMPLES / asked.kind, place, ignore=shutil.ignore_patterns("__pycache__", "*.egg-info", "build"))

@@ -56,12 +56,12 @@ class Wires:
 
     def __init__(self) -> None:
         self.clock = ManualClock()
-        self.lines, self.buses = dict[str, Line](), dict[str, LockstepBus]()
+        self.lines, self.buses = dict[str, DeafLine](), dict[str, LockstepBus]()
         self.links = Links(self._bus, self._line)
         self._ends = dict[str, CanSocket]()
 
     def _line(self, device: str, baud: int, form: Form = "8N1") -> LockstepLine:
-        return self.lines.setdefault(device, Line(self.clock))
+        return self.lines.setdefault(device, DeafLine(self.clock))
 
     def _bus(self, interface: str, filters: tuple[CanAddress, ...]) -> CanSocket:
         if interface not in self.buses:
@@ -92,7 +92,7 @@ class Wires:
             bus.off = True
 
 
-class Line(LockstepLine):
+class DeafLine(LockstepLine):
     refuses = False
 
     def write(self, data: bytes) -> bool:
@@ -150,7 +150,7 @@ def _trying(found: list[str]) -> Iterator[None]:
         found.append(f"it raised {type(error).__name__}: {in_words(error)}")
 
 
-class Timed:
+class Stopwatch:
     """Calls, the longest of them, and what they raised."""
 
     def __init__(self) -> None:
@@ -168,7 +168,7 @@ class Timed:
 
 
 def _driver(name: str, settings: config.Vehicle) -> Iterator[Tried]:
-    wires, timed = Wires(), Timed()
+    wires, timed = Wires(), Stopwatch()
     driver: Actuator | None = timed(open_actuator, name, settings, wires.links)
     yield timed.tried(
         "opened, it commands nothing: a second one is opened before the start", "it spoke" if wires.said() else ""
@@ -177,7 +177,7 @@ def _driver(name: str, settings: config.Vehicle) -> Iterator[Tried]:
         return
     count = len(settings.thrusters)
     full, still = Actuation((1.0,) * count, (0.0,) * count, True), Actuation((0.0,) * count, (0.0,) * count, False)
-    timed, took = Timed(), list[object]()
+    timed, took = Stopwatch(), list[object]()
     for k in range(READS):
         took.append(timed(driver.send, full if k % 2 else still, 0.2 * k))
         if driver.period_s is not None:
@@ -186,12 +186,12 @@ def _driver(name: str, settings: config.Vehicle) -> Iterator[Tried]:
     yield timed.tried("commands are sent", wrong or ("" if wires.said() else "nothing came on its line or bus"))
     for sensor in driver.inputs:
         yield from _garbage("garbage where its reports come", sensor.read, wires)
-    timed = Timed()
+    timed = Stopwatch()
     timed(driver.stop)
     yield timed.tried("stop is sent", "" if wires.said() else "nothing came on its line or bus")
     yield _jsonable("report", driver.report)
     wires.deaf()
-    timed = Timed()
+    timed = Stopwatch()
     refused = timed(driver.send, full, 0.0)
     yield timed.tried(
         "a line that takes nothing is told", "" if refused else f"send returned {refused!r}, not how many were lost"
@@ -209,7 +209,7 @@ def _driver(name: str, settings: config.Vehicle) -> Iterator[Tried]:
 
 
 def _input(kind: str, name: str, settings: config.Vehicle) -> Iterator[Tried]:
-    wires, timed, state = Wires(), Timed(), State()
+    wires, timed, state = Wires(), Stopwatch(), State()
     if kind == "source":
         opened = timed(open_source, name, settings, wires.links, state)
     else:
@@ -218,7 +218,7 @@ def _input(kind: str, name: str, settings: config.Vehicle) -> Iterator[Tried]:
     if opened is None:
         return
     read = opened.read if kind == "sensor" else lambda _, now_s: opened.read(now_s)
-    timed = Timed()
+    timed = Stopwatch()
     values = [timed(read, state, 0.2 * k) for k in range(READS)]
     yield timed.tried(f"{kind}: silence", "it returned something" if any(values) else "")
     yield from _garbage(f"{kind}: garbage", read, wires, state)
@@ -230,7 +230,7 @@ def _input(kind: str, name: str, settings: config.Vehicle) -> Iterator[Tried]:
 
 def _garbage(what: str, read: Callable[[State, float], object], wires: Wires, state: State | None = None) -> Iterator[Tried]:
     """Pieces of all lengths, an endless line among them. What comes of it must make sense."""
-    timed, chance, state = Timed(), Random(what), state or State()
+    timed, chance, state = Stopwatch(), Random(what), state or State()
     faults = list[str]()
     for k in range(PIECES):
         length = 65_536 if k == PIECES // 2 else chance.randrange(0, 200)
@@ -266,7 +266,7 @@ def _timings(kind: str, read: Callable[[State, float], object], said: bytes, wir
         (" many times at once", [said * 50]),
         (" frozen", [said] * 50),
     ):
-        timed, state.measured = Timed(), {}
+        timed, state.measured = Stopwatch(), {}
         wires.clock.advance(1.0)
         found = list[object]()
         for piece in pieces:

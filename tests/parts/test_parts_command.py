@@ -20,7 +20,7 @@ def delfim(*words: str, place: Path) -> subprocess.CompletedProcess[str]:
 def test_what_it_writes_is_installed_and_keeps_the_contract(tmp_path, kind):
     told = delfim("parts", "new", kind, "acme", "--output", str(tmp_path / "packages"), place=tmp_path)
     assert told.returncode == 0, told.stderr
-    package = tmp_path / "packages/acme"
+    package = tmp_path / "packages/delfim-acme"
     assert not [path for path in package.rglob("*") if path.is_file() and "example" in path.read_text() + path.name]
     (tmp_path / "acme").symlink_to(package / "acme")
     known(tmp_path, "acme", "acme:PART")
