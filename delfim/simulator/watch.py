@@ -10,6 +10,7 @@ from delfim.simulator.invariants.cycle import CycleSeen, Invariant, before
 from delfim.simulator.invariants.factspec import Batteries, NotedChanges, Plausible, Reported
 from delfim.simulator.invariants.guidespec import Beginnings, Guidance
 from delfim.simulator.invariants.orderspec import Orders
+from delfim.simulator.invariants.returnspec import Returns
 from delfim.simulator.invariants.thrustspec import CommandedThrust, ControlLaw, DerivedGains
 from delfim.simulator.invariants.troublespec import Troubles
 from delfim.simulator.lockstep import Lockstep
@@ -87,18 +88,21 @@ class Onlooker:
         self._blind_s = run.settings.failsafe.navigation_silent.after_s + BLIND_S
         self._turning_since_s = math.inf
         self._was_inside, self._astray, self._drifted = True, False, False
-        self._orders, self._facts = Orders(run), facts
-        self._remember()
-        self._before = before(run)
+        self._orders, self._facts, self._before = Orders(run), facts, before(run)
+        self._begin()
 
-    def _remember(self) -> None:
-        """Begin with the boat's program as it is: what rules remember of another one says nothing of this one."""
+    def _begin(self) -> None:
+        """With the boat's program as it is: what rules remember of another one says nothing of this one."""
         run = self._run
         self._vehicle, self._troubles, self._beginnings = run.vehicle, Troubles(run), Beginnings(run)
         self._rules = [*(rule(run) for rule in (RULES + FACTS if self._facts else RULES)), self._troubles, self._beginnings]
+        if run.vehicle is not self._before.handed:
+            self._rules.append(Returns(run, self._before))
 
     def ready(self) -> None:
         """The next cycle begins."""
+        if self._run.vehicle is not self._vehicle:
+            self._begin()
         self._before = before(self._run)
 
     def look(self) -> None:
@@ -121,7 +125,7 @@ class Onlooker:
         if (around := run.vehicle.helm.plans.fence) is not None:
             self._fenced(around, state, idle)
         if run.vehicle is not self._vehicle:
-            self._remember()
+            self._begin()
         else:
             cycle = CycleSeen(run, self._before)
             self._rules = [rule for rule in self._rules if not self._is_broken(rule, cycle)]
@@ -129,6 +133,7 @@ class Onlooker:
 
     def order(self, command: console.Commands, by: str) -> str | None:
         """Give an order, and look at what comes of it."""
+        self.ready()
         self._orders.before()
         why = self._run.order(command, by)
         payload = payload_of(by)

@@ -16,6 +16,7 @@ from delfim.vehicle import console, failing, failsafe, helm, loop, propulsion, r
 from delfim.vehicle.actuators.dsor import Propellers
 from delfim.vehicle.control import goto, guidance, heading, hold, hull, play
 from delfim.vehicle.helm import Helm
+from delfim.vehicle.voyagestate import VoyageState
 
 VEHICLE = str(Path(__file__).parents[2] / "etc/delfimx.toml")
 HERE = config.load(VEHICLE).simulation
@@ -27,7 +28,7 @@ PLAY = {"command": "play", "at_s": 4.0}
 PUSH = {"command": "manual", "starboard": 0.5, "port": 0.5, "at_s": 4.0}
 STAY = {"command": "mode", "mode": "hold", "at_s": 10.0}
 LOST = FaultAt(at_s=5.0, kind="console_lost", for_s=30.0)
-AGAIN = FaultAt(at_s=5.0, kind="restarted")
+AGAIN = FaultAt(at_s=8.0, kind="restarted")
 DARK = FaultAt(at_s=8.0, kind="navigation_silent", for_s=3.0)
 
 
@@ -123,8 +124,10 @@ BREAKS: dict[str, tuple[Any, str, Any, tuple[dict[str, Any], ...], FaultAt | Non
     "off": (propulsion, "limited", but(propulsion.limited, off), (EAST,), None, "the thrusters are off"),
     "restarted": (
         *(propulsion, "limited", but(propulsion.limited, off)),
-        *(({**EAST, "at_s": 12.0},), AGAIN, "the thrusters are off"),
+        *(({**EAST, "at_s": 13.0},), AGAIN, "the thrusters are off"),
     ),
+    "returned": (config.Restarted, "after", lambda self, mode: "resume", (EAST,), AGAIN, "the restart brings heading"),
+    "forgotten": (VoyageState, "wanted", lambda self, now: now, (EAST,), AGAIN, "the set points aboard are others"),
     "bus": (
         *(Propellers, "send", lambda self, sent, now_s: SENT(self, sent._replace(thrust=(0.0, 0.0)), now_s)),
         *((EAST,), None, "the bus says"),

@@ -32,6 +32,11 @@ MODES: Final = {mode.name.lower(): mode for mode in Mode}
 SIDES: Final = "batteries_starboard", "batteries_port"  # by the address of their thruster
 
 
+def _settled_s(run: Lockstep) -> float:
+    """When a boat that nobody looked at before is what it was told by sound sensors alone."""
+    return run.elapsed_s + SETTLES_S if run.elapsed_s else 0.0
+
+
 class Plausible:
     """Time goes on, cycles are counted one by one, and a boat goes no farther than it can."""
 
@@ -44,18 +49,14 @@ class Plausible:
         self._noise_m = SIGMAS * noise_m + ROUNDING_M
         self._sources = len(settings.navigation.sources)
         self._times: tuple[float, ...] = ()
-        self._doubt_s, self._place, self._source, self._vehicle = 0.0, (math.nan, math.nan), "", run.vehicle
+        self._doubt_s, self._place, self._source = _settled_s(run), (math.nan, math.nan), ""
 
     def look(self, cycle: CycleSeen) -> Iterator[str]:
         state, was, run = cycle.state, cycle.was, cycle.run
         motion = state.motion
         place, self._place = self._place, (motion.north_m, motion.east_m)
-        if run.vehicle is not self._vehicle or state.source != self._source or run.faults.on:
-            self._doubt_s = was.now_s + SETTLES_S
-            if run.vehicle is not self._vehicle:
-                self._vehicle, self._times = run.vehicle, ()
-                return
-            self._source = state.source
+        if state.source != self._source or run.faults.on:
+            self._doubt_s, self._source = was.now_s + SETTLES_S, state.source
         rose = state.cycles - was.cycles
         if not state.cycles % TIMES:
             yield from self._of_times(cycle)
@@ -127,15 +128,12 @@ class NotedChanges:
 
     def __init__(self, run: Lockstep) -> None:
         state = run.state
-        self._vehicle, self._noted = run.vehicle, run.noted
+        self._noted = run.noted
         self._noted.clear()  # what was told before it looks
         self._mode, self._reason, self._notices, self._mode_s = state.mode, state.reason, state.notices, state.mode_s
 
     def look(self, cycle: CycleSeen) -> Iterator[str]:
-        state, run = cycle.state, cycle.run
-        if run.vehicle is not self._vehicle:  # which says nothing of its beginning
-            self._vehicle, self._noted, fresh = run.vehicle, run.noted, State()
-            self._mode, self._reason, self._notices, self._mode_s = fresh.mode, fresh.reason, fresh.notices, fresh.mode_s
+        state = cycle.state
         is_same = state.mode is self._mode and state.reason == self._reason
         if is_same and not self._noted and state.notices is self._notices:
             return
@@ -187,13 +185,13 @@ class Reported:
         self._speed_mps = SIGMAS * math.sqrt(2.0) * noise[2] + 0.01
         self._is_plain = run.settings.navigation.sources == ("dsor",)  # others filter, and come later
         self._fields, self._rows = record.fields(run.settings), run.settings.thrusters
-        self._doubt_s, self._mode, self._vehicle = 0.0, run.state.mode, run.vehicle
+        self._doubt_s, self._mode = _settled_s(run), run.state.mode
 
     def look(self, cycle: CycleSeen) -> Iterator[str]:
         state, run = cycle.state, cycle.run
         on, now_s = run.faults.on, run.elapsed_s
-        if (on and not on.keys() <= HONEST) or run.vehicle is not self._vehicle:
-            self._doubt_s, self._vehicle = now_s + SETTLES_S, run.vehicle
+        if on and not on.keys() <= HONEST:
+            self._doubt_s = now_s + SETTLES_S
         if state.mode is self._mode and state.cycles % CYCLES:
             return
         self._mode = state.mode
