@@ -325,7 +325,9 @@ def _fences(boat: VehicleLoop) -> list[Row]:
 
 
 def _led(around: fence.Fence) -> Callbacks:
-    search = detour.begun(around, Motion(ALL, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0), Setpoint(target=To(1500.0, 1000.0, 1.5, 5.0)))
+    search = detour.begun(
+        around, Motion(ALL, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0), Setpoint(target=To(1500.0, 1000.0, 1.5, 5.0)), "operator"
+    )
     assert search is not None
     yield None
     while search.step() is None:

@@ -83,8 +83,8 @@ class VoyageKeeping:
             return
         setpoint = state.setpoint
         now = (
-            *(state.mode, helm.memory.leg, helm.paused, state.operator, state.killed, state.has_left_idle, helm.plans.rally),
-            *(len(helm.changed), tuple(helm.changed.values()), state.origin, self._plan_line),
+            *(state.mode, helm.memory.leg, helm.paused, state.operator, state.helmsman, state.killed, state.has_left_idle),
+            *(helm.plans.rally, len(helm.changed), tuple(helm.changed.values()), state.origin, self._plan_line),
             *(setpoint.target, setpoint.override_mps, setpoint.heading_rad, setpoint.speed_mps, setpoint.leg),
         )
         is_due = state.armed and self._clock.monotonic_s() - self._kept_s >= REFRESH_S

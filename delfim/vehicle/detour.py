@@ -26,11 +26,12 @@ MOST: Final = 100_000  # of one search: nobody waits longer than a minute
 
 
 class Detour(NamedTuple):
-    """A search under way. `why`: what forbids the straight way, in words."""
+    """A search under way. `why`: what forbids the straight way, `who`: who asked for it, both in words."""
 
     work: Sliced[tuple[Point, ...] | None]
     setpoint: Setpoint
     why: str
+    who: str
 
     def step(self) -> tuple[Setpoint, str] | None:
         """A slice. The set points of goto, and how it came to them; without a target where there is no way. None: not yet."""
@@ -41,10 +42,10 @@ class Detour(NamedTuple):
         if by is None or to is None:
             return self.setpoint._replace(target=None), f"no way round is found ({self.why}): waits for another point"
         via = tuple(to._replace(north_m=north_m, east_m=east_m) for north_m, east_m in by)
-        return self.setpoint._replace(via=via), f"operator; by {len(via)} points, as {self.why}"
+        return self.setpoint._replace(via=via), f"{self.who}; by {len(via)} points, as {self.why}"
 
 
-def begun(around: Fence | None, motion: Motion, setpoint: Setpoint) -> Detour | None:
+def begun(around: Fence | None, motion: Motion, setpoint: Setpoint, who: str) -> Detour | None:
     """A search for goto. None: the straight way is free, or the target itself is refused."""
     to = setpoint.target
     if around is None or to is None or "position" not in motion.has:
@@ -56,7 +57,8 @@ def begun(around: Fence | None, motion: Motion, setpoint: Setpoint) -> Detour | 
     # With room to stop before what is ahead at each corner, or as missions, or as near as the fence lets a boat go.
     rooms_m = limits.margin_m + fence.stopping_m(limits, to.speed_mps), limits.mission_margin_m, limits.margin_m
     open_m = [each for each in rooms_m if each >= limits.margin_m and _has_room(around, target, each)]
-    return Detour(Sliced(_widest(around, (motion.north_m, motion.east_m), target, open_m)), setpoint, why) if open_m else None
+    here = motion.north_m, motion.east_m
+    return Detour(Sliced(_widest(around, here, target, open_m)), setpoint, why, who) if open_m else None
 
 
 def _widest(around: Fence, a: Point, b: Point, rooms_m: Sequence[float]) -> Work[tuple[Point, ...] | None]:

@@ -223,7 +223,7 @@ class Helm:
             if reason is not None:
                 raise Refused(f"{mode.name.lower()} refused: {reason}")
         state.setpoint = setpoint
-        who = f"payload {state.helmsman}" if state.helmsman else "operator"
+        who = state.orderer
         if not restarted and not state.helmsman:  # who overrules no failsafe
             self.troubles, self.taken = failsafe.overruled(self.troubles), False
         self.enter(mode, restarted or (who if resumed is None else f"{who} continues"), resumed)
@@ -283,7 +283,7 @@ class Helm:
     def _go_to(self, setpoint: Setpoint, now_s: float) -> None:
         """Straight there, or, where zones are in the way, round them once a way is found: meanwhile goto waits."""
         setpoint = setpoint._replace(via=())
-        found = detour.begun(self.plans.fence, self.state.motion, setpoint)
+        found = detour.begun(self.plans.fence, self.state.motion, setpoint, self.state.orderer)
         self.request(Mode.GOTO, setpoint._replace(target=None) if found else setpoint, now_s)
         self._detour = found
         if found is not None:
@@ -297,8 +297,7 @@ class Helm:
         if state.mode is Mode.HOLD:
             return
         leg = f" on leg {self.memory.leg + 1}" if state.mode is Mode.PLAY else ""
-        who = f"payload {state.helmsman}" if state.helmsman else "operator"
-        why = f"{who} paused {state.mode.name.lower()}{leg}"
+        why = f"{state.orderer} paused {state.mode.name.lower()}{leg}"
         mode, reason = failsafe.fallback(Action.HOLD, why, state.motion.has, state.setpoint)
         if not state.helmsman:
             self.troubles, self.taken = failsafe.overruled(self.troubles), False

@@ -285,6 +285,11 @@ class State:
         """Count an event that is not worth stopping for. Names are code, so the table is bounded."""
         self.counts[name] = self.counts.get(name, 0) + by
 
+    @property
+    def orderer(self) -> str:
+        """Who orders, in words: the payload program that has the boat, for the order of an operator takes it back."""
+        return f"payload {self.helmsman}" if self.helmsman else "operator"
+
     def relieve(self, why: str) -> str:
         """Take the boat back from the payload program that has it. Returns that in words; empty: none had it."""
         words, self.helmsman = f"{why}: payload {self.helmsman} no longer has the boat" if self.helmsman else "", ""

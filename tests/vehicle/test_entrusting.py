@@ -1,6 +1,7 @@
 """A payload program that has the boat: who gives it, what it may, and how it is lost."""
 
 import json
+from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
@@ -8,12 +9,13 @@ import pytest
 from delfim import config
 from delfim.errors import ConfigError
 from delfim.modes import PAYLOADS, Mode
+from delfim.simulator.lockstep import Lockstep
 from delfim.tables import decode
-from delfim.vehicle import console, voyage
+from delfim.vehicle import console
 from delfim.vehicle.command import CommandServer
 from delfim.vehicle.mission import Mission, Waypoint
 from delfim.vehicle.reviews import Reviews
-from delfim.vehicle.state import HANDSET
+from delfim.vehicle.state import HANDSET, NoLog
 from tests.vehicle.mavlink_console import newest, texts
 from tests.vehicle.test_reviews import sea, turn, zones
 
@@ -189,12 +191,35 @@ def test_a_program_overrules_no_failsafe(boat) -> None:
         assert boat.vehicle.helm.troubles is before
 
 
-def test_a_restarted_boat_is_nobodys_and_does_not_resume_what_a_program_ordered(boat) -> None:
+def test_a_restarted_boat_is_nobodys_and_holds_what_a_program_ordered_though_its_file_says_resume() -> None:
+    rights = 'payload.gradient={command=["/bin/true"], may=["heading"]}'
+    settings = config.load(str(Path(__file__).parents[2] / "etc/delfimx.toml"), (rights, 'failsafe.restarted.action="resume"'))
+    run = Lockstep(settings, 1, lambda clock: NoLog())
+    for _ in run.cycles(4):
+        pass
+    name, order = "payload:gradient", run.vehicle.on_command
+    assert [order(console.Alive(), name), order(console.Entrust("gradient")), order(EAST, name)] == [None] * 3
+    for _ in run.cycles(2):
+        pass
+    assert run.state.mode is Mode.HEADING
+    run.restart(1.0)
+    for _ in run.cycles(2):
+        pass
+    assert (run.state.mode, run.state.helmsman) == (Mode.HOLD, "")
+    assert run.state.restarted == "it was in heading of payload gradient; hold now"
+    refused = run.vehicle.on_command(EAST, name)  # of the program that was started again
+    assert refused == "refused: gradient does not have the boat: no operator has given it"
+
+
+def test_a_way_round_zones_is_the_programs_own(boat) -> None:
     given(boat)
-    says(boat, EAST)
-    kept = voyage.sailed(boat.vehicle.helm, boat.state)
-    assert (kept.helmsman, kept.mode) == ("gradient", "heading")
-    assert boat.vehicle.returning._limits.after("heading") == "hold"
+    rock = config.Area(name="rock", centre=((38.6940, -9.2150),), radius_m=30.0)
+    boat.vehicle.helm.plans.accept(console.SetFence(config.Zones(keep_out=(rock,))))
+    assert says(boat, console.Goto(38.6955, -9.2150, end="hold")) is None
+    assert boat.state.setpoint.target is None
+    spoken(boat, 2.0)
+    assert boat.state.reason == "payload gradient; by 1 points, as the way leads through rock"
+    assert boat.state.helmsman == "gradient"
 
 
 def test_its_mission_is_reviewed_within_the_zones_in_force_and_never_instead_of_an_operators(sea, counted) -> None:
