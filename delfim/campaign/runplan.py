@@ -251,8 +251,10 @@ def _trials(folder: Path, name: str) -> Iterator[tuple[str, dict[str, Any] | Non
         yield name, None, ""
         return
     path = folder / name
-    for each in staged_of(load_scenario(path), path):
-        tree = msgspec.to_builtins(each.scenario) if each.name else tables.read_toml(path)
+    scenario = load_scenario(path)
+    programs = {"payload": msgspec.to_builtins(scenario.payload)} if scenario.payload else {}  # whose files are beside it
+    for each in staged_of(scenario, path):
+        tree = msgspec.to_builtins(each.scenario) if each.name else tables.read_toml(path) | programs
         yield f"{path.stem}:{each.name}" if each.name else path.stem, tree, each.mission
 
 

@@ -153,6 +153,14 @@ def _rosd(settings: config.Vehicle) -> Iterator[Entrance]:
     yield Entrance("rosd", settings.ros.router, "anyone", "anyone who reaches this Zenoh router", may)
 
 
+def _payload(settings: config.Vehicle) -> Iterator[Entrance]:
+    """No door, and others who may steer all the same."""
+    for name, table in settings.payload.items():
+        if table.may:
+            may = f"order: {', '.join(table.may)}"
+            yield Entrance("payload", table.command[0], "here", f"payload {name}, when an operator gave it the boat", may)
+
+
 SERVICES = {
     "rosd": _rosd,
     "fleetd": _fleetd,
@@ -162,6 +170,7 @@ SERVICES = {
     "canip": _canip,
     "ftpd": _ftpd,
     "sshd": _sshd,
+    "payload": _payload,
 }
 
 

@@ -94,7 +94,7 @@ def load_scenario(path: str | Path) -> Scenario:
             OperatorWord.of(words)
     except FormatError as error:
         raise ConfigError(str(path), key, str(error)) from None
-    programs = {name: (str(Path(path).parent / file), *words) for name, (file, *words) in scenario.payload.items()}
+    programs = {name: (str((Path(path).parent / file).resolve()), *words) for name, (file, *words) in scenario.payload.items()}
     return msgspec.structs.replace(scenario, payload=programs)
 
 

@@ -15,6 +15,7 @@ from delfim.modes import Mode
 from delfim.vehicle import console, grex
 from delfim.vehicle.helm import Helm
 from delfim.vehicle.state import State
+from delfim.vehicle.underway import SAILS
 
 PAYLOAD: Final = "payload:"  # begins the name under which a program orders
 RIGHTS: Final[dict[type[console.Command], config.PayloadRight]] = {
@@ -74,6 +75,8 @@ def order(helm: Helm, name: str, command: console.Commands, now_s: float) -> str
     if isinstance(command, console.Sight):
         grex.seen(command.target, f"payload {name}", state, now_s)
         return None
+    if isinstance(command, console.Continue) and helm.paused is not None and helm.paused.mode not in SAILS:
+        return f"continue refused: {helm.paused.mode.name.lower()} was interrupted, which is no mission"
     if not isinstance(command, console.Alive):
         try:
             helm.obey(command, now_s)
@@ -86,20 +89,14 @@ def order(helm: Helm, name: str, command: console.Commands, now_s: float) -> str
 
 def obey(helm: Helm, command: console.Commands, now_s: float) -> None:
     """Carry out an order of an operator, which takes the boat back from the program that has it. Raises DelfimError."""
-    if not isinstance(command, console.Alive):
-        relieve(helm, "operator took it back")
+    if not isinstance(command, console.Alive) and (words := helm.state.relieve("operator took it back")):
+        helm.note(words)
     if isinstance(command, OWN):
         raise Refused("refused: only a payload program says this")
     if isinstance(command, console.Entrust):
         entrust(helm, command.name, now_s)
     else:
         helm.obey(command, now_s)
-
-
-def relieve(helm: Helm, why: str) -> None:
-    """Take the boat back from the program that has it, if one does."""
-    if words := helm.state.relieve(why):
-        helm.note(words)
 
 
 def entrust(helm: Helm, name: str, now_s: float) -> None:

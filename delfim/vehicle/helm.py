@@ -53,7 +53,7 @@ class Helm:
 
     def stop(self, reason: str) -> None:
         """Idle and propellers off, now. The reason is shown and logged; a kill remains the reason until it is cleared."""
-        self.enter(Mode.IDLE, f"kill: {self.state.killed.reason}" if self.state.killed.reason else reason)
+        self.enter(Mode.IDLE, f"kill: {killed}" if (killed := self.state.killed.reason) else reason)
         self.state.actuation = self._propulsion.send(STOP, self._clock.monotonic_s())
 
     def steer(self, now_s: float) -> None:
@@ -87,6 +87,8 @@ class Helm:
         """Do the failsafe's action, or the next safer one that is possible. A boat that holds and was led away from its place
         holds anew, where it is, if a zone is on the way back."""
         state = self.state
+        if words := state.relieve(f"failsafe: {reason}"):
+            self.note(words)
         if action >= Action.STOP:
             self._propulsion.disconnect(state.overdue)
         if action is Action.DISCONNECT:

@@ -147,7 +147,6 @@ class VehicleLoop:
                 self.log.note(text)
             state.notices = notices
         if action > failsafe.Action.WARN:
-            entrusting.relieve(helm, f"failsafe: {reason}")
             helm.fall_back(action, reason, now_s)
         helm.fade(now_s)
         if now_s - state.navigation_s > REPEAT_S:

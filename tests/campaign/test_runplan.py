@@ -63,6 +63,11 @@ def test_points_are_every_combination_of_stories_and_values(tmp_path):
     assert plan.points[3] == (0, {"simulation.sea.wind_mps": 4.0, "log.required": False})
 
 
+def test_the_payload_program_of_a_scenario_is_beside_that_wherever_the_campaign_runs(tmp_path):
+    _, plan = read(written(tmp_path, f'scenario = "{ETC}/scenarios/payload.toml"'))
+    assert list(plan.stories[0].scenario["payload"]["uphill"][:2]) == [str(ETC / "payloads/uphill.py"), "--peak"]
+
+
 def test_each_boat_sails_each_scenario_and_each_mission(tmp_path):
     boats = [str(ETC / name) for name in ("delfimx.toml", "boats/otter.toml")]
     missions = [str(ETC / "missions" / name) for name in ("doca.toml", "lawnmower.toml")]

@@ -37,6 +37,8 @@ def step(
 ) -> tuple[Memory, Reference, Wanted]:
     return memory, Reference(), Wanted(yaw_nm=-20.0)
 '''
+SAYS_SO = 'while read l; do echo {\\"command\\": \\"alive\\"}; done'
+WATCHES = f"""payload.watches={{command=["/bin/sh", "-c", '{SAYS_SO}'], may=["hold"]}}"""
 NUMBER = 42
 OTHER = 199  # another console
 SET_MODE, CONTROL = 176, 32100
@@ -53,7 +55,7 @@ def sail(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Sail]:
     program = Enlarged(folder / "program")
     program.file("delfim/vehicle/control/dance.py", FILE)
     program.row("delfim/modes.py", "    GREX = 101\n", f"    DANCE = {NUMBER}\n", behind=True)
-    with afternoon(folder, 'failsafe.console_silent.dance="hold"', env=program.env) as (runner, sea):
+    with afternoon(folder, 'failsafe.console_silent.dance="hold"', WATCHES, env=program.env) as (runner, sea):
 
         async def told(story: Story) -> None:
             await story(sea, *await sea.at_rest(1))
@@ -80,6 +82,20 @@ def test_it_is_in_the_pages_list_and_entered_from_there(sail: Sail) -> None:
         await from_the_page(page)
         await dances(boat)
         await shown_mode(page, 1, "dance")
+
+    sail(story)
+
+
+def test_a_payload_program_is_a_mode_of_its_name_there_and_any_key_takes_the_boat_back(sail: Sail) -> None:
+    async def story(sea: Sea, page: Page, boat: Boat) -> None:
+        await boat.until(lambda state: "payload watches" in state["age_s"])
+        await page.press("Enter")
+        await choose(page, "Payload watches")
+        await boat.until(lambda state: (state["helmsman"], state["mode"]) == ("watches", "hold"))
+        await shown_mode(page, 1, "payload watches")
+        await page.press("B")
+        await boat.until(lambda state: not state["helmsman"])
+        await shown_mode(page, 1, "hold")
 
     sail(story)
 

@@ -141,6 +141,13 @@ def spoken(boat, seconds: float, *, operator: bool = True, navigation: bool = Tr
             boat.vehicle.on_command(console.Alive())
 
 
+def test_a_program_goes_on_with_a_mission_that_was_interrupted_and_with_nothing_else(boat) -> None:
+    assert boat.vehicle.on_command(EAST) is None
+    given(boat)
+    assert says(boat, console.Continue()) == "continue refused: heading was interrupted, which is no mission"
+    assert boat.state.mode is Mode.HOLD
+
+
 def test_who_is_there_keeps_the_boat_and_a_goto_that_is_done_holds_for_it(boat) -> None:
     given(boat)
     assert says(boat, console.Goto(*HERE, end="hold")) is None
