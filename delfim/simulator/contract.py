@@ -266,7 +266,8 @@ def _timings(kind: str, read: Callable[[State, float], object], said: bytes, wir
         (" many times at once", [said * 50]),
         (" frozen", [said] * 50),
     ):
-        timed, state.measured = Stopwatch(), {}
+        timed = Stopwatch()
+        state.measured.clear()
         wires.clock.advance(1.0)
         found = list[object]()
         for piece in pieces:
