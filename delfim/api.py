@@ -1,5 +1,5 @@
-"""All that a laboratory's own part needs of Delfim (docs/own-parts.md). The names here stay as they are while `parts.API` is the
-same; everything else in the project may change from one version to the next.
+"""All that a laboratory's own part needs of Delfim (docs/own-parts.md). The names here stay as they are while `parts.API` does;
+everything else in the project may change from one version to the next.
 """
 
 from delfim.canproxy.socket import CanAddress, CanSocket
@@ -9,13 +9,16 @@ from delfim.errors import BusError, ConfigError, DelfimError, FormatError, Perma
 from delfim.frames import Frame, extended, standard
 from delfim.geodesy import from_plane
 from delfim.messages import Navigation
-from delfim.parts import API, Part, TroubleRow
+from delfim.parts import API, ModeRow, Part, TroubleRow
 from delfim.tables import Table, text
 from delfim.vehicle.actuators import Actuator
+from delfim.vehicle.control.autopilot import entered, steer
+from delfim.vehicle.control.control import Program
+from delfim.vehicle.control.memory import Memory, Settings
 from delfim.vehicle.links import Links, LoopInput, ReadableLine
 from delfim.vehicle.navigation import Fix, Source
 from delfim.vehicle.sensors import Value
-from delfim.vehicle.state import Actuation, State, ThrusterReport
+from delfim.vehicle.state import Actuation, Motion, Reference, Setpoint, State, ThrusterReport, Wanted
 from delfim.vehicle.troubles import Look
 
 __all__ = [
@@ -39,12 +42,19 @@ __all__ = [
     "Links",
     "Look",
     "LoopInput",
+    "Memory",
     "Metres",
+    "ModeRow",
+    "Motion",
     "Navigation",
     "Part",
     "PermanentFailure",
+    "Program",
     "ReadableLine",
+    "Reference",
     "Seconds",
+    "Setpoint",
+    "Settings",
     "Silence",
     "Source",
     "Speed",
@@ -55,8 +65,11 @@ __all__ = [
     "TroubleRow",
     "Value",
     "Vehicle",
+    "Wanted",
+    "entered",
     "extended",
     "from_plane",
     "standard",
+    "steer",
     "text",
 ]

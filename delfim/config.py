@@ -9,7 +9,7 @@ from collections.abc import Iterator, Sequence
 from ipaddress import IPv4Address, IPv4Interface, ip_address, ip_network
 from itertools import combinations, pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Final, Literal, cast, get_args
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Final, Literal, cast, get_args, get_type_hints
 
 import msgspec
 
@@ -1661,8 +1661,11 @@ class Vehicle(Table, frozen=True):
 
 def whole(aboard: tuple[Part, ...]) -> type[Vehicle]:
     """The class of a file that names these parts: a table for each, and their names and troubles where there are some."""
-    troubles = [(row.name, row.table, row.table()) for part in aboard for row in part.troubles]
-    failsafe, navigation = _with(Failsafe, troubles), _with(NavigationTable, [_names("sources", SourceName, aboard, 1)])
+    modes = [mode.name for part in aboard for mode in part.modes]
+    troubles = [*tables_of(Failsafe), *((row.name, row.table) for part in aboard for row in part.troubles)]
+    answers = [(name, _in_modes(table, modes)) for name, table in troubles if modes or not hasattr(Failsafe, name)]
+    failsafe = _with(Failsafe, [(name, table, table()) for name, table in answers])
+    navigation = _with(NavigationTable, [_names("sources", SourceName, aboard, 1)])
     sensors = _with(Sensors, [_names("names", SensorName, aboard, 0)])
     thruster = _with(ThrusterTable, [("driver", Literal[(*get_args(DriverName), *of_kind(aboard, "driver"))])])
     rows = ("thrusters", Annotated[tuple[thruster, ...], get_args(Thrusters)[1]], DELFIMX)  # type: ignore[valid-type]
@@ -1670,6 +1673,18 @@ def whole(aboard: tuple[Part, ...]) -> type[Vehicle]:
     own = [(part.name, part.table, part.table()) for part in aboard if part.table is not None]
     kind: type[Vehicle] = _with(Vehicle, [*tables, rows, *own], {"aboard": aboard})
     return kind
+
+
+def tables_of(kind: type[Table]) -> list[tuple[str, type[Table]]]:
+    """The names and classes of the tables in a table."""
+    hints = get_type_hints(kind).items()
+    return [(name, hint) for name, hint in hints if isinstance(hint, type) and issubclass(hint, Table)]
+
+
+def _in_modes(table: type[Table], modes: Sequence[str]) -> Any:
+    """The table of a trouble with a key for each mode of a part."""
+    action = ReturnName if issubclass(table, Restarted) else ModeAction
+    return _with(table, [(mode, action, "same") for mode in modes]) if modes else table
 
 
 def _with(table: type[Table], fields: Sequence[tuple[Any, ...]], namespace: dict[str, Any] | None = None) -> Any:

@@ -25,6 +25,26 @@ class Mode(IntEnum):
 PAYLOADS = 200  # on the console's link, from this number on: a payload program has the boat, by its place in the vehicle's file
 
 
+OF_PARTS = range(120, 140)  # numbers for the modes of a laboratory's parts
+
+
+def join(name: str, number: int) -> Mode:
+    """The mode of a laboratory's part, which is known in this process from now on. Raises ValueError where the number is not
+    one of OF_PARTS, or another mode has it or the name."""
+    key = name.upper()
+    if number in OF_PARTS and key in Mode.__members__ and Mode[key] == number:
+        return Mode[key]
+    if number not in OF_PARTS or number in Mode._value2member_map_ or key in Mode.__members__:
+        raise ValueError(
+            f"mode {name} cannot have the number {number}: 120 to 139 are for parts, and each name and number is one"
+        )
+    mode = int.__new__(Mode, number)  # as the enumeration makes its own
+    mode._name_, mode._value_ = key, number
+    Mode._member_names_.append(key)
+    Mode._member_map_[key] = Mode._value2member_map_[number] = mode
+    return mode
+
+
 def mode_named(text: str) -> Mode:
     """Raises FormatError for a mode that does not exist, naming those that do."""
     try:

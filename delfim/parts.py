@@ -10,6 +10,7 @@ from importlib import import_module
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any, Final, NamedTuple
 
+from delfim import modes
 from delfim.errors import ConfigError, DelfimError, PermanentFailure, did_you_mean, in_words
 from delfim.tables import Table
 
@@ -27,6 +28,14 @@ class TroubleRow(NamedTuple):
     sees: str  # module:function; it takes a `delfim.api.Look` and returns the reason in words, or None; ten times a second
 
 
+class ModeRow(NamedTuple):
+    """A mode of a part: it steers, as heading and hold do, and has a key in each trouble of `[failsafe]`."""
+
+    name: str  # small letters and _
+    number: int  # one of `modes.OF_PARTS`, on the console's link and in the log
+    program: str  # module with `open_mode(settings)`, which returns a `delfim.api.Program`
+
+
 class Part(NamedTuple):
     """A row. A text names a module, or a function as module:function, which is loaded when it is used."""
 
@@ -37,6 +46,7 @@ class Part(NamedTuple):
     sensor: str = ""  # module with `VALUES` and `open_sensor(settings, links)`
     service: str = ""  # module:coroutine, which takes the runtime
     troubles: tuple[TroubleRow, ...] = ()
+    modes: tuple[ModeRow, ...] = ()
     played: str = ""  # its device in simulation: module with `devices_of` on a bus, or `instrument_of` on a line
     api: int = API
 
@@ -66,6 +76,12 @@ def named(wanted: object, file: str) -> tuple[Part, ...]:
             raise ConfigError(file, key, f"trouble {trouble.name} has number {trouble.number}", f"25 to {TROUBLES[-1]}")
         if (other := numbers.setdefault(trouble.number, trouble.name)) != trouble.name:
             raise ConfigError(file, key, f"its trouble {trouble.name} has number {trouble.number}, as {other} has")
+    for row in rows:
+        for mode in row.modes:
+            try:
+                modes.join(mode.name, mode.number)
+            except ValueError as error:
+                raise ConfigError(file, f"parts.{row.name}", str(error)) from None
     return rows
 
 

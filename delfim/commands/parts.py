@@ -10,7 +10,7 @@ from delfim.commands import OWN_FILE, PACKAGE, shipped
 from delfim.errors import DelfimError
 
 EXAMPLES: Final = PACKAGE / "etc/parts"
-KINDS: Final = ("motor", "sensor", "service", "source", "trouble")
+KINDS: Final = ("mode", "motor", "sensor", "service", "source", "trouble")
 
 
 def options(parser: argparse.ArgumentParser) -> None:

@@ -35,7 +35,7 @@ from delfim.vehicle.build import build
 from delfim.vehicle.command import CommandServer
 from delfim.vehicle.console import Commands, ShutDown
 from delfim.vehicle.entrusting import payload_of
-from delfim.vehicle.foreign import breaking_off
+from delfim.vehicle.foreign import in_real_time
 from delfim.vehicle.grex import Guest
 from delfim.vehicle.hands import Hand
 from delfim.vehicle.links import Links, Readable, ReadableLine
@@ -141,9 +141,10 @@ async def _sail(runtime: Runtime, last: contextlib.AsyncExitStack) -> None:
         broken = _breakable(runtime, links)
         record_to, make_guest = (broken.log(log), broken.guest) if broken else (log, Guest)
 
+        in_real_time()
         opened = OpenedLinks(runtime, links)
         boat, inputs, hands, outlets = build(
-            settings, clock, state, Links(opened.bus, opened.line, opened.gpio, breaking_off), record_to, make_guest
+            settings, clock, state, Links(opened.bus, opened.line, opened.gpio), record_to, make_guest
         )
         keeping = VoyageKeeping(settings, clock, boat)
         last.push_async_callback(keeping.close)

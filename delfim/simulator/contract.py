@@ -138,6 +138,8 @@ def tried(name: str, version: str, file: str = BOAT) -> Iterator[Tried]:
             if not inspect.iscoroutinefunction(parts.load(part, part.service)):
                 faults.append(f"{part.service} is no coroutine function")
         yield Tried("service", "".join(faults))
+    for mode in part.modes:
+        yield from _mode(mode.name, settings)
     if part.driver or part.source or part.sensor or part.played:
         yield from _voyage(part, settings)
 
@@ -282,6 +284,22 @@ def _jsonable(what: str, report: Callable[[], object]) -> Tried:
     with _trying(faults):
         json.dumps(report(), allow_nan=False)
     return Tried(f"{what} can be JSON", "".join(faults))
+
+
+def _mode(name: str, settings: config.Vehicle) -> Iterator[Tried]:
+    """A mode steers for a while, with numbers that make no sense in between it stops, and it is left."""
+    faults = list[str]()
+    with _trying(faults):
+        run = Lockstep(settings, 1, lambda clock: NoLog())
+        refused: str | None = "not yet"
+        for state in run.cycles(VOYAGE_S):
+            if refused is not None:
+                refused = run.command(console.SetMode(name))
+            elif state.mode.name.lower() != name:
+                faults.append(state.reason)
+                break
+        faults += [refused] if refused is not None else []
+    yield Tried(f"mode {name}: {VOYAGE_S:.0f} s in simulation", "".join(faults[:1]))
 
 
 def _voyage(part: Part, settings: config.Vehicle) -> Iterator[Tried]:

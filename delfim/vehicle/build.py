@@ -55,7 +55,7 @@ def build(
 ) -> Built:
     """The vehicle of this file. Its sources are `vehicle.sources`. Raises DelfimError where an input cannot be opened."""
     sources = tuple(
-        GuardedSource(each, each.name, state, links.within) if find(settings.aboard, each.name) else each
+        GuardedSource(each, each.name, state) if find(settings.aboard, each.name) else each
         for each in open_sources(settings, links, state)
     )
     board = next((cast(SharingSource, each) for each in sources if hasattr(each, "share")), None)
@@ -91,7 +91,7 @@ def _sensors(settings: config.Vehicle, links: Links, state: State) -> tuple[Loop
     opened = zip(settings.sensors.names, open_sensors(settings, links), strict=True)
     parts = {part.name for part in settings.aboard}
     return tuple(
-        GuardedSensor(each, name, state, links.within, tuple(value.name for value in sensors.module(name, settings).VALUES))
+        GuardedSensor(each, name, state, tuple(value.name for value in sensors.module(name, settings).VALUES))
         if name in parts
         else each
         for name, each in opened
@@ -102,7 +102,7 @@ def _actuator(name: str, settings: config.Vehicle, links: Links, state: State) -
     opened = open_actuator(name, settings, links)
     if find(settings.aboard, name) is None:
         return opened
-    return GuardedActuator(opened, sum(row.driver == name for row in settings.thrusters), state, links.within)
+    return GuardedActuator(opened, sum(row.driver == name for row in settings.thrusters), state)
 
 
 def _hands(settings: config.Vehicle, links: Links) -> tuple[Hand, ...]:

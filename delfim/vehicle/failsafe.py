@@ -90,7 +90,7 @@ def _action(table: config.Failsafe, trigger: AnyTrigger, mode: Mode) -> Action:
     if trigger is Trigger.CONTROL:
         return Action.STOP
     row: config.Trouble = getattr(table, trigger.name.lower())
-    own: str = getattr(row, mode.name.lower())
+    own: str = getattr(row, mode.name.lower(), "same")  # a mode of another boat of this process
     return Action[(row.action if own == "same" else own).upper()]
 
 

@@ -16,11 +16,14 @@ from typing import Any, Final, Self, TypeVar
 from delfim import config
 from delfim.errors import FormatError, in_words, one_line
 from delfim.messages import Navigation
-from delfim.parts import Part, TroubleRow, load
+from delfim.modes import Mode
+from delfim.parts import ModeRow, Part, TroubleRow, load
 from delfim.vehicle.actuators import Actuator
+from delfim.vehicle.control.control import PartError
+from delfim.vehicle.control.memory import Memory, Settings
 from delfim.vehicle.links import LoopInput
 from delfim.vehicle.navigation import Fix, Source
-from delfim.vehicle.state import Actuation, PartHealth, State
+from delfim.vehicle.state import Actuation, Motion, PartHealth, Reference, Setpoint, State, Wanted
 from delfim.vehicle.troubles import NUMBERS, Look
 
 SLOW_S: Final = 0.002  # of one call: longer ones are counted
@@ -28,7 +31,17 @@ BROKEN_S: Final = 0.1  # of one call: then it is broken off
 STRIKES: Final = 3  # calls that fail one after the other: then the part is switched off
 HEALS: Final = 0.02  # of a call that failed, for each that did not
 T = TypeVar("T")
-Within = Callable[[], AbstractContextManager[object]]
+_limit: list[Callable[[], AbstractContextManager[object]]] = [nullcontext]  # of each call in this process
+
+
+def in_real_time() -> None:
+    """From now on each call of this process is broken off after BROKEN_S. For the main thread of a program in real time."""
+    _limit[0] = breaking_off
+
+
+def within() -> AbstractContextManager[object]:
+    """The limit of one call."""
+    return _limit[0]()
 
 
 @contextmanager
@@ -50,10 +63,10 @@ def _break_off(number: int, frame: FrameType | None) -> None:
 class _Guarded:
     """What a part's driver, source and sensor have in common. Each is switched off alone; they share the part's health."""
 
-    def __init__(self, name: str, state: State, within: Within = nullcontext) -> None:
+    def __init__(self, name: str, state: State) -> None:
         self.name = name
         self.health = state.parts.setdefault(name, PartHealth())
-        self._state, self._within, self._strikes, self._is_off = state, within, 0.0, False
+        self._state, self._strikes, self._is_off = state, 0.0, False
 
     def _call(self, otherwise: T, what: str, call: Callable[..., T], *arguments: Any) -> T:
         """The call's result, or `otherwise` where it fails or the part is switched off."""
@@ -61,7 +74,7 @@ class _Guarded:
             return otherwise
         began_s = time.perf_counter()
         try:
-            with self._within():
+            with within():
                 result = call(*arguments)
             self._strikes = max(self._strikes - HEALS, 0.0)
         except Exception as error:  # foreign code, of which anything may come
@@ -96,8 +109,8 @@ def _are_numbers(values: object) -> bool:
 class GuardedSource(_Guarded):
     """A source of navigation of a part."""
 
-    def __init__(self, source: Source, name: str, state: State, within: Within = nullcontext) -> None:
-        super().__init__(name, state, within)
+    def __init__(self, source: Source, name: str, state: State) -> None:
+        super().__init__(name, state)
         self._source, self.input = source, source.input
 
     @property
@@ -124,10 +137,8 @@ class GuardedSource(_Guarded):
 class GuardedSensor(_Guarded):
     """A sensor of a part, or the reports of its motors. Values that are no finite numbers are not taken."""
 
-    def __init__(
-        self, sensor: LoopInput, name: str, state: State, within: Within = nullcontext, values: tuple[str, ...] = ()
-    ) -> None:
-        super().__init__(name, state, within)
+    def __init__(self, sensor: LoopInput, name: str, state: State, values: tuple[str, ...] = ()) -> None:
+        super().__init__(name, state)
         self._sensor, self.input, self._values = sensor, sensor.input, values
 
     def read(self, state: State, now_s: float) -> None:
@@ -144,10 +155,10 @@ class GuardedSensor(_Guarded):
 class GuardedActuator(_Guarded):
     """A driver of a part. Switched off, it is still told to stop."""
 
-    def __init__(self, actuator: Actuator, rows: int, state: State, within: Within = nullcontext) -> None:
-        super().__init__(actuator.name, state, within)
+    def __init__(self, actuator: Actuator, rows: int, state: State) -> None:
+        super().__init__(actuator.name, state)
         self._actuator, self._rows, self.period_s = actuator, rows, actuator.period_s
-        self.inputs: tuple[LoopInput, ...] = tuple(GuardedSensor(each, self.name, state, within) for each in actuator.inputs)
+        self.inputs: tuple[LoopInput, ...] = tuple(GuardedSensor(each, self.name, state) for each in actuator.inputs)
 
     def send(self, sent: Actuation, now_s: float) -> int:
         return int(self._call(self._rows, "send", self._actuator.send, sent, now_s))
@@ -158,7 +169,7 @@ class GuardedActuator(_Guarded):
     def stop(self) -> None:
         """Raises OSError."""
         try:
-            with self._within():
+            with within():
                 self._actuator.stop()
         except Exception as error:
             raise OSError(f"part {self.name}: stop: {in_words(error)}") from error
@@ -168,6 +179,48 @@ class GuardedActuator(_Guarded):
 
     def report(self) -> dict[str, object]:
         return self._call({}, "report", self._actuator.report)
+
+
+class PartProgram:
+    """The program of a part's mode. What it raises stops the boat, as an input that a mode lacks does, and is the reason."""
+
+    def __init__(self, part: Part, row: ModeRow, settings: config.Vehicle) -> None:
+        self._part, self._program = part.name, load(part, row.program).open_mode(settings)
+        self.NEEDS, self.SENTENCE = frozenset(self._program.NEEDS), str(self._program.SENTENCE)
+
+    def lacks(self, setpoint: Setpoint) -> str | None:
+        try:
+            reason = self._program.lacks(setpoint)
+            return None if reason is None else one_line(str(reason))
+        except Exception as error:  # foreign code, of which anything may come
+            return f"part {self._part} cannot tell: {in_words(error)}"
+
+    def enter(self, motion: Motion, setpoint: Setpoint, settings: Settings) -> Memory:
+        return self._checked(Memory, "enter", motion, setpoint, settings)
+
+    def step(
+        self, memory: Memory, motion: Motion, setpoint: Setpoint, settings: Settings, dt_s: float
+    ) -> tuple[Memory, Reference, Wanted]:
+        result = self._checked(tuple, "step", memory, motion, setpoint, settings, dt_s)
+        if tuple(map(type, result)) != (Memory, Reference, Wanted):
+            raise PartError(f"part {self._part}: step returned no Memory, Reference and Wanted")
+        return result
+
+    def _checked(self, kind: type[T], what: str, *arguments: object) -> T:
+        """Raises PartError."""
+        try:
+            with within():
+                result = getattr(self._program, what)(*arguments)
+        except Exception as error:  # foreign code, of which anything may come
+            raise PartError(f"part {self._part}: {what}: {in_words(error)}") from error
+        if not isinstance(result, kind):
+            raise PartError(f"part {self._part}: {what} returned {type(result).__name__}, not {kind.__name__}")
+        return result
+
+
+def programs(settings: config.Vehicle) -> dict[Mode, PartProgram]:
+    """Those of the modes of the parts aboard. Raises PermanentFailure where one cannot be imported."""
+    return {Mode[row.name.upper()]: PartProgram(part, row, settings) for part in settings.aboard for row in part.modes}
 
 
 class PartTrigger(int):
@@ -184,7 +237,8 @@ class PartTrigger(int):
 
     def sees(self, look: Look) -> str | None:
         try:
-            reason = self._sees(look)
+            with within():
+                reason = self._sees(look)
             return None if reason is None else one_line(str(reason))
         except Exception as error:  # foreign code, of which anything may come
             return f"part {self._part} cannot tell: {in_words(error)}"

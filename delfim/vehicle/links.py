@@ -3,7 +3,6 @@ and tests hand in their own.
 """
 
 from collections.abc import Callable
-from contextlib import AbstractContextManager, nullcontext
 from typing import NamedTuple, Protocol
 
 from delfim.canproxy.socket import CanAddress, CanSocket
@@ -54,6 +53,3 @@ class Links(NamedTuple):
 
     gpio: OpenGpio | None = None
     """A pin of the computer; None: there are none, as in lock step, and in a replay, whose log has the orders of a switch."""
-
-    within: Callable[[], AbstractContextManager[object]] = nullcontext
-    """Breaks off calls to a laboratory's part that take too long, in real time; otherwise nothing does."""

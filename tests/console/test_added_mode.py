@@ -1,10 +1,11 @@
-"""A mode that was added as CONTRIBUTING.md says, one file and one row, on a real boat: entered from the page's list, from
+"""A mode of a laboratory's part on a real boat: entered from the page's list, from
 `delfim drive` and by MAVLink; refused without navigation; and what the failsafe does in it is its key in the vehicle's file.
 
 Page, gateway and `delfim drive` are those of the project, to which nothing was added: what they know of it the boat has told.
 """
 
 import asyncio
+import os
 from collections.abc import Awaitable, Callable, Iterator
 
 import pytest
@@ -12,34 +13,12 @@ import pytest
 from delfim.vehicle.mavlink import wire
 from tests.console.chain import PATIENCE_S, Boat, Sea, afternoon, ordered, shown_mode
 from tests.console.scenes import choose
-from tests.enlarged import Enlarged
+from tests.parts.laboratory import ROOT, installed
 from tests.services.browser import Page
 
-FILE = '''"""Dance: turns in place."""
-
-from delfim.vehicle.control.memory import Memory, Settings
-from delfim.vehicle.state import Motion, Reference, Setpoint, Wanted
-
-NEEDS = frozenset({"position", "heading"})
-SENTENCE = "Turns in place."
-
-
-def lacks(setpoint: Setpoint) -> str | None:
-    return None
-
-
-def enter(motion: Motion, setpoint: Setpoint, settings: Settings) -> Memory:
-    return Memory()
-
-
-def step(
-    memory: Memory, motion: Motion, setpoint: Setpoint, settings: Settings, dt_s: float
-) -> tuple[Memory, Reference, Wanted]:
-    return memory, Reference(), Wanted(yaw_nm=-20.0)
-'''
 SAYS_SO = 'while read l; do echo {\\"command\\": \\"alive\\"}; done'
 WATCHES = f"""payload.watches={{command=["/bin/sh", "-c", '{SAYS_SO}'], may=["hold"]}}"""
-NUMBER = 42
+NUMBER = 120
 OTHER = 199  # another console
 SET_MODE, CONTROL = 176, 32100
 
@@ -52,10 +31,10 @@ Sail = Callable[[Story], None]
 def sail(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Sail]:
     """Runs a story."""
     folder = tmp_path_factory.mktemp("added-mode")
-    program = Enlarged(folder / "program")
-    program.file("delfim/vehicle/control/dance.py", FILE)
-    program.row("delfim/modes.py", "    GREX = 101\n", f"    DANCE = {NUMBER}\n", behind=True)
-    with afternoon(folder, 'failsafe.console_silent.dance="hold"', WATCHES, env=program.env) as (runner, sea):
+    installed(folder / "laboratory", "mode")
+    values = ('parts.example_mode="1.0"', 'failsafe.console_silent.weave="hold"', WATCHES)
+    env = os.environ | {"PYTHONPATH": f"{folder}/laboratory:{ROOT}"}
+    with afternoon(folder, *values, env=env) as (runner, sea):
 
         async def told(story: Story) -> None:
             await story(sea, *await sea.at_rest(1))
@@ -66,22 +45,18 @@ def sail(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Sail]:
 
 async def from_the_page(page: Page) -> None:
     await page.press("Enter")
-    await choose(page, "Dance")
+    await choose(page, "Weave")
 
 
-async def dances(boat: Boat) -> None:
-    await boat.until(
-        lambda state: (
-            state["mode"] == "dance" and state["thrusters"]["starboard"]["thrust"] > 0 > state["thrusters"]["port"]["thrust"]
-        )
-    )
+async def weaves(boat: Boat) -> None:
+    await boat.until(lambda state: state["mode"] == "weave" and state["reference"]["heading_deg"] is not None and state["run"])
 
 
 def test_it_is_in_the_pages_list_and_entered_from_there(sail: Sail) -> None:
     async def story(sea: Sea, page: Page, boat: Boat) -> None:
         await from_the_page(page)
-        await dances(boat)
-        await shown_mode(page, 1, "dance")
+        await weaves(boat)
+        await shown_mode(page, 1, "weave")
 
     sail(story)
 
@@ -102,11 +77,11 @@ def test_a_payload_program_is_a_mode_of_its_name_there_and_any_key_takes_the_boa
 
 def test_it_is_entered_from_the_command_line(sail: Sail) -> None:
     async def story(sea: Sea, page: Page, boat: Boat) -> None:
-        assert "dance" in await boat.delfim("drive", "dance")
-        await dances(boat)
+        assert "weave" in await boat.delfim("drive", "weave")
+        await weaves(boat)
         refused = await boat.delfim("drive", "fly")
         assert "no command 'fly'; no mode 'fly': there are manual, " in refused
-        assert "dance" in refused
+        assert "weave" in refused
 
     sail(story)
 
@@ -116,7 +91,7 @@ def test_it_is_entered_by_mavlink(sail: Sail) -> None:
         console = wire.Sender(OTHER, 190, None, lambda: 0)
 
         sea.radios[0].say(console.pack(ordered(1, CONTROL, 0.0, 1.0)) + console.pack(ordered(1, SET_MODE, 1.0, float(NUMBER))))
-        await dances(boat)
+        await weaves(boat)
         assert (await asyncio.to_thread(boat.state))["operator"] == f"console {OTHER}"
         sea.radios[0].say(console.pack(ordered(1, CONTROL, 0.0, 0.0)))  # whoever asks next commands
 
@@ -128,7 +103,7 @@ def test_without_navigation_it_is_refused_with_the_reason(sail: Sail) -> None:
         await boat.delfim("fault", "navigation_silent")
         await boat.until(lambda state: not all(check["ok"] for check in state["checks"] if check["name"] == "navigation"))
         await from_the_page(page)
-        words = "dance refused: navigation silent for "
+        words = "weave refused: navigation silent for "
         await page.until(f"document.getElementById('messages').textContent.includes('{words}')", PATIENCE_S)
         await boat.delfim("fault", "end")
         assert boat.state()["mode"] == "idle"
@@ -141,7 +116,7 @@ def test_the_failsafe_does_in_it_what_its_key_says(sail: Sail) -> None:
     async def story(sea: Sea, page: Page, boat: Boat) -> None:
         await boat.until(lambda state: all(check["ok"] for check in state["checks"]))
         await from_the_page(page)
-        await dances(boat)
+        await weaves(boat)
         sea.radios[0].cut()
         state = await boat.until(lambda state: state["mode"] == "hold")
         sea.radios[0].mend()

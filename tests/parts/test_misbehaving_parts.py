@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from delfim import config
-from delfim.errors import DelfimError, PermanentFailure
+from delfim.errors import ConfigError, DelfimError, PermanentFailure
 from delfim.messages import Navigation
 from delfim.services.stop import PropellerStop
 from delfim.simulator.line import LockstepLine
@@ -135,13 +135,14 @@ class Hanging:
 
 def test_a_call_that_hangs_is_broken_off(monkeypatch):
     monkeypatch.setattr("delfim.vehicle.foreign.BROKEN_S", 0.01)
+    monkeypatch.setattr("delfim.vehicle.foreign._limit", [breaking_off])
     state, hanging = State(), Hanging()
-    source = GuardedSource(hanging, "hanging", state, breaking_off)
+    source = GuardedSource(hanging, "hanging", state)
     for _ in range(5):
         assert source.read(0.0) is None
     assert state.parts["hanging"].failed == 3
     assert "it took more than" in state.parts["hanging"].off
-    driver = GuardedActuator(hanging, 2, state, breaking_off)
+    driver = GuardedActuator(hanging, 2, state)
     assert driver.send(Actuation((1.0,), (0.0,), True), 0.0) == 2, "commands that were not taken"
     with pytest.raises(OSError, match="part hanging: stop: "):
         driver.stop()
@@ -207,3 +208,57 @@ def test_a_boat_whose_driver_cannot_be_imported_does_not_start(laboratory):
         PermanentFailure, match=r"part example_motor: example_motor.driver cannot be imported: RuntimeError: made"
     ):
         boat()
+
+
+def weaving(*more: str) -> Lockstep:
+    settings = config.load(ROOT / "etc/delfimx.toml", ('parts.example_mode="1.0"', "example_mode.period_s=20.0", *more))
+    run = Lockstep(settings, 1, lambda clock: NoLog())
+    for _ in run.cycles(5.0):
+        pass
+    return run
+
+
+def test_a_mode_of_a_laboratory_steers_and_is_answered_as_its_key_says(laboratory):
+    installed(laboratory, "mode")
+    run = weaving('failsafe.console_silent.weave="hold"', 'failsafe.console_silent.action="warn"')
+    assert run.command(console.SetMode("weave")) is None
+    headings = [state.reference.heading_rad or 0.0 for state in run.cycles(40.0)]
+    assert math.degrees(max(headings) - min(headings)) == pytest.approx(40.0, abs=0.2), "20 degrees to either side"
+    assert run.state.actuation.run
+    run.faults.on["console_lost"] = 0.0
+    for _ in run.cycles(20.0):
+        pass
+    assert (run.state.mode.name, run.state.reason[:19]) == ("HOLD", "console silent for ")
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "words"),
+    [
+        (
+            "heading_rad = (memory",
+            "1 / 0\n        heading_rad = (memory",
+            "part example_mode: step: ZeroDivisionError: division by",
+        ),
+        ("return after, Reference", "return Reference", "part example_mode: step returned no Memory, Reference and Wanted"),
+        ("speed_mps), wanted", "speed_mps), Wanted(math.nan)", "set point makes no sense"),
+        ("        return None", "        return self.nothing", "weave refused: part example_mode cannot tell: AttributeError"),
+    ],
+)
+def test_a_mode_that_fails_stops_the_boat_and_is_named(laboratory, before, after, words):
+    installed(laboratory, "mode")
+    edited(laboratory, "example_mode/weave.py", before, after)
+    run = weaving()
+    refused = run.command(console.SetMode("weave")) or ""
+    for _ in run.cycles(2.0):
+        pass
+    assert run.state.mode.name == "IDLE"
+    assert not run.state.actuation.run
+    assert words in (refused or run.state.reason)
+
+
+@pytest.mark.parametrize(("name", "number"), [("hold", 120), ("weave", 5), ("weave", 119), ("weave", 140)])
+def test_a_mode_has_a_number_and_a_name_of_its_own(laboratory, name, number):
+    installed(laboratory, "mode")
+    edited(laboratory, "example_mode/__init__.py", 'ModeRow("weave", 120,', f'ModeRow("{name}", {number},')
+    with pytest.raises(ConfigError, match=rf"parts.example_mode: mode {name} cannot have the number {number}: 120 to 139"):
+        weaving()

@@ -35,6 +35,10 @@ class Program(Protocol):
     ) -> tuple[Memory, Reference, Wanted]: ...
 
 
+class PartError(ValueError):
+    """A mode of a laboratory's part that cannot go on; the text is the reason."""
+
+
 MODES: Final[dict[Mode, Program]] = {mode: cast(Program, import_module(f"{__package__}.{mode.name.lower()}")) for mode in Mode}
 
 
@@ -78,6 +82,8 @@ def control(
         return memory, Reference(reason=reason), STOP
     try:
         after, reference, wanted = MODES[mode].step(memory, motion, setpoint, settings, dt_s)
+    except PartError as error:
+        return memory, Reference(reason=str(error)), STOP
     except (ValueError, ArithmeticError):  # an infinite set point; to fail here would leave the propellers as they were
         return memory, Reference(reason="set point makes no sense"), STOP
     if not math.isfinite(wanted.surge_n + wanted.sway_n + wanted.yaw_nm):
