@@ -212,14 +212,34 @@ def test_resets_one_after_the_other_do_not_keep_a_motor_that_turns_on_from_being
     assert not run(tmp_path, f'version = 1\nname = "test"\nseconds = 23\npatient = false\n{text}{fault}', 2169).failures
 
 
-def test_a_motor_that_was_off_for_want_of_a_heading_before_the_boat_stopped_has_its_time_to_come_to_rest(tmp_path):
-    """It was cut off at once: it had been astray for so long (a run that searched, shrunken to this)."""
-    boat = '[vehicle.navigation]\nsources = ["nmea2000"]\n[vehicle.failsafe.thruster]\nafter_s = 3.0\naction = "warn"\n'
-    order = '[[command]]\nat_s = 13.6\ncommand = "course"\ncourse_deg = 117\nspeed_mps = 1.9\n'
-    silent = '[[fault]]\nat_s = 15.06\nkind = "navigation_silent"\nwhere = "compass"\n'
-    fault = '[[fault]]\nat_s = 14.03\nkind = "thruster_reversed"\nwhere = "starboard"\n'
-    text = f'version = 1\nname = "test"\nseconds = 18\npatient = false\n{boat}{order}{silent}{fault}'
-    assert not run(tmp_path, text, 1417).failures
+BY_BUS = '[vehicle.navigation]\nsources = ["nmea2000"]\n[vehicle.failsafe.thruster]\nafter_s = 3.0\naction = "warn"\n'
+
+
+@pytest.mark.parametrize(
+    ("seed", "boat", "course", "faults"),
+    [
+        # Cut off too early: the thrusters were off for want of a heading before the boat stopped.
+        (
+            1417,
+            BY_BUS,
+            (13.6, 117, 1.9),
+            ((15.06, "navigation_silent", "compass", ""), (14.03, "thruster_reversed", "starboard", "")),
+        ),
+        # Blamed wrongly: late frames from before the restart came after it.
+        (
+            11633,
+            "",
+            (19.578, 204.1, 1.508),
+            ((20.696, "restarted", "", "for_s = 1.0"), (15.973, "frames_late", "", "value = 0.6635\nfor_s = 6.623")),
+        ),
+    ],
+)
+def test_what_runs_that_searched_were_shrunken_to(tmp_path, seed, boat, course, faults):
+    at_s, course_deg, speed_mps = course
+    order = f'[[command]]\nat_s = {at_s}\ncommand = "course"\ncourse_deg = {course_deg}\nspeed_mps = {speed_mps}\n'
+    rows = [f'[[fault]]\nat_s = {at_s}\nkind = "{kind}"\nwhere = "{where}"\n{more}\n' for at_s, kind, where, more in faults]
+    text = f'version = 1\nname = "test"\nseconds = 25\npatient = false\n{boat}{order}{"".join(rows)}'
+    assert not run(tmp_path, text, seed).failures
 
 
 @pytest.mark.parametrize(
