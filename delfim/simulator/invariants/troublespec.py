@@ -277,8 +277,7 @@ class Troubles:
         if state.watchdog_s != cycle.now_s:
             return
         settings, told = run.vehicle.helm.settings, {notice.name: notice for notice in state.notices}
-        acted = state.mode is not was.mode and any(state.reason.startswith(each.reason) for each in state.notices)
-        mode = run.vehicle.judged_in if state.restarted else was.mode if acted else state.mode  # one resumed may end at once
+        mode = run.vehicle.judged_in  # a mode may begin, and end, before and after the boat looks
         sent = state.actuation if (state.mode, state.reason) == (was.mode, was.reason) else None
         low = frozenset(name for name, each in self._lasting.items() if each.acting_s < NEVER_S or each.seen_s > -NEVER_S)
         look = Glance(
