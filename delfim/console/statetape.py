@@ -19,6 +19,7 @@ from delfim.console.tape import GRAPHED, LAST_S, Graphs, Missions, Text, Track, 
 from delfim.errors import FormatError
 from delfim.logging.reading import in_order, read_events
 from delfim.logging.statelog import read_state
+from delfim.modes import PAYLOADS
 from delfim.vehicle import thrusters
 from delfim.vehicle.gnss import FIXES
 from delfim.vehicle.sensors import nmea0183, nmea2000
@@ -39,6 +40,7 @@ class LogRow(NamedTuple):
     reference: dict[str, Any]
     measured: dict[str, float]
     order_deg: float  # the course that keeps clear of another vessel; nan: there is none
+    helmsman: str = ""  # the payload program that has the boat; empty: none
 
 
 class States:
@@ -85,6 +87,8 @@ class States:
             boat = boats.setdefault(self._number, Boat(self._number, row.at_s))
             boat.name, boat.heard_s, boat.armed = self.name or boat.name, row.at_s, row.armed
             boat.link, boat.ready = "log", True  # it tells of no link, and of nothing that keeps the boat from starting
+            if row.helmsman:
+                boat.modes[row.mode] = f"payload {row.helmsman}"
             boat.enter(row.mode)
             boat.values |= row.values
             boat.reference |= row.reference | {"leg": self._item(row)}
@@ -171,7 +175,11 @@ def _row(at_s: float, told: dict[str, Any], sides: Sides) -> LogRow:
     }
     measured = {short: value for name, short in MEASURED.items() if (value := known(name, 3)) is not None}
     order_deg = math.degrees(told.get("order_course", math.nan))
-    return LogRow(at_s, told["mode"], bool(told.get("run")), values, reference, measured, order_deg)
+    mode, helmsman = told["mode"], ""
+    if number := told.get("helmsman", 0):
+        programs = [name[len("payload_") : -len("_s")] for name in told if name.startswith("payload_") and name.endswith("_s")]
+        mode, helmsman = PAYLOADS + number - 1, programs[number - 1]
+    return LogRow(at_s, mode, bool(told.get("run")), values, reference, measured, order_deg, helmsman)
 
 
 def _events(file: Path) -> Iterator[dict[str, Any]]:

@@ -58,12 +58,17 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def sailed(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A minute of the vehicle in the simulator, as its own state log holds it."""
+    """A minute of the vehicle in the simulator, as its own state log holds it; then two seconds of a payload program."""
     log = tmp_path_factory.mktemp("log")
     more = 'log.state_method="write"', 'sensors.names=["sysstat", "nmea2000"]'
-    settings = config.load(ROOT / "etc/delfimx.toml", [f'log.directory="{log}"', *more])
+    programs = [f'payload.{name}={{command=["/bin/true"], may=["hold"]}}' for name in ("first", "second")]
+    settings = config.load(ROOT / "etc/delfimx.toml", [f'log.directory="{log}"', *more, *programs])
     run = Lockstep(settings, 1, lambda clock: Logbook(settings, clock))
     run.sail((ROOT / "etc/missions/doca.toml").read_text(), 60.0)
+    run.order(console.Alive(), "payload:second")
+    assert run.order(console.Entrust("second"), "local") is None
+    for _ in run.cycles(2.0):
+        pass
     run.close()
     return log
 
@@ -212,6 +217,10 @@ def test_the_state_log_of_a_vehicle_plays_too(sailed: Path) -> None:
     assert all(100 < rpm < 1300 for rpm in boat["rpm"])
     assert 38 <= len(played.replay.boats[2].track) <= 42
     assert "play: operator" in [each.get("text") for each in played.told]
+    played.replay.seek(played.replay.to_s)
+    assert played.shown(2)["mode"] == "payload second"
+    played.replay.seek(played.replay.from_s + 40.0)
+    assert played.shown(2)["mode"] == "play"
     track = list(played.replay.boats[2].track)
     at_s = played.replay.at_s
     played.replay.seek(played.replay.from_s)
