@@ -55,8 +55,7 @@ def tried(file: str, found: list[Change], numbers: list[int], choice: Choice, le
                 raise RuntimeError(f"{answer['by']} fails without any change of {file}")
             for number in questions:  # shared: each takes the next one
                 change = found[number]
-                tests = choice.tests(change.asks)
-                answer = worker.ask(number, tests, choice.fresh(change.asks), choice.cpu_s(tests))
+                tests, answer = answered(worker, number, change.asks, choice)
                 choice.noticed(change.asks, answer["by"])
                 ledger.write(change, tests, answer)
                 by = answer["by"] or "SURVIVES"
@@ -64,6 +63,18 @@ def tried(file: str, found: list[Change], numbers: list[int], choice: Choice, le
 
     with ThreadPoolExecutor(jobs) as pool:
         list(pool.map(work, range(min(jobs, len(open_ones)))))
+
+
+def answered(worker: Worker, number: int, asks: frozenset[str], choice: Choice) -> tuple[list[str], dict[str, str]]:
+    """Who was asked about a change, and what came of it. A test that starts programs, and fails here without any change, too,
+    is asked no more."""
+    while True:
+        tests = choice.tests(asks)
+        answer = worker.ask(number, tests, choice.fresh(asks), choice.cpu_s(tests))
+        by = answer["by"]
+        if not (choice.starts(by) and worker.ask(None, [by], [by], choice.cpu_s([by]))["by"]):
+            return tests, answer
+        choice.drop(by)
 
 
 def drawn(files: Sequence[str], since: str | None, at_most: int | None) -> dict[str, list[int]]:

@@ -50,8 +50,9 @@ class Choice:
         self._cpu_s, self._times_s = cpu_s, dict[str, float]()
         for row in reach.values():
             self._times_s |= {test: each["cpu_s"] for test, each in row["tests"].items()}
-        own = {name for name in reach if _is_about(Path(name).read_text(), file)}
-        starts = {name for name in own if STARTS.search(Path(name).read_text())}
+        texts = {name: Path(name).read_text() for name in reach}
+        own = {name for name, text in texts.items() if _is_about(text, file)}
+        self._starting = {name for name, text in texts.items() if STARTS.search(text)}
         self._calls, blind = defaultdict[str, list[str]](list), list[str]()
         for name, row in reach.items():
             imported = row["imported"].get(file, []) if name in own else []
@@ -59,7 +60,7 @@ class Choice:
                 functions = [*each["calls"].get(file, []), *imported]
                 for function in {*functions, MODULE} if functions else ():
                     self._calls[function].append(test)
-                if not functions and name in starts:
+                if not functions and name in own & self._starting:
                     blind.append(test)
         self._order = {test: (_file(test) not in own, self._times_s[test], test) for test in self._times_s}
         self._blind = sorted(blind, key=self._order.__getitem__)
@@ -96,6 +97,16 @@ class Choice:
         """Who noticed a change of a function is likely to notice the next one."""
         if by in self._times_s:
             self._hints[functions] = by
+
+    def starts(self, test: str) -> bool:
+        """Whether it may start programs, for which it waits in real time."""
+        return _file(test) in self._starting
+
+    def drop(self, test: str) -> None:
+        """It is asked no more."""
+        for functions, tests in self._calls.items():
+            self._calls[functions] = [each for each in tests if each != test]
+        self._blind = [each for each in self._blind if each != test]
 
 
 def _file(test: str) -> str:

@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 
 from bench.mutants import choice, ledger, reach
+from bench.mutants.__main__ import answered
 from bench.mutants.changes import changed, changes, functions
 from bench.mutants.choice import Choice
 from bench.mutants.core import CORE
@@ -126,6 +127,30 @@ def test_the_files_own_tests_are_asked_first_and_within_a_time(tmp_path: Path) -
     choice.noticed(frozenset({"limited"}), f"{other}::quick")
     assert choice.tests(frozenset({"limited"}))[0] == f"{other}::quick"
     assert Choice("delfim/vehicle/gate.py", known, 0.5).tests(frozenset({"limited"})) == [f"{own}::short"], "never none"
+
+
+class Played:
+    """A worker in whose surroundings some tests fail, the one of them without any change."""
+
+    def __init__(self, file: str) -> None:
+        self.fails, self.asked = {f"{file}::waits", f"{file}::limits"}, list[object]()
+
+    def ask(self, number: int | None, tests: list[str], fresh: list[str], cpu_s: float) -> dict[str, str]:
+        self.asked.append(number)
+        by = next((each for each in tests if each in self.fails and (number == 7 or each.endswith("waits"))), "")
+        return {"result": "noticed" if by else "survived", "by": by}
+
+
+def test_what_fails_without_a_change_has_not_noticed_it(tmp_path: Path) -> None:
+    file, calls = tmp_path / "test_programs.py", row(calls=["limited"], cpu_s=["0.1"])
+    known = {str(file): {"imported": {}, "tests": {f"{file}::{name}": calls for name in ("passes", "waits", "limits")}}}
+    for text, asked, by in (("import subprocess", [7, None, 7, None], "limits"), ("", [7], "limits")):
+        file.write_text(text)
+        choice, worker, asks = Choice("delfim/vehicle/gate.py", known, 3.0), Played(str(file)), frozenset({"limited"})
+        choice.noticed(asks, f"{file}::waits" if text else f"{file}::limits")
+        tests, answer = answered(worker, 7, asks, choice)  # type: ignore[arg-type]
+        assert (answer["by"], worker.asked) == (f"{file}::{by}", asked)
+        assert (f"{file}::waits" in tests) == (not text)
 
 
 def test_tests_are_watched_again_where_they_changed_or_were_not_asked_about_a_file(
