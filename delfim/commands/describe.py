@@ -2,13 +2,18 @@
 
 import argparse
 
+from delfim.commands import shipped
+
 
 def options(parser: argparse.ArgumentParser) -> None:
-    pass
+    told = "A vehicle's file: the keys of the parts that it names, too (docs/own-parts.md)."
+    parser.add_argument("file", metavar="FILE", nargs="?", type=shipped, help=told)
 
 
-def run(_: argparse.Namespace) -> int:
+def run(asked: argparse.Namespace) -> int:
+    from delfim import config, tables
     from delfim.console.describe import describe
 
-    print(describe(), end="")
+    kind = config.kind_of(tables.read_toml(asked.file), asked.file) if asked.file else config.Vehicle
+    print(describe(kind), end="")
     return 0

@@ -18,8 +18,8 @@ from delfim.modes import Mode
 LISTS = "thrusters", "simulation.traffic.vessel"  # tables of which there are several
 
 
-def describe() -> str:
-    """The page `docs/vehicle-file.md`."""
+def describe(kind: type[config.Vehicle] = config.Vehicle) -> str:
+    """The page `docs/vehicle-file.md`; or that of a file that names parts of a laboratory, with their keys."""
     page = [
         "# The vehicle's file",
         "",
@@ -29,7 +29,7 @@ def describe() -> str:
         "`--set KEY=VALUE` instead of the file's value; text needs no quotes there. This page is written by",
         "`delfim describe`.",
     ]
-    for name, table in _tables("", config.Vehicle):
+    for name, table in _tables("", kind):
         if get_origin(table) is dict:
             names, values = map(tables.allowed, get_args(table))
             about = _comments(config.Vehicle)[name]
@@ -54,10 +54,10 @@ def _tables(prefix: str, kind: Any) -> list[tuple[str, Any]]:
             found.append((f"{prefix}{name}.NAME", get_args(hint)[1]))
         elif get_origin(hint) is dict:
             found.append((f"{prefix}{name}", hint))
-        elif hint is config.Thrusters:
-            found += [(name, config.ThrusterTable), (f"{name}.steer", config.Steer)]
         elif hint is config.Vessels:
             found.append((f"{prefix}{name}", config.SimulatedVessel))
+        elif prefix + name in LISTS:
+            found += [(name, get_args(get_args(hint)[0])[0]), (f"{name}.steer", config.Steer)]
         elif _is_table(hint):
             if any(not _is_table(inner) for inner in tables.keys(hint).values()):
                 found.append((prefix + name, hint))
@@ -71,8 +71,9 @@ def _is_table(hint: Any) -> bool:
 
 
 def _sentence(table: type) -> str:
-    """The class's docstring on one line; empty if it has none of its own."""
-    text = table.__dict__.get("__doc__") or ""
+    """The class's docstring on one line; empty if neither it nor the one that a part's keys were added to has one."""
+    named = [each for each in table.__mro__ if each.__name__ == table.__name__]
+    text = next((text for each in named if (text := each.__dict__.get("__doc__"))), "")
     return " ".join(text.split())
 
 

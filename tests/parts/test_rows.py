@@ -4,6 +4,7 @@ import pytest
 
 from delfim import config, parts
 from delfim.canproxy.socket import CanAddress
+from delfim.console.describe import describe
 from delfim.errors import ConfigError
 from delfim.frames import standard
 from delfim.simulator.lockstep import Lockstep
@@ -121,6 +122,22 @@ def test_a_service_has_a_process_of_its_own_unless_the_file_says_otherwise(labor
     assert list(rows)[-1] == "vehicle", "which starts last and is stopped first"
     inside = services(load('parts.example_service="1.0"', "services.example_service.place='runtime'"))
     assert {row.name: row.place for row in inside}["example_service"] == "runtime"
+
+
+def test_the_page_of_a_files_keys_has_those_of_its_parts(laboratory):
+    installed(laboratory, *ALL, "mode")
+    tree = {"boat": {"name": "lab"}, "parts": {f"example_{kind}": "1.0" for kind in (*ALL, "mode")}}
+    page = describe(config.kind_of(tree, "lab.toml"))
+    for words in (
+        "## `[example_motor]`\n\nA motor on a serial line.\n",
+        "| `most` | `1.0` | 0.0 to 1.0 | of full thrust, at most |",
+        "## `[failsafe.few_satellites]`\n\nFewer satellites than the boat shall sail by.\n",
+        '| `weave` | `"same"` | same, warn, hold, back, home, stop | in weave mode; "same": as `action` |',
+        "## `[[thrusters]]`\n\nA thruster: who drives it",
+        "otter, pwm, vesc, example_motor | who commands it |",
+    ):
+        assert words in page
+    assert len(page) > len(describe())
 
 
 def test_a_serial_line_has_one_reader(laboratory):
