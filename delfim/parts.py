@@ -7,12 +7,14 @@ version; only then it is imported. No other file pays for the look among the ins
 from collections.abc import Iterator, Mapping, Sequence
 from functools import cache
 from importlib import import_module
-from importlib.metadata import EntryPoint, entry_points
-from typing import Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from delfim import modes
 from delfim.errors import ConfigError, DelfimError, PermanentFailure, did_you_mean, in_words
 from delfim.tables import Table
+
+if TYPE_CHECKING:  # its import takes as long as that of all tables, and few files name a part
+    from importlib.metadata import EntryPoint
 
 GROUP: Final = "delfim.parts"
 API: Final = 1  # of the rows and of `delfim.api`: a part that was made for another one is refused
@@ -51,15 +53,17 @@ class Part(NamedTuple):
     api: int = API
 
 
-def installed() -> dict[str, list[EntryPoint]]:
+def installed() -> "dict[str, list[EntryPoint]]":
     """The entry points of all packages of this computer that have parts, by the names of the parts; nothing is imported."""
-    found = dict[str, list[EntryPoint]]()
+    from importlib.metadata import entry_points
+
+    found: dict[str, list[EntryPoint]] = {}
     for each in entry_points(group=GROUP):
         found.setdefault(each.name, []).append(each)
     return found
 
 
-def version_of(entry: EntryPoint) -> str:
+def version_of(entry: "EntryPoint") -> str:
     return entry.dist.version if entry.dist is not None else "unknown"
 
 
@@ -108,12 +112,14 @@ def _loaded(name: str, version: str, file: str) -> Part:
 
 
 @cache
-def _entries(name: str) -> tuple[EntryPoint, ...]:
+def _entries(name: str) -> "tuple[EntryPoint, ...]":
+    from importlib.metadata import entry_points
+
     return tuple(entry_points(group=GROUP, name=name))
 
 
 @cache
-def _row(entry: EntryPoint) -> object:
+def _row(entry: "EntryPoint") -> object:
     """Raises DelfimError."""
     try:
         return entry.load()

@@ -1,5 +1,9 @@
 """The rows of a laboratory's parts: what a vehicle's file may say of them, in the words that its other keys have."""
 
+import os
+import subprocess
+import sys
+
 import pytest
 
 from delfim import config, parts
@@ -27,13 +31,18 @@ def refused(*values: str) -> str:
     return str(error.value).removeprefix(f"{DELFIMX}: ")
 
 
-def test_a_file_that_names_no_part_looks_for_none(monkeypatch):
-    def never(**_: object) -> None:
-        pytest.fail("entry points were looked up")
-
-    monkeypatch.setattr(parts, "entry_points", never)
-    assert load().aboard == ()
-    assert type(load()) is config.Vehicle
+def test_a_file_that_names_no_part_looks_for_none():
+    """In a program of its own: what looks for packages is not even loaded."""
+    words = "import sys; from delfim import config; kind = type(config.load('etc/delfimx.toml')); "
+    told = subprocess.run(
+        [sys.executable, "-c", words + "print(kind is config.Vehicle, 'importlib.metadata' in sys.modules)"],
+        cwd=ROOT,
+        env=os.environ | {"PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert told.stdout == "True False\n"
 
 
 def test_its_keys_are_those_of_the_file_and_are_checked_in_the_same_words(laboratory):
