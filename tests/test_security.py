@@ -345,6 +345,7 @@ def test_a_supervisor_that_is_stopped_holds_nobody_up(boat: Boat) -> None:
 
 def test_the_page_shows_who_is_at_the_doors(boat: Boat) -> None:
     assert boat.curl(PASSWORD).returncode == 0
+    assert boat.ssh("friend").stdout == "aboard\n"
     deadline_s = time.monotonic() + 200
     while True:
         programs = json.loads(boat.page("/api/state"))["computer"]["supervisor"]
