@@ -164,7 +164,7 @@ def test_the_site_has_a_tab_for_each_kind_of_page_and_every_document_in_one() ->
     documents = {str(path.relative_to(ROOT)) for path in DOCUMENTS} - {"README.md", "docs/README.md"}
     assert documents | {"docs/metrics.md", "CHANGELOG.md", "etc/encounters/README.md"} == set(listed)
     groups = {name: len(below) for group in nav[2]["How-to"] for name, below in group.items()}
-    assert list(groups)[:3] == ["Your boat", "At sea", "Links ashore"]
+    assert list(groups)[:3] == ["Your boat", "At sea", "Parts of your own"]
     assert max(groups.values()) <= 6, "a list that one can look over"
 
 

@@ -21,7 +21,7 @@ NUMBER = 31010  # MAV_CMD_USER_1
 ROWS = {
     "delfim/vehicle/console.py": {
         "    reboot: bool = False\n": '\n\nclass Bell(Command, frozen=True):\n    """The bell, once."""\n',
-        "    | Take | Arm | Reset | Set | TellState | Watch | Return | ShutDown\n": "    | Bell\n",
+        "    | Entrust | Sight | OfPayload | Take | Arm | Reset | Set | TellState | Watch | Return | ShutDown\n": "    | Bell\n",
     },
     "delfim/vehicle/helm.py": {
         '        """Nothing: the loop has already noted that the console is there, or commands."""\n': (

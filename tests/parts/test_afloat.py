@@ -70,6 +70,7 @@ class Bench:
             try:
                 self.ask(command, **words)
             except DelfimError:
+                self.ask("stop")  # a stick that was refused must be let go first, or another mode chosen
                 return False
             return True
 
@@ -132,10 +133,11 @@ def test_the_boat_of_a_laboratory_sails_is_shown_logged_repeated_and_stopped(pla
         'sysstat.required=["gps"]',
         f'httpd.listen="127.0.0.1:{free_port}"',
         "mavlink.enabled=false",
-        "supervisor.deadman_s=1.0",
+        "failsafe.manual_silent.after_s=30.0",  # a busy machine speaks slowly
+        "supervisor.deadman_s=5.0",
     )
     with running(place, 14550, *values, package=path):
-        bench.speak(is_fit)  # a stick that was refused must be let go first
+        bench.speak(is_fit)
         told = list[str]()
         while "thrust 0.900" not in told:  # the file's limit, of 1.0 that was asked for
             bench.obeyed("manual", starboard=-1.0, port=1.0)

@@ -21,8 +21,8 @@ class Ends:
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.told, self.fails = list[Any](), dict[str, Exception]()
-        self.settings: Any = SimpleNamespace(drivers=("left", "right"), can=SimpleNamespace(interface="can7"))
-        monkeypatch.setattr(stop, "import_module", lambda name: self.does(f"import {name}"))
+        self.settings: Any = SimpleNamespace(drivers=("left", "right"), aboard=(), can=SimpleNamespace(interface="can7"))
+        monkeypatch.setattr(stop.actuators, "module", lambda name, settings: self.does(f"import {name}"))
         monkeypatch.setattr(stop, "opened_driver", self.driver)
         monkeypatch.setattr(stop, "open_can", self.bus)
 
@@ -59,7 +59,7 @@ def ends(monkeypatch: pytest.MonkeyPatch) -> Ends:
 
 def test_drivers_are_loaded_beforehand_opened_when_needed_and_kept(ends: Ends) -> None:
     propellers = PropellerStop(ends.settings)
-    assert ends.since() == ["import delfim.vehicle.actuators.left", "import delfim.vehicle.actuators.right"]
+    assert ends.since() == ["import left", "import right"]
     propellers()
     assert ends.since() == ["open left", "stop left", "open right", "stop right"]
     propellers()

@@ -9,7 +9,7 @@ from delfim.vehicle.zones import (
     LOOKS,
     OVERLAP,
     Box,
-    Part,
+    Facet,
     Point,
     Zone,
     apart,
@@ -51,7 +51,7 @@ def test_a_polygon_is_kept_in_parts_with_a_box_around_each() -> None:
     assert zone == Zone("teeth", OUT, zone.sides, (0.0, 0.0, 10.0, 8.0), 0.0, 0.0, 0.0, zone.parts, ())
     assert [(side[:2], side[4:]) for side in zone.sides] == list(zip(TEETH, [*TEETH[1:], TEETH[0]], strict=True))
     assert zone.sides[1] == (5.0, 0.0, 5.0, 1.0, 10.0, 1.0)
-    first, second = Part((0.0, 0.0, 10.0, 7.0), zone.sides[:8]), Part((0.0, 0.0, 10.0, 8.0), zone.sides[8:])
+    first, second = Facet((0.0, 0.0, 10.0, 7.0), zone.sides[:8]), Facet((0.0, 0.0, 10.0, 8.0), zone.sides[8:])
     assert zone.parts == (first, second)
 
 
