@@ -21,13 +21,10 @@ NUMBER = 31010  # MAV_CMD_USER_1
 ROWS = {
     "delfim/vehicle/console.py": {
         "    reboot: bool = False\n": '\n\nclass Bell(Command, frozen=True):\n    """The bell, once."""\n',
-        "    | Entrust | Sight | OfPayload | Take | Arm | Reset | Set | TellState | Watch | Return | ShutDown\n": "    | Bell\n",
+        "Take | Arm | Reset | Set | TellState | Watch | Return | ShutDown\n": "    | Bell\n",
     },
     "delfim/vehicle/helm.py": {
-        '        """Nothing: the loop has already noted that the console is there, or commands."""\n': (
-            '\n    def _ring(self, command: console.Bell, now_s: float) -> None:\n        self.state.count("bells")\n'
-        ),
-        "    console.ShutDown: Helm._halt,\n": "    console.Bell: Helm._ring,\n",
+        "    console.ShutDown: Helm._halt,\n": '    console.Bell: lambda helm, command, now_s: helm.state.count("bells"),\n'
     },
     "delfim/vehicle/mavlink/commands.py": {
         "    dialect.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN: _reset,\n": f"    {NUMBER}: lambda o, boat: console.Bell(),\n"
