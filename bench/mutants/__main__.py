@@ -4,8 +4,9 @@
 
 Without files, the whole core. With --since only changes of lines that differ from that revision. The tests that import the file
 are asked first, and all others about what is left; with --own nobody else is asked, which needs no map of all tests. What was
-tried of the same file by the same tests is not tried again (run/mutants). It fails at a change that no test notices and that has no reason in
-tests/survivors.toml, and at a reason for a change that does not survive any more; with --own where more than OWN_LEFT are left.
+tried of the same file by the same tests is not tried again (run/mutants). It fails at a change that no test notices and that has
+no reason in tests/survivors.toml, and at a reason for a change that does not survive any more; with --own where more than
+OWN_LEFT are left.
 """
 
 import argparse
