@@ -1,12 +1,11 @@
 """Changes the safety core, one place at a time, and asks its tests: `make mutants` (docs/mutants.md).
 
-    python -m bench.mutants [FILE.py ...] [--since REVISION] [--at-most N] [--own] [-j N] [--cpu SECONDS]
+    python -m bench.mutants [FILE.py ...] [--since REVISION] [--at-most N] [-j N] [--cpu SECONDS]
 
 Without files, the whole core. With --since only changes of lines that differ from that revision. The tests that import the file
-are asked first, and all others about what is left; with --own nobody else is asked, which needs no map of all tests. What was
-tried of the same file by the same tests is not tried again (run/mutants). It fails at a change that no test notices and that has
-no reason in tests/survivors.toml, and at a reason for a change that does not survive any more; with --own where more than
-OWN_LEFT are left.
+are asked first, and all others about what is left. What was tried of the same file by the same tests is not tried again
+(run/mutants). It fails at a change that no test notices and that has no reason in
+tests/survivors.toml, and at a reason for a change that does not survive any more.
 """
 
 import argparse
@@ -27,7 +26,6 @@ from bench.mutants.workers import Worker, copied
 
 ALL: Final = frozenset({MODULE})
 SAMPLE: Final = 9  # tests that have to pass without a change, before any is made
-OWN_LEFT: Final = 0.15  # of the changes that a file's own tests may leave to others
 CPU_S: Final = 5.0  # of tests for a change, those that are most likely to notice it first
 
 
@@ -93,7 +91,7 @@ def drawn(files: Sequence[str], since: str | None, at_most: int | None) -> dict[
     return {file: [number for name, number, _ in names if name == file] for file in files}
 
 
-def run(numbers: dict[str, list[int]], jobs: int, cpu_s: float, *, whole: bool, own_alone: bool = False) -> int:
+def run(numbers: dict[str, list[int]], jobs: int, cpu_s: float, *, whole: bool) -> int:
     """Tries all, prints the figures and what has no reason, or no survivor; 1 if there is any."""
     rows, complaints = list[Figures](), list[str]()
     why, watched = reasons(), frozenset((*CORE, *numbers))
@@ -104,7 +102,7 @@ def run(numbers: dict[str, list[int]], jobs: int, cpu_s: float, *, whole: bool, 
         if those:
             own = refreshed(watched, file)
             tried(file, found, those, Choice(file, own or refreshed(watched), cpu_s), ledger, jobs)
-            if not own_alone and (left := [n for n in those if ledger.survived(found[n]) and found[n].name not in told]):
+            if left := [n for n in those if ledger.survived(found[n]) and found[n].name not in told]:
                 tried(file, found, left, Choice(file, refreshed(watched), cpu_s), ledger, jobs)
         survivors = [found[n] for n in those if ledger.survived(found[n])]
         rows.append(Figures(file, len(found), len(those), len(survivors), sum(each.name in told for each in survivors)))
@@ -114,7 +112,7 @@ def run(numbers: dict[str, list[int]], jobs: int, cpu_s: float, *, whole: bool, 
         complaints += [f"{file}: tests/survivors.toml has a reason for '{name}', which does not survive" for name in gone]
     print(shown(rows))
     print(*complaints, sep="\n")
-    return int(len(complaints) > (OWN_LEFT * sum(map(len, numbers.values())) if own_alone else 0))
+    return 1 if complaints else 0
 
 
 def main(words: Sequence[str] | None = None) -> int:
@@ -122,12 +120,11 @@ def main(words: Sequence[str] | None = None) -> int:
     parser.add_argument("files", nargs="*", default=list(CORE), metavar="FILE.py")
     parser.add_argument("--since", metavar="REVISION", help="only changes of lines that differ from it")
     parser.add_argument("--at-most", type=int, metavar="N", help="of more changes, a sample that is always the same")
-    parser.add_argument("--own", action="store_true", help="only the tests that import a file are asked about it")
     parser.add_argument("-j", type=int, default=2, help="so many side by side (%(default)s)")
     parser.add_argument("--cpu", type=float, default=CPU_S, help="seconds of tests for a change (%(default)s)")
     told = parser.parse_args(words)
     numbers = drawn(told.files, told.since, told.at_most)
-    return run(numbers, told.j, told.cpu, whole=told.since is None and told.at_most is None, own_alone=told.own)
+    return run(numbers, told.j, told.cpu, whole=told.since is None and told.at_most is None)
 
 
 if __name__ == "__main__":
