@@ -338,7 +338,13 @@ READ_BY = {  # function: the readers above that come by it
     "vehicle/mavlink/signing.py: read_stamps": {"stamps"},
 }
 OTHERS = {  # what the kernel tells, and what is only copied or digested
-    *("commands/commission.py: _mission", "commands/new.py: _about", "commands/image.py: confirm", "commands/image.py: status"),
+    *(
+        "commands/commission.py: _mission",
+        "commands/new.py: _about",
+        "commands/parts.py: _new",
+        "commands/image.py: confirm",
+        "commands/image.py: status",
+    ),
     *("outside.py: read_file", "outside.py: read_text"),
     *("logging/fetch.py: _condition", "logging/fetch.py: _digest", "logging/fetch.py: _read"),
     *("campaign/store.py: flush", "services/firstcontact.py: user_of", "services/numbering.py: identity"),

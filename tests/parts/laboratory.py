@@ -8,6 +8,9 @@ from pathlib import Path
 import pytest
 
 from delfim import parts
+from delfim.modes import OF_PARTS, Mode
+from delfim.vehicle.control.control import MODES
+from delfim.vehicle.troubles import NUMBERS
 
 ROOT = Path(__file__).parents[2]
 EXAMPLES = ROOT / "etc/parts"
@@ -42,3 +45,9 @@ def laboratory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path
         if str(place) in str(getattr(sys.modules[name], "__file__", "")):
             del sys.modules[name]
     parts.forget()
+    for mode in [mode for mode in Mode if mode in OF_PARTS]:  # which a program of one boat never has to forget
+        Mode._member_names_.remove(mode.name)
+        del Mode._member_map_[mode.name], Mode._value2member_map_[mode.value]
+        MODES.pop(mode, None)
+    for name in [name for name, number in NUMBERS.items() if number in parts.TROUBLES]:
+        del NUMBERS[name]
