@@ -20,7 +20,12 @@ CORE: Final = (
 TESTS: Final = (  # files that take long, and see nothing that others do not see, are not asked
     "tests/vehicle/test_*.py",
     *("tests/services/test_outlet.py", "tests/services/test_supervisor.py", "tests/services/test_shutdown.py"),
-    *("tests/services/test_door.py", "tests/test_deadman.py", "tests/test_security.py", "tests/test_new_trigger.py"),
+    *(
+        "tests/services/test_door.py",
+        "tests/test_deadman.py",
+        "tests/test_security.py",
+        "tests/parts/test_misbehaving_parts.py",
+    ),
     *("tests/services/test_supervisor_turns.py", "tests/services/test_stop.py", "tests/services/test_doors.py"),
 )
 NOT_ASKED: Final = "test_qgroundcontrol.py", "test_mavlink_fuzz.py"

@@ -103,6 +103,17 @@ def test_what_raises_or_lies_is_switched_off_and_named(laboratory, file, before,
     assert "water_c" not in run.state.measured or name != "example_sensor"
 
 
+def test_under_way_a_boat_goes_on_without_what_was_switched_off(laboratory):
+    installed(laboratory, *KINDS)
+    run = sailing(boat())
+    run.state.parts["example_sensor"].off = "part example_sensor is switched off: it is wet"
+    assert run.command(console.Stop()) is None
+    assert run.command(console.Heading(90.0, 1.0)) is None
+    assert [each.reason for each in run.vehicle.helm.checks() if each.name == "parts"] == [
+        run.state.parts["example_sensor"].off
+    ]
+
+
 def test_a_trouble_that_cannot_be_judged_is_there(laboratory):
     installed(laboratory, *KINDS)
     edited(laboratory, "example_trouble/sees.py", "    navigation, least", "    look.nothing\n    navigation, least")
@@ -182,12 +193,13 @@ def test_numbers_that_are_not_finite_are_no_message():
         ("def open_actuator(settings, links):\n    return None", "AttributeError"),
     ],
 )
-def test_the_dead_man_stops_the_others_where_a_driver_is_broken(laboratory, tmp_path, broken, words):
+def test_the_dead_man_stops_the_others_where_a_driver_is_broken(laboratory, tmp_path, caplog, broken, words):
     installed(laboratory, *KINDS)
     (laboratory / "example_motor/driver.py").write_text(broken)
     bus = f"canloop:parts-{tmp_path.name[-8:]}"
     settings = config.load(ROOT / "etc/delfimx.toml", (*ABOARD, f'can.interface="{bus}"'))
     stop = PropellerStop(settings)
+    assert ("made on a Friday" in caplog.text) is ("Friday" in broken), "the log says at once what would not be stopped"
     from delfim.canproxy.opening import open_can
     from delfim.canproxy.socket import CanAddress
     from delfim.messages import PROPELLER_PORT

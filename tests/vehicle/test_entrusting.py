@@ -141,6 +141,17 @@ def spoken(boat, seconds: float, *, operator: bool = True, navigation: bool = Tr
             boat.vehicle.on_command(console.Alive())
 
 
+def test_what_a_program_asks_again_and_again_is_noted_once(boat) -> None:
+    given(boat)
+    before = len(boat.log.notes)
+    for _ in range(3):
+        assert says(boat, EAST) is None
+    assert [note for note in boat.log.notes[before:] if note.startswith("heading")] == ["heading: payload gradient"]
+    assert boat.vehicle.on_command(EAST) is None
+    assert boat.vehicle.on_command(EAST) is None
+    assert boat.log.notes.count("heading: operator") == 2, "an operator's are each noted"
+
+
 def test_a_program_goes_on_with_a_mission_that_was_interrupted_and_with_nothing_else(boat) -> None:
     assert boat.vehicle.on_command(EAST) is None
     given(boat)
