@@ -10,8 +10,9 @@ from delfim.parts import find
 from delfim.serialform import Form
 from delfim.vehicle import sensors
 from delfim.vehicle.actuators import Actuator, open_actuator
+from delfim.vehicle.control.control import MODES
 from delfim.vehicle.estimated import between
-from delfim.vehicle.foreign import GuardedActuator, GuardedSensor, GuardedSource
+from delfim.vehicle.foreign import GuardedActuator, GuardedSensor, GuardedSource, programs
 from delfim.vehicle.grex import Guest
 from delfim.vehicle.hands import Hand
 from delfim.vehicle.handset import open_handset
@@ -75,6 +76,7 @@ def build(
     to_actuators = links._replace(bus=outlet, line=line)
     actuators = tuple(_actuator(name, settings, to_actuators, state) for name in settings.drivers)
     propulsion = Propulsion(actuators, links.bus(settings.can.interface, ()), settings.thrusters, state)
+    MODES.update(programs(settings))
     vehicle = VehicleLoop(settings, clock, state, sources, propulsion, make_guest(state, clock), log)
     told = [each for actuator in actuators for each in actuator.inputs]
     reports = [each for each in told if not isinstance(each.input, SecondEnd)]

@@ -15,7 +15,7 @@ from typing import Final, NamedTuple
 from delfim import config
 from delfim.modes import Mode
 from delfim.vehicle.control.control import admit
-from delfim.vehicle.foreign import PartTrigger, triggers
+from delfim.vehicle.foreign import PartTrigger, seen, triggers
 from delfim.vehicle.state import Notice, Setpoint, State
 from delfim.vehicle.troubles import NUMBERS, Inputs, Look, Trigger, troubles
 
@@ -97,9 +97,7 @@ def _action(table: config.Failsafe, trigger: AnyTrigger, mode: Mode) -> Action:
 def failsafe(rules: Rules, memory: Memory, state: State, inputs: Inputs, now_s: float) -> Verdict:
     """Evaluate every trouble once."""
     look = Look(rules.settings, state, inputs, memory, now_s)
-    found: list[tuple[AnyTrigger, str]] = [*troubles(look)]
-    if rules.of_parts:
-        found += [(each, reason) for each in rules.of_parts if (reason := each.sees(look))]
+    found: list[tuple[AnyTrigger, str]] = [*troubles(look), *seen(rules.of_parts, look)]
     if not found and not memory:
         return _WELL
     after = _remembered(rules, memory, found, now_s)

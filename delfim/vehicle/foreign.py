@@ -249,3 +249,8 @@ def triggers(settings: config.Vehicle) -> tuple[PartTrigger, ...]:
     found = tuple(PartTrigger(part, row) for part in settings.aboard for row in part.troubles)
     NUMBERS.update((each.name.lower(), int(each)) for each in found)
     return found
+
+
+def seen(of_parts: tuple[PartTrigger, ...], look: Look) -> list[tuple[PartTrigger, str]]:
+    """The present ones, with their reasons in words."""
+    return [(each, reason) for each in of_parts if (reason := each.sees(look))]

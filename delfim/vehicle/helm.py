@@ -18,7 +18,6 @@ from delfim.vehicle.control.control import control as step
 from delfim.vehicle.control.control import enter as begin
 from delfim.vehicle.control.hull import filled
 from delfim.vehicle.failsafe import Action
-from delfim.vehicle.foreign import programs
 from delfim.vehicle.planning import Plans
 from delfim.vehicle.propulsion import Propulsion
 from delfim.vehicle.safe import STOP
@@ -42,7 +41,6 @@ class Helm:
         self.track = Track(settings.control.home)
         self.plans = Plans(settings.fence, self.limits, state, self.track, log, self._under_way)
         self.rules, self.troubles = failsafe.Rules(settings), failsafe.NO_TROUBLE
-        MODES.update(programs(settings))
         self.changed = dict[str, float | str]()  # keys of the vehicle's file that consoles set
         self.taken = False  # the failsafe changed the mode; a joystick held over does not change it back
         self.paused: Paused | None = None

@@ -17,6 +17,7 @@ __all__ = ["MODES", "Memory", "Settings", "admit", "control", "enter", "first", 
 FAR_M = 1e7  # a plane position beyond this is nonsense, and so are the numbers below
 FAST_MPS = 100.0
 SPIN = 1e3  # rad and rad/s
+NONSENSE: Final = "set point makes no sense"
 
 
 class Program(Protocol):
@@ -82,12 +83,13 @@ def control(
         return memory, Reference(reason=reason), STOP
     try:
         after, reference, wanted = MODES[mode].step(memory, motion, setpoint, settings, dt_s)
-    except PartError as error:
-        return memory, Reference(reason=str(error)), STOP
-    except (ValueError, ArithmeticError):  # an infinite set point; to fail here would leave the propellers as they were
-        return memory, Reference(reason="set point makes no sense"), STOP
+    except (
+        ValueError,
+        ArithmeticError,
+    ) as error:  # an infinite set point; to fail here would leave the propellers as they were
+        return memory, Reference(reason=str(error) if isinstance(error, PartError) else NONSENSE), STOP
     if not math.isfinite(wanted.surge_n + wanted.sway_n + wanted.yaw_nm):
-        return memory, Reference(reason="set point makes no sense"), STOP
+        return memory, Reference(reason=NONSENSE), STOP
     return after, reference, wanted
 
 
