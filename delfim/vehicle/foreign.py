@@ -31,6 +31,7 @@ BROKEN_S: Final = 0.1  # of one call: then it is broken off
 STRIKES: Final = 3  # calls that fail one after the other: then the part is switched off
 HEALS: Final = 0.02  # of a call that failed, for each that did not
 T = TypeVar("T")
+_running = [False]  # whether a part's call is
 _limit: list[Callable[[], AbstractContextManager[object]]] = [nullcontext]  # of each call in this process
 
 
@@ -47,17 +48,23 @@ def within() -> AbstractContextManager[object]:
 @contextmanager
 def breaking_off() -> Iterator[None]:
     """Raise TimeoutError in what runs within for longer than BROKEN_S. For the main thread of a program in real time."""
-    before = signal.signal(signal.SIGALRM, _break_off)
+    signal.signal(signal.SIGALRM, _break_off)
+    _running[0] = True
     signal.setitimer(signal.ITIMER_REAL, BROKEN_S, BROKEN_S)  # again: code that catches everything must not go on
     try:
-        yield
-    finally:
+        try:
+            yield
+        finally:
+            _running[0] = False
+    finally:  # even if the clock struck in the line before: it does so once in BROKEN_S
+        _running[0] = False
         signal.setitimer(signal.ITIMER_REAL, 0.0)
-        signal.signal(signal.SIGALRM, before)
 
 
 def _break_off(number: int, frame: FrameType | None) -> None:
-    raise TimeoutError(f"it took more than {BROKEN_S:g} s")
+    """Never in the boat's own code."""
+    if _running[0]:
+        raise TimeoutError(f"it took more than {BROKEN_S:g} s")
 
 
 class _Guarded:

@@ -1,6 +1,7 @@
 """A part that raises, lies, hangs or is slow costs itself, and is named: the boat sails on with what it has left."""
 
 import math
+import signal
 from pathlib import Path
 
 import pytest
@@ -158,6 +159,16 @@ def test_a_call_that_hangs_is_broken_off(monkeypatch):
     with pytest.raises(OSError, match="part hanging: stop: "):
         driver.stop()
     assert BROKEN_S > 0.05, "a busy machine breaks nothing off"
+
+
+def test_the_clock_never_strikes_outside_a_call():
+    with breaking_off():
+        pass
+    signal.raise_signal(signal.SIGALRM)
+    assert signal.getitimer(signal.ITIMER_REAL) == (0.0, 0.0)
+    with pytest.raises(TimeoutError, match=r"it took more than 0\.1 s"), breaking_off():
+        signal.raise_signal(signal.SIGALRM)
+    signal.raise_signal(signal.SIGALRM)
 
 
 def test_what_is_slow_is_counted(monkeypatch):
