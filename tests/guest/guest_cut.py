@@ -42,6 +42,7 @@ with open_can("vcan0") as bus:
 SETTINGS = {
     "can.interface": '"vcan0"',
     "console.socket": '"/run/delfim/command"',
+    "failsafe.console_silent.after_s": "3600.0",  # nobody commands it again: it would hold before a late cut
     "log.directory": f'"{LOG}"',
     "log.free_bytes_min": "1_000_000",
     "log.file_bytes": FILE_BYTES,
