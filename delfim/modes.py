@@ -23,8 +23,6 @@ class Mode(IntEnum):
 
 
 PAYLOADS = 200  # on the console's link, from this number on: a payload program has the boat, by its place in the vehicle's file
-
-
 OF_PARTS = range(120, 140)  # numbers for the modes of a laboratory's parts
 
 

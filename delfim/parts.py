@@ -53,6 +53,7 @@ class Part(NamedTuple):
     api: int = API
 
 
+@cache
 def installed() -> "dict[str, list[EntryPoint]]":
     """The entry points of all packages of this computer that have parts, by the names of the parts; nothing is imported."""
     from importlib.metadata import entry_points
@@ -90,7 +91,7 @@ def named(wanted: object, file: str) -> tuple[Part, ...]:
 
 
 def _loaded(name: str, version: str, file: str) -> Part:
-    entries, key = _entries(name), f"parts.{name}"
+    entries, key = installed().get(name, []), f"parts.{name}"
     if not entries:
         raise ConfigError(file, key, f"no installed package has a part of this name{did_you_mean(name, installed())}")
     if len(entries) > 1:
@@ -109,13 +110,6 @@ def _loaded(name: str, version: str, file: str) -> Part:
     if row.name != name:
         raise ConfigError(file, key, f"its row has another name, {row.name}")
     return row
-
-
-@cache
-def _entries(name: str) -> "tuple[EntryPoint, ...]":
-    from importlib.metadata import entry_points
-
-    return tuple(entry_points(group=GROUP, name=name))
 
 
 @cache
@@ -142,6 +136,13 @@ def find(aboard: Sequence[Part], name: str) -> Part | None:
     return next((each for each in aboard if each.name == name), None)
 
 
+def module(aboard: Sequence[Part], kind: str, name: str, own: str) -> Any:
+    """The module of a driver, a source or a sensor: a part's, or the file of its name in the boat's own package `own`. Raises
+    PermanentFailure for a part's that cannot be imported."""
+    part = find(aboard, name)
+    return import_module(f"{own}.{name}") if part is None else load(part, getattr(part, kind))
+
+
 def of_kind(aboard: Sequence[Part], kind: str) -> Iterator[str]:
     """The names of those that have a driver, a source, a sensor ..."""
     return (each.name for each in aboard if getattr(each, kind))
@@ -149,5 +150,5 @@ def of_kind(aboard: Sequence[Part], kind: str) -> Iterator[str]:
 
 def forget() -> None:
     """Look anew for packages that were installed or removed meanwhile."""
-    _entries.cache_clear()
+    installed.cache_clear()
     _row.cache_clear()

@@ -159,6 +159,11 @@ class GuardedSensor(_Guarded):
                 raise FormatError(f"{value} is no finite number")
 
 
+def _count(call: Callable[..., int], *arguments: Any) -> int:
+    """What a part returns as a number, and may forget to."""
+    return int(call(*arguments))
+
+
 class GuardedActuator(_Guarded):
     """A driver of a part. Switched off, it is still told to stop."""
 
@@ -168,10 +173,10 @@ class GuardedActuator(_Guarded):
         self.inputs: tuple[LoopInput, ...] = tuple(GuardedSensor(each, self.name, state) for each in actuator.inputs)
 
     def send(self, sent: Actuation, now_s: float) -> int:
-        return int(self._call(self._rows, "send", self._actuator.send, sent, now_s))
+        return self._call(self._rows, "send", _count, self._actuator.send, sent, now_s)
 
     def repeat(self, now_s: float) -> int:
-        return int(self._call(self._rows, "repeat", self._actuator.repeat, now_s))
+        return self._call(self._rows, "repeat", _count, self._actuator.repeat, now_s)
 
     def stop(self) -> None:
         """Raises OSError."""
@@ -188,6 +193,16 @@ class GuardedActuator(_Guarded):
         return self._call({}, "report", self._actuator.report)
 
 
+def _reason(part: str, ask: Callable[..., object], about: object) -> str | None:
+    """The reason that a part gives, in words, or why it cannot."""
+    try:
+        with within():
+            reason = ask(about)
+        return None if reason is None else one_line(str(reason))
+    except Exception as error:  # foreign code, of which anything may come
+        return f"part {part} cannot tell: {in_words(error)}"
+
+
 class PartProgram:
     """The program of a part's mode. What it raises stops the boat, as an input that a mode lacks does, and is the reason."""
 
@@ -196,11 +211,7 @@ class PartProgram:
         self.NEEDS, self.SENTENCE = frozenset(self._program.NEEDS), str(self._program.SENTENCE)
 
     def lacks(self, setpoint: Setpoint) -> str | None:
-        try:
-            reason = self._program.lacks(setpoint)
-            return None if reason is None else one_line(str(reason))
-        except Exception as error:  # foreign code, of which anything may come
-            return f"part {self._part} cannot tell: {in_words(error)}"
+        return _reason(self._part, self._program.lacks, setpoint)
 
     def enter(self, motion: Motion, setpoint: Setpoint, settings: Settings) -> Memory:
         return self._checked(Memory, "enter", motion, setpoint, settings)
@@ -243,12 +254,7 @@ class PartTrigger(int):
         return trigger
 
     def sees(self, look: Look) -> str | None:
-        try:
-            with within():
-                reason = self._sees(look)
-            return None if reason is None else one_line(str(reason))
-        except Exception as error:  # foreign code, of which anything may come
-            return f"part {self._part} cannot tell: {in_words(error)}"
+        return _reason(self._part, self._sees, look)
 
 
 def triggers(settings: config.Vehicle) -> tuple[PartTrigger, ...]:

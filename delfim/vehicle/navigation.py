@@ -6,7 +6,6 @@ a source: a file in `delfim/vehicle/sources/` with a function `open_source`, and
 """
 
 import math
-from importlib import import_module
 from typing import NamedTuple, Protocol
 
 from delfim import config, geodesy, parts
@@ -45,8 +44,7 @@ def open_sources(settings: config.Vehicle, links: Links, state: State) -> tuple[
 
 def open_source(name: str, settings: config.Vehicle, links: Links, state: State) -> Source:
     """Raises DelfimError."""
-    part = parts.find(settings.aboard, name)
-    module = parts.load(part, part.source) if part is not None else import_module(f"{__package__}.sources.{name}")
+    module = parts.module(settings.aboard, "source", name, f"{__package__}.sources")
     source: Source = module.open_source(settings, links, state)
     return source
 

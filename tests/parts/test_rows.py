@@ -112,6 +112,7 @@ def test_versions_twins_and_names_that_the_boat_has_itself(laboratory):
     assert refused('parts.example_sensor="1.0"').startswith("parts.example_sensor: example_sensor and twin both have a part")
     known(laboratory, "dsor", "dsor_of_ours:PART")
     (laboratory / "dsor_of_ours.py").write_text("from delfim.api import Part\nPART = Part('dsor')")
+    parts.forget()
     assert refused('parts.dsor="1.0"') == "parts.dsor: dsor is a name of the boat's own; it needs another one"
 
 

@@ -4,7 +4,6 @@ To add one: a file here with a function `open_actuator(settings, links)`, and it
 `delfim/config.py` (CONTRIBUTING.md, "How to add an actuator"). The supervisor opens it, too, for the dead-man.
 """
 
-from importlib import import_module
 from typing import Any, Protocol
 
 from delfim import config, parts
@@ -34,5 +33,4 @@ def open_actuator(name: str, settings: config.Vehicle, links: Links) -> Actuator
 
 def module(name: str, settings: config.Vehicle) -> Any:
     """The file of a driver. Raises PermanentFailure for a part's that cannot be imported."""
-    part = parts.find(settings.aboard, name)
-    return parts.load(part, part.driver) if part is not None else import_module(f"{__name__}.{name}")
+    return parts.module(settings.aboard, "driver", name, __name__)

@@ -4,7 +4,6 @@ To add a sensor: a file here with `VALUES` and a function `open_sensor(settings,
 `delfim/config.py` (CONTRIBUTING.md, "How to add a sensor").
 """
 
-from importlib import import_module
 from typing import Any, NamedTuple, Protocol
 
 from delfim import config, parts
@@ -49,5 +48,4 @@ def values(settings: config.Vehicle) -> tuple[Value, ...]:
 
 def module(name: str, settings: config.Vehicle) -> Any:
     """The file of a sensor. Raises PermanentFailure for a part's that cannot be imported."""
-    part = parts.find(settings.aboard, name)
-    return parts.load(part, part.sensor) if part is not None else import_module(f"{__name__}.{name}")
+    return parts.module(settings.aboard, "sensor", name, __name__)
