@@ -156,7 +156,7 @@ def read_events(path: str | Path) -> Iterator[dict[str, Any]]:
 
 def _is_event(told: dict[str, Any]) -> bool:
     """Whether it has its time and name, and known fields only of the types that readers understand."""
-    moments = [told[key] for key in ("monotonic_s", "at_s") if key in told]
+    moments = [told[key] for key in ("monotonic_s", "at_s", "jumping_s", "jumped_s") if key in told]
     words = [told.get("event")] + [told[key] for key in ("refused",) if key in told]
     if not all(isinstance(word, str) for word in words):
         return False

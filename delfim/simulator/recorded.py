@@ -107,7 +107,8 @@ def commands(told: Iterable[dict[str, Any]]) -> Iterator[Due]:
 
 def looks(columns: Any, told: Iterable[dict[str, Any]]) -> Iterator[Due]:
     """Checks of the watchdog: those with a recorded time, and between them those that must have happened."""
-    known = {event["at_s"]: _wall_ns(event) for event in told if event["event"] == "watchdog"}
+    events = {event["at_s"]: event for event in told if event["event"] == "watchdog"}
+    known = {at_s: _wall_ns(event) for at_s, event in events.items()}
     for t1, now_s, at_s in zip(*(columns[key].tolist() for key in ("t1", "monotonic_s", "watchdog_s")), strict=True):
         known.setdefault(at_s, t1 - round((now_s - at_s) * 1e9))
     times = sorted(at_s for at_s in known if at_s > NEVER_S)
@@ -115,7 +116,7 @@ def looks(columns: Any, told: Iterable[dict[str, Any]]) -> Iterator[Due]:
     if silent_s > SILENT_MAX_S:
         raise DelfimError(f"the logs do not cover {silent_s / 3600.0:.3g} hours of this run: it cannot be repeated")
     for i, at_s in enumerate(times):
-        yield Due(known[at_s], "watchdog", at_s)
+        yield Due(known[at_s], "watchdog", at_s, events.get(at_s))
         between = round((times[i + 1] - at_s) / TICK_S) if i + 1 < len(times) else 0
         for k in range(1, between):
             later_s = k * (times[i + 1] - at_s) / between

@@ -57,6 +57,7 @@ from delfim.vehicle.state import NoLog, StartConditions, State
 COMMANDS: Final = (PROPELLER_STARBOARD, PROPELLER_PORT, BATTERIES_STARBOARD, BATTERIES_PORT)
 LATER_NS: Final = 50_000_000  # the black box may stamp a frame this much later than the vehicle
 SHOWN: Final = 10  # differences shown
+REFUSALS: Final = ("navigation_jumps", "navigation_repeated", "navigation_malformed")  # counts
 MOMENTS: Final = ("monotonic_s", "watchdog_s", "console_s", "guest_s")  # columns
 
 Group = tuple[tuple[int, bytes], ...]  # the frames of one command of the propellers
@@ -206,6 +207,8 @@ class Rerun:
         elif due.kind == "command":
             self._command(due)
         elif due.kind == "watchdog" or due.at_s - self.state.navigation_s <= REPEAT_S:  # beyond, it sends, which is recorded
+            if due.kind == "watchdog" and due.what and "jumped_s" in due.what:
+                self._refuse(due.what["jumping_s"], due.what["jumped_s"])
             self.vehicle.on_watchdog()
         self._compare(due.t_ns)
         sent = self.state.actuation
@@ -227,14 +230,29 @@ class Rerun:
             self.recorded.popleft()
             self._judge(t_ns, group, ())
 
+    def _refuse(self, jumping_s: float, jumped_s: float) -> None:
+        """Positions that were refused since the last look of the watchdog; they made no record."""
+        self.state.jumping_s, self.state.jumped_s = jumping_s, jumped_s
+        for source in self.vehicle.sources:
+            while source.read(jumped_s) is not None:
+                pass
+
     def _navigate(self, due: Due) -> None:
         """The cycle of a record. The black box may have stamped its last frame after the vehicle read it."""
         self._ask(due.what)
+        refused = self._refused()
         while not any(self.vehicle.on_navigation(source) for source in self.vehicle.sources[due.source :]):
+            if (again := self._refused()) != refused:  # the message of the record comes after it
+                refused = again
+                continue
             if not self._inputs or self._inputs[0].t_ns > due.t_ns + LATER_NS:
                 break
             self._deliver(self._inputs.popleft())
             self._at(due.t_ns, due.at_s)
+
+    def _refused(self) -> int:
+        """How many navigation messages were read, and made no cycle."""
+        return sum(self.state.counts.get(name, 0) for name in REFUSALS)
 
     def hear(self, word: Contact) -> None:
         """Replay a word of the console, the guest, or a payload program."""

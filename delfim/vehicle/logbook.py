@@ -39,7 +39,7 @@ class Logbook:
         self._log = open_log(settings.log, "state", ".state", settings.log.state_method, clock, header=schema.header)
         self._writer = StateWriter(self._log.put, schema)
         self.status, self.poll = self._log.status, self._log.poll
-        self._noted, self._vessels_s, self._sounding = False, -1e9, UNSOUNDED
+        self._noted, self._jumped_s, self._vessels_s, self._sounding = False, -1e9, -1e9, UNSOUNDED
         self._say, self._manual = say, ""  # why the last manual command, or one of a payload program, was refused
         self.event("start", version=__version__, settings=tables.shown(settings))
 
@@ -90,9 +90,12 @@ class Logbook:
             self._say(logging.INFO if text.endswith(": over") else logging.WARNING, "vehicle: %s", text)
 
     def watch(self, state: State) -> None:
-        """Called after each check of the watchdog: logs its time when something was noted since the one before, now and
-        then where other vessels are, and each new sounding."""
-        if self._noted:
+        """Called after each check of the watchdog: logs its time when something was noted or a position refused since the one
+        before, now and then where other vessels are, and each new sounding."""
+        if state.jumped_s != self._jumped_s:  # it made no record, and a replay cannot know when it was read
+            self._noted, self._jumped_s = False, state.jumped_s
+            self.event("watchdog", at_s=state.watchdog_s, jumping_s=state.jumping_s, jumped_s=state.jumped_s)
+        elif self._noted:
             self._noted = False
             self.event("watchdog", at_s=state.watchdog_s)
         elif state.traffic.told and state.watchdog_s - self._vessels_s >= VESSELS_S:

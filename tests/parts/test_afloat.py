@@ -52,7 +52,8 @@ class Bench:
         """Messages of the instruments and a look at the state, until it is as wanted."""
         while True:
             self.said += 1
-            position = b"%.9f -9.2 %d.0 0.0 0.0 %d\n" % (38.7 + 1e-8 * self.said, self.said % 10, self.said)
+            # It stays where it is, whatever the lines lose.
+            position = b"%.9f -9.2 %d.0 0.0 0.0 %d\n" % (38.7 + 1e-8 * (self.said % 10), self.said % 10, self.said)
             with contextlib.suppress(BlockingIOError):  # nobody reads yet
                 os.write(self.ends["compass"], position)
                 os.write(self.ends["thermometer"], b"17.5\n")

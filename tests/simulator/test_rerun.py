@@ -145,6 +145,39 @@ def test_silence_of_navigation_and_what_the_watchdog_did_are_repeated(tmp_path):
     assert result.exact, result.text()
 
 
+@pytest.mark.parametrize("lasts_s", [1.0, 3.5])
+def test_what_positions_that_were_refused_made_of_the_boat_is_repeated(tmp_path, lasts_s):
+    """A refused position makes no cycle, and so no record."""
+    day = sailed(tmp_path)
+    assert day.command(console.Heading(10.0, 1.0)) is None
+    day.sail(3.0)
+    day.sailing.nodes.navigation.jump_m = 40.0
+    day.sail(lasts_s)
+    assert day.sailing.state.mode is Mode.IDLE
+    day.sailing.nodes.navigation.jump_m = 0.0
+    day.sail(5.0)
+    assert day.command(console.Heading(10.0, 1.0)) is None
+    day.sail(2.0)
+    day.end()
+    result = rerun(logged(tmp_path), None)
+    assert result.exact, result.text()
+
+
+def test_a_node_that_repeats_itself_makes_no_cycles_and_the_run_is_repeated(tmp_path):
+    day = sailed(tmp_path)
+    assert day.command(console.Heading(10.0, 1.0)) is None
+    for lasts_s in (0.5, 4.0):
+        day.sailing.nodes.navigation.repeating = True
+        day.sail(lasts_s)
+        day.sailing.nodes.navigation.repeating = False
+        day.sail(3.0)
+    assert day.sailing.state.counts["navigation_repeated"] > 10
+    assert day.sailing.state.mode is Mode.IDLE
+    day.end()
+    result = rerun(logged(tmp_path), None)
+    assert result.exact, result.text()
+
+
 def test_what_was_said_before_the_boat_listened_is_not_its_input(tmp_path):
     """The black box is open a moment before the vehicle's sockets are."""
     day = Day(tmp_path)
