@@ -16,7 +16,7 @@ import msgspec
 from delfim.errors import ConfigError
 from delfim.geodesy import polygon_fault
 from delfim.modes import Mode
-from delfim.parts import Part, named, of_kind
+from delfim.parts import OWN, Part, named, of_kind
 from delfim.pulses import CHANNELS
 from delfim.slices import Sliced, Work
 from delfim.tables import Table, decode, read_toml, text
@@ -43,17 +43,23 @@ Interface = Annotated[
     ),
 ]
 NodeName = Literal["gps", "propeller_starboard", "propeller_port", "batteries_starboard", "batteries_port"]
-SourceName = Literal["dsor", "nmea2000", "dronecan", "nmea0183", "mavlink_front_seat"]  # files in delfim/vehicle/sources
-DriverName = Literal[
-    "dronecan", "dsor", "heron", "mavlink_front_seat", "otter", "pwm", "vesc"
-]  # files in delfim/vehicle/actuators
+SOURCES, HEARD = (tuple(of_kind(OWN.values(), kind)) for kind in ("source", "vessels"))
+DRIVERS = tuple(sorted(of_kind(OWN.values(), "driver")))
+DEFAULT_SENSOR, *_OTHERS = of_kind(OWN.values(), "sensor")
+SENSORS = DEFAULT_SENSOR, *sorted(_OTHERS)
+if TYPE_CHECKING:
+    SourceName = str
+    DriverName = str
+    SensorName = str
+    HeardName = str  # who tells of other vessels
+else:
+    SourceName, DriverName, SensorName = Literal[SOURCES], Literal[DRIVERS], Literal[SENSORS]
+    HeardName = Literal[HEARD]
 SIDES = ("dsor", "heron", "mavlink_front_seat", "otter")  # drivers of a starboard and a port side; all but dsor mix them
-SensorName = Literal["sysstat", "dronecan", "nmea0183", "nmea2000"]  # files in delfim/vehicle/sensors
 GuardedName = Literal["hold", "goto", "play", "path", "home", "course", "heading", "grex"]
 GuardedModes = Annotated[tuple[GuardedName, ...], msgspec.Meta(max_length=len(get_args(GuardedName)))]
 HELMSMEN_MAX, MODE_NAME_MAX = 16, 26  # payload programs that may have the boat; characters of their names
 PayloadRight = Literal["hold", "goto", "speed", "heading", "mission", "obstacles"]  # of a payload program
-HeardName = Literal["nmea2000", "nmea0183", "mavlink", "guest"]  # who tells of other vessels
 ToldName = Literal[  # rows in delfim/services/nmea2000rows.py
     "position", "course", "heading", "turn", "attitude", "rudder", "engine", "battery", "route", "alerts"
 ]
@@ -68,7 +74,7 @@ MicroTesla = Annotated[float, msgspec.Meta(ge=-500.0, le=500.0)]
 Stretch = Annotated[float, msgspec.Meta(ge=0.5, le=2.0)]
 Shear = Annotated[float, msgspec.Meta(ge=-0.2, le=0.2)]
 DriverAddress = Annotated[int, msgspec.Meta(ge=0, le=255)]
-Sources = Annotated[tuple[SourceName, ...], msgspec.Meta(min_length=1, max_length=len(get_args(SourceName)))]
+Sources = Annotated[tuple[SourceName, ...], msgspec.Meta(min_length=1, max_length=len(SOURCES))]
 Device = Annotated[
     str,
     text(
@@ -352,7 +358,7 @@ class TrafficTable(Table, frozen=True):
     """Other vessels: who tells of them, and how long one that falls silent is believed in (docs/traffic.md)."""
 
     mmsi: Annotated[int, msgspec.Meta(ge=0, le=999_999_999)] = 0  # the boat's own number, which is no other vessel; 0: none
-    hears: Annotated[tuple[HeardName, ...], msgspec.Meta(max_length=len(get_args(HeardName)))] = get_args(HeardName)  # of these
+    hears: Annotated[tuple[HeardName, ...], msgspec.Meta(max_length=len(HEARD))] = HEARD  # of these
     lost_a_s: Seconds = 60.0  # silence after which class A is lost, up to 14 kn; faster, 0.6 and from 23 kn on 0.5 of it
     lost_b_s: Seconds = 180.0  # the same of class B, above 2 kn
     lost_rest_s: Seconds = 1080.0  # of class A at anchor, moored or aground, and of class B below 2 kn
@@ -997,7 +1003,7 @@ class KillTable(Table, frozen=True):
 class Sensors(Table, frozen=True):
     """The sensors of the boat beside navigation."""
 
-    names: Annotated[tuple[SensorName, ...], msgspec.Meta(max_length=len(get_args(SensorName)))] = ("sysstat",)  # of the boat
+    names: Annotated[tuple[SensorName, ...], msgspec.Meta(max_length=len(SENSORS))] = ("sysstat",)  # of the boat
     required: tuple[ValueName, ...] = ()  # values that the boat must have, as depth_m: silence is the trouble sensor_bad
     stale_s: Seconds = 5.0  # a value older than this is not known
 
@@ -1665,9 +1671,9 @@ def whole(aboard: tuple[Part, ...]) -> type[Vehicle]:
     troubles = [*tables_of(Failsafe), *((row.name, row.table) for part in aboard for row in part.troubles)]
     answers = [(name, _in_modes(table, modes)) for name, table in troubles if modes or not hasattr(Failsafe, name)]
     failsafe = _with(Failsafe, [(name, table, table()) for name, table in answers])
-    navigation = _with(NavigationTable, [_names("sources", SourceName, aboard, 1)])
-    sensors = _with(Sensors, [_names("names", SensorName, aboard, 0)])
-    thruster = _with(ThrusterTable, [("driver", Literal[(*get_args(DriverName), *of_kind(aboard, "driver"))])])
+    navigation = _with(NavigationTable, [_names("sources", SOURCES, aboard, 1)])
+    sensors = _with(Sensors, [_names("names", SENSORS, aboard, 0)])
+    thruster = _with(ThrusterTable, [("driver", Literal[(*DRIVERS, *of_kind(aboard, "driver"))])])
     rows = ("thrusters", Annotated[tuple[thruster, ...], get_args(Thrusters)[1]], DELFIMX)  # type: ignore[valid-type]
     tables = [("failsafe", failsafe, failsafe()), ("navigation", navigation, navigation()), ("sensors", sensors, sensors())]
     own = [(part.name, part.table, part.table()) for part in aboard if part.table is not None]
@@ -1693,9 +1699,9 @@ def _with(table: type[Table], fields: Sequence[tuple[Any, ...]], namespace: dict
     return msgspec.defstruct(table.__name__, fields, bases=(table,), namespace=namespace, **settings)
 
 
-def _names(key: str, own: Any, aboard: tuple[Part, ...], least: int) -> tuple[str, Any, tuple[str, ...]]:
+def _names(key: str, own: tuple[str, ...], aboard: tuple[Part, ...], least: int) -> tuple[str, Any, tuple[str, ...]]:
     """The key that names the sources or sensors, with those of the parts."""
-    known = (*get_args(own), *of_kind(aboard, "source" if key == "sources" else "sensor"))
+    known = (*own, *of_kind(aboard, "source" if key == "sources" else "sensor"))
     return key, Annotated[tuple[Literal[known], ...], msgspec.Meta(min_length=least, max_length=len(known))], known[:1]  # type: ignore[valid-type]
 
 
@@ -1707,7 +1713,7 @@ def read(tree: dict[str, Any], file: str) -> Vehicle:
 def kind_of(tree: dict[str, Any], file: str) -> type[Vehicle]:
     """The class of a vehicle's file, with the keys of the parts that it names. Raises ConfigError."""
     aboard = named(tree.get("parts"), file)
-    taken = {*Vehicle.__struct_fields__, *get_args(SourceName), *get_args(SensorName), *get_args(DriverName)}
+    taken = {*Vehicle.__struct_fields__, *OWN}
     for part in aboard:
         wrong = [part.name] if part.name in taken else [row.name for row in part.troubles if hasattr(Failsafe, row.name)]
         if wrong:

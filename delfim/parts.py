@@ -1,10 +1,11 @@
-"""A laboratory's own parts: Python packages outside the project, which a boat has because its file names them.
+"""Parts: drivers of motors, sources of navigation and sensors, each a row. The rows of the boat's own are OWN.
 
-A package's entry point in the group `delfim.parts` is a row, a `Part`. The vehicle's file names it in `[parts]` with its
-version; only then it is imported. No other file pays for the look among the installed packages, which takes some 30 ms.
+A laboratory's own part is a Python package outside the project, which a boat has because its file names it. The package's
+entry point in the group `delfim.parts` is its row. The vehicle's file names it in `[parts]` with its version; only then it is
+imported. No other file pays for the look among the installed packages, which takes some 30 ms.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import cache
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
@@ -51,6 +52,35 @@ class Part(NamedTuple):
     modes: tuple[ModeRow, ...] = ()
     played: str = ""  # its device in simulation: module with `devices_of` on a bus, or `instrument_of` on a line
     api: int = API
+    vessels: bool = False  # it tells of other vessels
+
+
+OWN: Final = {  # in the order in which sources are listed
+    row.name: row
+    for row in (
+        Part("sysstat", sensor="delfim.vehicle.sensors.sysstat"),
+        Part("dsor", driver="delfim.vehicle.actuators.dsor", source="delfim.vehicle.sources.dsor"),
+        Part("nmea2000", source="delfim.vehicle.sources.nmea2000", sensor="delfim.vehicle.sensors.nmea2000", vessels=True),
+        Part(
+            "dronecan",
+            driver="delfim.vehicle.actuators.dronecan",
+            source="delfim.vehicle.sources.dronecan",
+            sensor="delfim.vehicle.sensors.dronecan",
+        ),
+        Part("nmea0183", source="delfim.vehicle.sources.nmea0183", sensor="delfim.vehicle.sensors.nmea0183", vessels=True),
+        Part("mavlink", vessels=True),
+        Part("guest", vessels=True),
+        Part(
+            "mavlink_front_seat",
+            driver="delfim.vehicle.actuators.mavlink_front_seat",
+            source="delfim.vehicle.sources.mavlink_front_seat",
+        ),
+        Part("heron", driver="delfim.vehicle.actuators.heron"),
+        Part("otter", driver="delfim.vehicle.actuators.otter"),
+        Part("pwm", driver="delfim.vehicle.actuators.pwm"),
+        Part("vesc", driver="delfim.vehicle.actuators.vesc"),
+    )
+}
 
 
 @cache
@@ -136,14 +166,18 @@ def find(aboard: Sequence[Part], name: str) -> Part | None:
     return next((each for each in aboard if each.name == name), None)
 
 
-def module(aboard: Sequence[Part], kind: str, name: str, own: str) -> Any:
-    """The module of a driver, a source or a sensor: a part's, or the file of its name in the boat's own package `own`. Raises
-    PermanentFailure for a part's that cannot be imported."""
-    part = find(aboard, name)
-    return import_module(f"{own}.{name}") if part is None else load(part, getattr(part, kind))
+def row(aboard: Sequence[Part], name: str) -> Part:
+    """One of the boat's own, or of the parts aboard. Raises KeyError."""
+    return OWN.get(name) or {each.name: each for each in aboard}[name]
 
 
-def of_kind(aboard: Sequence[Part], kind: str) -> Iterator[str]:
+def module(aboard: Sequence[Part], kind: str, name: str) -> Any:
+    """The module of a driver, a source or a sensor. Raises PermanentFailure for a part's that cannot be imported."""
+    part = row(aboard, name)
+    return import_module(getattr(part, kind)) if name in OWN else load(part, getattr(part, kind))
+
+
+def of_kind(aboard: Iterable[Part], kind: str) -> Iterator[str]:
     """The names of those that have a driver, a source, a sensor ..."""
     return (each.name for each in aboard if getattr(each, kind))
 

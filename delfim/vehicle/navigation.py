@@ -1,7 +1,7 @@
 """Navigation sources: each input puts together complete navigation messages.
 
 Sources stand in order of preference; a message of a less preferred source counts only while every better one is silent. To add
-a source: a file in `delfim/vehicle/sources/` with a function `open_source`, and its name in `SourceName` of `delfim/config.py`
+a source: a file in `delfim/vehicle/sources/` with a function `open_source`, and its row in `OWN` of `delfim/parts.py`
 (CONTRIBUTING.md, "How to add a sensor").
 """
 
@@ -44,7 +44,7 @@ def open_sources(settings: config.Vehicle, links: Links, state: State) -> tuple[
 
 def open_source(name: str, settings: config.Vehicle, links: Links, state: State) -> Source:
     """Raises DelfimError."""
-    module = parts.module(settings.aboard, "source", name, f"{__package__}.sources")
+    module = parts.module(settings.aboard, "source", name)
     source: Source = module.open_source(settings, links, state)
     return source
 

@@ -1,7 +1,7 @@
 """The drivers of the boat's thrusters, a file each, named as `driver` in `[[thrusters]]` of the vehicle's file.
 
-To add one: a file here with a function `open_actuator(settings, links)`, and its name in `DriverName` of
-`delfim/config.py` (CONTRIBUTING.md, "How to add an actuator"). The supervisor opens it, too, for the dead-man.
+To add one: a file here with a function `open_actuator(settings, links)`, and its row in `OWN` of
+`delfim/parts.py` (CONTRIBUTING.md, "How to add an actuator"). The supervisor opens it, too, for the dead-man.
 """
 
 from typing import Any, Protocol
@@ -33,4 +33,4 @@ def open_actuator(name: str, settings: config.Vehicle, links: Links) -> Actuator
 
 def module(name: str, settings: config.Vehicle) -> Any:
     """The file of a driver. Raises PermanentFailure for a part's that cannot be imported."""
-    return parts.module(settings.aboard, "driver", name, __name__)
+    return parts.module(settings.aboard, "driver", name)

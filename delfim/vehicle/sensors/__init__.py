@@ -1,7 +1,7 @@
 """Sensors other than navigation, a file each, named as in `sensors.names` of the vehicle's file.
 
-To add a sensor: a file here with `VALUES` and a function `open_sensor(settings, links)`, and its name in `SensorName` of
-`delfim/config.py` (CONTRIBUTING.md, "How to add a sensor").
+To add a sensor: a file here with `VALUES` and a function `open_sensor(settings, links)`, and its row in `OWN` of
+`delfim/parts.py` (CONTRIBUTING.md, "How to add a sensor").
 """
 
 from typing import Any, NamedTuple, Protocol
@@ -48,4 +48,4 @@ def values(settings: config.Vehicle) -> tuple[Value, ...]:
 
 def module(name: str, settings: config.Vehicle) -> Any:
     """The file of a sensor. Raises PermanentFailure for a part's that cannot be imported."""
-    return parts.module(settings.aboard, "sensor", name, __name__)
+    return parts.module(settings.aboard, "sensor", name)
