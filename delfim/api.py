@@ -9,7 +9,7 @@ from delfim.errors import BusError, ConfigError, DelfimError, FormatError, Perma
 from delfim.frames import Frame, extended, standard
 from delfim.geodesy import from_plane
 from delfim.messages import Navigation
-from delfim.parts import API, ModeRow, Part, TroubleRow
+from delfim.parts import API, Drives, ModeRow, Part, TroubleRow
 from delfim.tables import Table, text
 from delfim.vehicle.actuators import Actuator
 from delfim.vehicle.control.autopilot import entered, steer
@@ -34,6 +34,7 @@ __all__ = [
     "ConfigError",
     "DelfimError",
     "Device",
+    "Drives",
     "Fix",
     "FormatError",
     "Fraction",

@@ -13,11 +13,11 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Final, Literal, cast
 
 import msgspec
 
+from delfim import parts
 from delfim.errors import ConfigError
 from delfim.geodesy import polygon_fault
 from delfim.modes import Mode
-from delfim.parts import OWN, Part, named, of_kind
-from delfim.pulses import CHANNELS
+from delfim.parts import OWN, Drives, Part, named, of_kind
 from delfim.slices import Sliced, Work
 from delfim.tables import Table, decode, read_toml, text
 
@@ -55,7 +55,6 @@ if TYPE_CHECKING:
 else:
     SourceName, DriverName, SensorName = Literal[SOURCES], Literal[DRIVERS], Literal[SENSORS]
     HeardName = Literal[HEARD]
-SIDES = ("dsor", "heron", "mavlink_front_seat", "otter")  # drivers of a starboard and a port side; all but dsor mix them
 GuardedName = Literal["hold", "goto", "play", "path", "home", "course", "heading", "grex"]
 GuardedModes = Annotated[tuple[GuardedName, ...], msgspec.Meta(max_length=len(get_args(GuardedName)))]
 HELMSMEN_MAX, MODE_NAME_MAX = 16, 26  # payload programs that may have the boat; characters of their names
@@ -86,9 +85,8 @@ Pulse = Annotated[float, msgspec.Meta(ge=400.0, le=2600.0)]  # us
 PwmNumber = Annotated[str, text("([0-9]|1[0-5])", "0 to 15")]
 DsorNode = Annotated[int, msgspec.Meta(ge=0, le=126)]
 OTHER_NODES = (0x01, 0x02, 0x10, 0x11, 0x20, 0x21)  # of `messages.Node`
+NODES_PROTOCOL = "DSOR"  # of the boat's own nodes
 PUSH_MIN = 0.1  # N and N·m: less is nothing
-ESC_MAX, TURNS_MAX = 20, 15  # motors, and what turns, of one DroneCAN command
-PROTOCOLS = {"can": "DSOR", "routing": "DSOR", "nmea2000": "NMEA 2000", "dronecan": "DroneCAN", "vesc": "VESC"}  # by tables
 TAKEN_VEHICLES = (0x40, 0xA0)  # commands to actuators, and reset, have these identifiers
 DsorVehicle = Annotated[int, msgspec.Meta(ge=0, le=0xF0, multiple_of=16)]
 BitRate = Annotated[int, msgspec.Meta(ge=10_000, le=1_000_000)]
@@ -233,7 +231,7 @@ ESTIMATED = frozenset({"dronecan", "nmea0183", "nmea2000"})  # sources of separa
 class NavigationTable(Table, frozen=True):
     """Sources in order of preference; the next one is taken when the data of the one before is older than `stale_s`."""
 
-    sources: Sources = ("dsor",)  # best first
+    sources: Sources = SOURCES[:1]  # best first
     rate_hz: Annotated[float, msgspec.Meta(ge=0.5, le=1000.0)] = 5.0  # messages a second that the navigation node sends
     stale_s: Seconds = 1.0  # a source silent for longer is not used
     jump_mps: Speed = 15.0  # a position that would need more than this speed is refused ...
@@ -1003,7 +1001,7 @@ class KillTable(Table, frozen=True):
 class Sensors(Table, frozen=True):
     """The sensors of the boat beside navigation."""
 
-    names: Annotated[tuple[SensorName, ...], msgspec.Meta(max_length=len(SENSORS))] = ("sysstat",)  # of the boat
+    names: Annotated[tuple[SensorName, ...], msgspec.Meta(max_length=len(SENSORS))] = (DEFAULT_SENSOR,)  # of the boat
     required: tuple[ValueName, ...] = ()  # values that the boat must have, as depth_m: silence is the trouble sensor_bad
     stale_s: Seconds = 5.0  # a value older than this is not known
 
@@ -1436,16 +1434,17 @@ class Simulation(Table, frozen=True):
     traffic: SimulatedTraffic = SimulatedTraffic()
 
 
-def thrusters_fault(rows: Sequence[ThrusterTable]) -> str | None:
+def thrusters_fault(rows: Sequence[ThrusterTable], aboard: tuple[Part, ...]) -> str | None:
     """Why these thrusters cannot be those of one boat, in words; None: they can."""
     names, taken = set[str](), dict[tuple[str, str, int], str]()
     for row in rows:
         if row.name in names:
             return f"two have the name {row.name}"
         names.add(row.name)
-        if (wrong := driver_fault(row, rows)) is not None:
+        part = parts.row(aboard, row.driver)
+        if (wrong := driver_fault(part, row, rows)) is not None:
             return f"{row.name}: {wrong}"
-        turns = "pushes" if row.driver == "pwm" else "turns"  # the channels of pwm are motors and servos
+        turns = "pushes" if part.drives.channels else "turns"
         kinds = [("pushes", row.address)] + ([(turns, row.steer.address)] if row.steer is not None else [])
         if row.steer is not None and kinds[0] == kinds[1]:
             return f"{row.name}: its motor and what turns it have one address, {row.address} of {row.driver}"
@@ -1460,21 +1459,22 @@ def thrusters_fault(rows: Sequence[ThrusterTable]) -> str | None:
     return None
 
 
-def driver_fault(row: ThrusterTable, rows: Sequence[ThrusterTable]) -> str | None:
+def driver_fault(part: Part, row: ThrusterTable, rows: Sequence[ThrusterTable]) -> str | None:
     """The reason why the driver cannot drive this row, in words; None: it can."""
-    if row.driver in SIDES and (row.address > 1 or row.steer is not None):
-        return f"{row.driver} has address 0, starboard, and 1, port, and turns nothing"
-    if row.driver in SIDES[1:] and sum(each.driver == row.driver for each in rows) != 2:
-        return f"{row.driver} mixes two sides: it needs two thrusters, address 0 and 1"
-    if row.driver == "dronecan" and row.address >= ESC_MAX:
-        return f"dronecan has motors 0 to {ESC_MAX - 1}, and {row.address} is none of them"
-    if row.driver == "dronecan" and sum(each.driver == row.driver and each.steer is not None for each in rows) > TURNS_MAX:
-        return f"dronecan turns {TURNS_MAX} thrusters at most"
-    if row.driver == "vesc" and row.steer is not None:
-        return "a VESC turns its motor and nothing else: it cannot steer"
-    channels = (row.address, 0 if row.steer is None else row.steer.address)
-    if row.driver == "pwm" and max(channels) >= CHANNELS:
-        return f"pwm has the channels 0 to {CHANNELS - 1}, not {max(channels)}"
+    can, its = part.drives, [each for each in rows if each.driver == part.name]
+    if can.sides and (row.address > 1 or row.steer is not None):
+        return f"{part.name} has address 0, starboard, and 1, port, and turns nothing"
+    if can.sides == "mixed" and len(its) != 2:
+        return f"{part.name} mixes two sides: it needs two thrusters, address 0 and 1"
+    if row.address >= can.motors:
+        return f"{part.name} has motors 0 to {can.motors - 1}, and {row.address} is none of them"
+    if can.turns and sum(each.steer is not None for each in its) > can.turns:
+        return f"{part.name} turns {can.turns} thrusters at most"
+    if not can.turns and row.steer is not None:
+        return f"a {part.protocol or part.name} turns its motor and nothing else: it cannot steer"
+    last = max(row.address, 0 if row.steer is None else row.steer.address)
+    if can.channels and last >= can.channels:
+        return f"{part.name} has the channels 0 to {can.channels - 1}, not {last}"
     return None
 
 
@@ -1576,16 +1576,21 @@ class Vehicle(Table, frozen=True):
             device = self.nmea0183.ports[to].device if to in self.nmea0183.ports else ""
             if not device.startswith(("/", "tcp:")):
                 raise ValueError(f"corrections.to: nmea0183.ports has no serial port or connection of the name {to}")
-        if (fault := thrusters_fault(self.thrusters)) is not None:
+        if (fault := thrusters_fault(self.thrusters, self.aboard)) is not None:
             raise ValueError(f"thrusters: {fault}")
         for row in self.thrusters:
-            if row.driver in ("dronecan", "vesc") and getattr(self, row.driver).command == "rpm" and not row.rpm_max:
+            told = getattr(getattr(self, row.driver, None), "command", "")
+            if self.drives(row).revolves and told == "rpm" and not row.rpm_max:
                 words = f"{row.driver}.command is rpm: rpm_max must say the revolutions at full command"
                 raise ValueError(f"thrusters: {row.name}: {words}")
         self._check_helmsmen()
         if self.sysstat.required is None:
             its = msgspec.structs.replace(self.sysstat, required=self._nodes())
             msgspec.structs.force_setattr(self, "sysstat", its)
+
+    def drives(self, row: ThrusterTable) -> Drives:
+        """The facts of a thruster's driver."""
+        return parts.row(self.aboard, row.driver).drives
 
     def rpm_max(self, row: ThrusterTable) -> float:
         """Revolutions per minute of a thruster at full command; 0 where they are not known."""
@@ -1735,7 +1740,7 @@ def _buses_apart(vehicle: Vehicle, file: str) -> None:
     carried = dict[str, str]()  # by interface: the key that named it first
     for key, interface in vehicle.outside("interface").items():
         other = carried.setdefault(interface, key)
-        theirs, ours = (PROTOCOLS.get(part, part) for part in (each.partition(".")[0] for each in (other, key)))
+        theirs, ours = (_protocol(vehicle, each.partition(".")[0]) for each in (other, key))
         if theirs != ours:
             words = f"{interface} carries {theirs} ({other}) already, and this is {ours}; a bus carries one protocol, for the "
             raise ConfigError(file, key, words + "identifiers of several overlap")
@@ -1744,6 +1749,11 @@ def _buses_apart(vehicle: Vehicle, file: str) -> None:
             raise ConfigError(file, f"routing.buses.{name}.interface", "this is can.interface: its nodes need no table")
         if vehicle.can.node in bus.nodes:
             raise ConfigError(file, f"routing.buses.{name}.nodes", f"node {vehicle.can.node:#04x} is this computer's own")
+
+
+def _protocol(vehicle: Vehicle, table: str) -> str:
+    """Of a bus that a table of the file names."""
+    return NODES_PROTOCOL if table in ("can", "routing") else parts.row(vehicle.aboard, table).protocol or table
 
 
 def _lines_apart(vehicle: Vehicle, file: str) -> None:

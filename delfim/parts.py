@@ -8,10 +8,11 @@ imported. No other file pays for the look among the installed packages, which ta
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import cache
 from importlib import import_module
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple
 
 from delfim import modes
 from delfim.errors import ConfigError, DelfimError, PermanentFailure, did_you_mean, in_words
+from delfim.pulses import CHANNELS
 from delfim.tables import Table
 
 if TYPE_CHECKING:  # its import takes as long as that of all tables, and few files name a part
@@ -39,6 +40,16 @@ class ModeRow(NamedTuple):
     program: str  # module with `open_mode(settings)`, which returns a `delfim.api.Program`
 
 
+class Drives(NamedTuple):
+    """What is known of a driver before it is loaded: the vehicle's file is checked against it."""
+
+    sides: Literal["", "each", "mixed"] = ""  # its addresses are a starboard and a port side; mixed: it needs both
+    motors: int = 256  # their addresses are below this
+    turns: int = 256  # thrusters that it can turn, at most
+    channels: int = 0  # motors, and what turns them, share addresses below this; 0: each has its own
+    revolves: bool = False  # its table's `command` may be rpm: a row must say then how many
+
+
 class Part(NamedTuple):
     """A row. A text names a module, or a function as module:function, which is loaded when it is used."""
 
@@ -53,19 +64,34 @@ class Part(NamedTuple):
     played: str = ""  # its device in simulation: module with `devices_of` on a bus, or `instrument_of` on a line
     api: int = API
     vessels: bool = False  # it tells of other vessels
+    protocol: str = ""  # that its bus carries, where others have it, too
+    drives: Drives = Drives()
 
 
 OWN: Final = {  # in the order in which sources are listed
     row.name: row
     for row in (
         Part("sysstat", sensor="delfim.vehicle.sensors.sysstat"),
-        Part("dsor", driver="delfim.vehicle.actuators.dsor", source="delfim.vehicle.sources.dsor"),
-        Part("nmea2000", source="delfim.vehicle.sources.nmea2000", sensor="delfim.vehicle.sensors.nmea2000", vessels=True),
+        Part(
+            "dsor",
+            driver="delfim.vehicle.actuators.dsor",
+            source="delfim.vehicle.sources.dsor",
+            drives=Drives(sides="each"),
+        ),
+        Part(
+            "nmea2000",
+            source="delfim.vehicle.sources.nmea2000",
+            sensor="delfim.vehicle.sensors.nmea2000",
+            vessels=True,
+            protocol="NMEA 2000",
+        ),
         Part(
             "dronecan",
             driver="delfim.vehicle.actuators.dronecan",
             source="delfim.vehicle.sources.dronecan",
             sensor="delfim.vehicle.sensors.dronecan",
+            protocol="DroneCAN",
+            drives=Drives(motors=20, turns=15, revolves=True),  # of one command
         ),
         Part("nmea0183", source="delfim.vehicle.sources.nmea0183", sensor="delfim.vehicle.sensors.nmea0183", vessels=True),
         Part("mavlink", vessels=True),
@@ -74,11 +100,12 @@ OWN: Final = {  # in the order in which sources are listed
             "mavlink_front_seat",
             driver="delfim.vehicle.actuators.mavlink_front_seat",
             source="delfim.vehicle.sources.mavlink_front_seat",
+            drives=Drives(sides="mixed"),
         ),
-        Part("heron", driver="delfim.vehicle.actuators.heron"),
-        Part("otter", driver="delfim.vehicle.actuators.otter"),
-        Part("pwm", driver="delfim.vehicle.actuators.pwm"),
-        Part("vesc", driver="delfim.vehicle.actuators.vesc"),
+        Part("heron", driver="delfim.vehicle.actuators.heron", drives=Drives(sides="mixed")),
+        Part("otter", driver="delfim.vehicle.actuators.otter", drives=Drives(sides="mixed")),
+        Part("pwm", driver="delfim.vehicle.actuators.pwm", drives=Drives(channels=CHANNELS)),
+        Part("vesc", driver="delfim.vehicle.actuators.vesc", protocol="VESC", drives=Drives(turns=0, revolves=True)),
     )
 }
 

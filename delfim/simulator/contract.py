@@ -112,7 +112,7 @@ def settings_of(name: str, version: str, file: str = BOAT) -> config.Vehicle:
     named = f'parts.{name}="{version}"'
     part = parts.find(config.load(file, [named]).aboard, name)
     assert part is not None
-    values = [THRUSTERS.format("dsor", name)] if part.driver else []
+    values = [THRUSTERS.format(name if part.drives.sides == "mixed" else "dsor", name)] if part.driver else []
     values += [f'navigation.sources=["{name}"]'] if part.source else []
     values += [f'sensors.names=["sysstat", "{name}"]'] if part.sensor else []
     return config.load(file, [named, *values])

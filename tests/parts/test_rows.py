@@ -116,6 +116,21 @@ def test_versions_twins_and_names_that_the_boat_has_itself(laboratory):
     assert refused('parts.dsor="1.0"') == "parts.dsor: dsor is a name of the boat's own; it needs another one"
 
 
+def test_the_file_is_checked_against_what_a_driver_can_drive(laboratory):
+    known(laboratory, "duo", "duo:PART")
+    (laboratory / "duo.py").write_text(
+        "from delfim.api import *\nclass Keys(Table, frozen=True):\n    interface: Interface = 'can1'\n"
+        "PART = Part('duo', Keys, driver='duo', source='duo', protocol='NMEA 2000', drives=Drives(sides='mixed'))"
+    )
+    row = '{name="%s", driver="%s", address=%d, y_m=%g, thrust_n=[-10.0, 20.0]}'
+    two = [f"thrusters=[{row % ('starboard', driver, 0, 1.0)}, {row % ('port', 'duo', 1, -1.0)}]" for driver in ("dsor", "duo")]
+    assert "duo mixes two sides: it needs two thrusters, address 0 and 1" in refused('parts.duo="1.0"', two[0])
+    beside = 'navigation.sources=["nmea2000"]'
+    assert load('parts.duo="1.0"', two[1], beside).buses == ("can0", "can1")
+    words = "can1 carries DroneCAN (dronecan.interface) already, and this is NMEA 2000"
+    assert words in refused('parts.duo="1.0"', two[1], beside.replace("nmea2000", "dronecan"))
+
+
 def test_two_troubles_with_one_number_are_refused(laboratory):
     installed(laboratory, "trouble")
     known(laboratory, "wet", "wet:PART")
