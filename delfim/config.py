@@ -17,7 +17,7 @@ from delfim import parts
 from delfim.errors import ConfigError
 from delfim.geodesy import polygon_fault
 from delfim.modes import Mode
-from delfim.parts import OWN, Drives, Part, named, of_kind
+from delfim.parts import OWN, OWN_NODES, Drives, Part, named, of_kind
 from delfim.slices import Sliced, Work
 from delfim.tables import Table, decode, read_toml, text
 
@@ -225,7 +225,7 @@ class Can(Table, frozen=True):
             raise ValueError(f"frames of vehicle {self.vehicle:#04x} would be commands to propellers or nodes")
 
 
-ESTIMATED = frozenset({"dronecan", "nmea0183", "nmea2000"})  # sources of separate sensors (docs/estimator.md)
+ESTIMATED = frozenset(of_kind(OWN.values(), "separate"))
 
 
 class NavigationTable(Table, frozen=True):
@@ -485,7 +485,7 @@ class PropulsionTable(Table, frozen=True):
 
 # The propellers of DelfimX under the middle of its hulls; their force is that of the simulator's model, at rest.
 DELFIMX: Final = tuple(
-    ThrusterTable(name=name, driver="dsor", address=address, x_m=-2.0, y_m=y_m, thrust_n=(-319.0, 532.0), rate_per_s=0.6667)
+    ThrusterTable(name=name, driver=OWN_NODES, address=address, x_m=-2.0, y_m=y_m, thrust_n=(-319.0, 532.0), rate_per_s=0.6667)
     for address, (name, y_m) in enumerate((("starboard", 1.029), ("port", -1.029)))
 )
 Thrusters = Annotated[tuple[ThrusterTable, ...], msgspec.Meta(min_length=1, max_length=16)]
@@ -1592,9 +1592,13 @@ class Vehicle(Table, frozen=True):
         """The facts of a thruster's driver."""
         return parts.row(self.aboard, row.driver).drives
 
+    def driven(self, fact: Literal["nodes", "outlet", "played"], there: bool = True) -> tuple[tuple[int, ThrusterTable], ...]:
+        """The thrusters whose drivers have a fact, or have it not, with their places among all."""
+        return tuple((i, row) for i, row in enumerate(self.thrusters) if getattr(self.drives(row), fact) is there)
+
     def rpm_max(self, row: ThrusterTable) -> float:
         """Revolutions per minute of a thruster at full command; 0 where they are not known."""
-        return float(self.dsor.rpm_max) if row.driver == "dsor" else row.rpm_max
+        return float(self.dsor.rpm_max) if self.drives(row).nodes else row.rpm_max
 
     @property
     def drivers(self) -> tuple[str, ...]:
@@ -1635,8 +1639,8 @@ class Vehicle(Table, frozen=True):
     def _nodes(self) -> tuple[NodeName, ...]:
         """The nodes of DelfimX that this boat has."""
         sides = {0: "starboard", 1: "port"}
-        beside = [sides[row.address] for row in self.thrusters if row.driver == "dsor"]
-        names = ["gps"] if "dsor" in self.navigation.sources else []
+        beside = [sides[row.address] for _, row in self.driven("nodes")]
+        names = ["gps"] if OWN_NODES in self.navigation.sources else []
         names += [f"{part}_{side}" for part in ("propeller", "batteries") for side in beside]
         return tuple(name for name in get_args(NodeName) if name in names)
 

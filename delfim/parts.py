@@ -48,6 +48,9 @@ class Drives(NamedTuple):
     turns: int = 256  # thrusters that it can turn, at most
     channels: int = 0  # motors, and what turns them, share addresses below this; 0: each has its own
     revolves: bool = False  # its table's `command` may be rpm: a row must say then how many
+    nodes: bool = False  # its motors are nodes of the boat's own bus, whose health they report and whose batteries it can cut
+    outlet: bool = False  # its motors are told by pulses, which the outlet writes
+    played: bool = False  # its devices are simulated; others are pushed as they are told
 
 
 class Part(NamedTuple):
@@ -66,17 +69,19 @@ class Part(NamedTuple):
     vessels: bool = False  # it tells of other vessels
     protocol: str = ""  # that its bus carries, where others have it, too
     drives: Drives = Drives()
+    separate: bool = False  # its source, one of the boat's own, reads separate sensors (docs/estimator.md)
 
 
+OWN_NODES: Final = "dsor"  # the part of the boat's own nodes: their source and driver
 OWN: Final = {  # in the order in which sources are listed
     row.name: row
     for row in (
         Part("sysstat", sensor="delfim.vehicle.sensors.sysstat"),
         Part(
-            "dsor",
+            OWN_NODES,
             driver="delfim.vehicle.actuators.dsor",
             source="delfim.vehicle.sources.dsor",
-            drives=Drives(sides="each"),
+            drives=Drives(sides="each", nodes=True, played=True),
         ),
         Part(
             "nmea2000",
@@ -84,6 +89,7 @@ OWN: Final = {  # in the order in which sources are listed
             sensor="delfim.vehicle.sensors.nmea2000",
             vessels=True,
             protocol="NMEA 2000",
+            separate=True,
         ),
         Part(
             "dronecan",
@@ -91,9 +97,16 @@ OWN: Final = {  # in the order in which sources are listed
             source="delfim.vehicle.sources.dronecan",
             sensor="delfim.vehicle.sensors.dronecan",
             protocol="DroneCAN",
-            drives=Drives(motors=20, turns=15, revolves=True),  # of one command
+            separate=True,
+            drives=Drives(motors=20, turns=15, revolves=True, played=True),  # of one command
         ),
-        Part("nmea0183", source="delfim.vehicle.sources.nmea0183", sensor="delfim.vehicle.sensors.nmea0183", vessels=True),
+        Part(
+            "nmea0183",
+            source="delfim.vehicle.sources.nmea0183",
+            sensor="delfim.vehicle.sensors.nmea0183",
+            vessels=True,
+            separate=True,
+        ),
         Part("mavlink", vessels=True),
         Part("guest", vessels=True),
         Part(
@@ -104,8 +117,13 @@ OWN: Final = {  # in the order in which sources are listed
         ),
         Part("heron", driver="delfim.vehicle.actuators.heron", drives=Drives(sides="mixed")),
         Part("otter", driver="delfim.vehicle.actuators.otter", drives=Drives(sides="mixed")),
-        Part("pwm", driver="delfim.vehicle.actuators.pwm", drives=Drives(channels=CHANNELS)),
-        Part("vesc", driver="delfim.vehicle.actuators.vesc", protocol="VESC", drives=Drives(turns=0, revolves=True)),
+        Part("pwm", driver="delfim.vehicle.actuators.pwm", drives=Drives(channels=CHANNELS, outlet=True)),
+        Part(
+            "vesc",
+            driver="delfim.vehicle.actuators.vesc",
+            protocol="VESC",
+            drives=Drives(turns=0, revolves=True, played=True),
+        ),
     )
 }
 

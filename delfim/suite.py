@@ -198,7 +198,7 @@ def supervise(
         bring_up(settings.bit_rates)
     command = (*program, "run", file, *(word for one in overrides for word in ("--set", one)))
     programs = [Supervised("runtime", command, critical=True)]
-    if "pwm" in settings.drivers:
+    if settings.driven("outlet"):
         own = (*program, "outlet", file, *(word for one in overrides for word in ("--set", one)))
         programs.append(Supervised("outlet", own, guard=True))
     programs += [

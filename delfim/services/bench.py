@@ -114,7 +114,7 @@ def actuate(
             held.enter_context(_keys())
             _ask(boat, name, part, for_s, key)
             return
-        if row.driver == "pwm":
+        if settings.drives(row).outlet:
             held.enter_context(_outlet(file, overrides))
         driver, links = opened_driver(settings, row.driver)
         held.enter_context(links)

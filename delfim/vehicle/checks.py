@@ -109,7 +109,7 @@ def _parts(state: State) -> list[Check]:
 def _outlet(rules: Rules, state: State, now_s: float) -> list[Check]:
     """A line where motors are told by pulses."""
     missed = outlet_missed(rules.settings, state, now_s)
-    return [Check("outlet", not missed, missed or "it answers")] if "pwm" in rules.settings.drivers else []
+    return [Check("outlet", not missed, missed or "it answers")] if rules.settings.driven("outlet") else []
 
 
 def _handset(settings: config.HandsetTable, state: State) -> str:

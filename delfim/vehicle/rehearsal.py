@@ -14,6 +14,7 @@ import msgspec
 from delfim.canproxy.dsor.protocol import Message, segments
 from delfim.canproxy.socket import CanSocket, Many
 from delfim.messages import NAVIGATION_ID, NAVIGATION_PRIORITY, Navigation, Node, pack_navigation
+from delfim.parts import OWN_NODES
 from delfim.serialform import Form
 from delfim.vehicle.build import build
 from delfim.vehicle.links import Links, ReadableLine
@@ -29,7 +30,7 @@ class Rehearsal:
         state, clock, settings = State(), boat.clock, boat.helm.settings
         self._boat, self._outlets, self._tell = boat, outlets, mirror.send_many
         link = cast(CanSocket, mirror)
-        navigation = msgspec.structs.replace(settings.navigation, sources=("dsor",), estimator=False)
+        navigation = msgspec.structs.replace(settings.navigation, sources=(OWN_NODES,), estimator=False)
         dsor = msgspec.structs.replace(settings, navigation=navigation)
         self._twin = build(dsor, clock, state, Links(lambda _, filters: link, _no_line), NoLog()).vehicle
         (self._source,) = self._twin.sources

@@ -250,7 +250,7 @@ def outlet(look: Look) -> str | None:
 def outlet_missed(settings: config.Vehicle, state: State, now_s: float) -> str:
     """Why motors that are told by pulses may turn whatever they are told, in words; empty: they do not, or there are none. A
     pulse stands until the outlet writes another one."""
-    row = next((row for row in settings.thrusters if row.driver == "pwm"), None)
+    row = next((row for row in settings.thrusters if settings.drives(row).outlet), None)
     if row is None:
         return ""
     report = state.thrusters.get(row.name)
@@ -362,7 +362,7 @@ def astray(settings: config.Vehicle, state: State, now_s: float) -> dict[str, st
             continue
         age_s = now_s - report.heard_s
         if age_s > FRESH_S:
-            if runs and age_s > settings.sysstat.stale_s and row.driver != "dsor":  # of whose nodes sysstat tells
+            if runs and age_s > settings.sysstat.stale_s and not settings.drives(row).nodes:  # which report themselves
                 found[row.name] = f"{row.name} propeller silent for {age_s:.1f} s"
         elif report.refuses and runs:
             found[row.name] = f"{row.name} thruster does not obey: {report.refuses}"

@@ -56,7 +56,7 @@ def test_what_is_told_is_where_the_boat_is_and_the_answer_is_what_the_propellers
 
 def test_other_thrusters_are_told_by_name_as_part_of_full_command_with_their_angle():
     row = config.ThrusterTable(name="motor", driver="dsor", thrust_n=(-50.0, 100.0), steer=config.Steer(kind="azimuth"))
-    msgspec.structs.force_setattr(row, "driver", "other")
+    msgspec.structs.force_setattr(row, "driver", "vesc")
     model = ExternalModel(Hull(), "127.0.0.1:0", 0.67, -0.16, (row,))
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other, contextlib.closing(model._socket):
         other.settimeout(30.0)

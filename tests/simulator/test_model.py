@@ -327,7 +327,7 @@ OUTBOARD = ThrusterTable(
 def other(row: ThrusterTable, **more: object) -> ThrusterTable:
     """A row of another driver than that of DelfimX."""
     row = msgspec.structs.replace(row, **more)
-    msgspec.structs.force_setattr(row, "driver", "other")
+    msgspec.structs.force_setattr(row, "driver", "vesc")
     return row
 
 

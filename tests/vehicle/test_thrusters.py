@@ -20,7 +20,7 @@ ROW = ThrusterTable(name="port", driver="dsor", address=1, y_m=-1.0, thrust_n=(-
 def other(name: str, **more: object) -> ThrusterTable:
     """A row of a driver that is not that of DelfimX: built past the check of its name."""
     row = msgspec.structs.replace(ROW, name=name, **more)
-    msgspec.structs.force_setattr(row, "driver", "other")
+    msgspec.structs.force_setattr(row, "driver", "vesc")
     return row
 
 

@@ -43,7 +43,7 @@ class SystemStatus:
 
     def __init__(self, socket: CanSocket, node: int = Node.VEHICLE, rows: Sequence[config.ThrusterTable] = ()) -> None:
         self.input = socket
-        self._rows: dict[int, config.ThrusterTable] = {PROPELLERS[row.address]: row for row in rows if row.driver == "dsor"}
+        self._rows: dict[int, config.ThrusterTable] = {PROPELLERS[row.address]: row for row in rows}
         self._segmented = Receiver(node, lambda message: message.id == GPS_SYSSTAT_ID)
 
     def read(self, state: State, now_s: float) -> None:
@@ -74,7 +74,8 @@ class SystemStatus:
 
 def open_sensor(settings: config.Vehicle, links: Links) -> SystemStatus:
     plain, segmented = CanAddress(sysstat_arb(Node.VEHICLE), SYSSTAT_MASK), CanAddress(*message_filter(source=Node.GPS))
-    return SystemStatus(links.bus(settings.can.interface, (plain, segmented)), settings.can.node, settings.thrusters)
+    rows = [row for _, row in settings.driven("nodes")]
+    return SystemStatus(links.bus(settings.can.interface, (plain, segmented)), settings.can.node, rows)
 
 
 def _report_of(row: config.ThrusterTable, status: PropellerStatus, now_s: float) -> ThrusterReport:
