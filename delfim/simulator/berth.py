@@ -12,7 +12,7 @@ import os
 import re
 import select
 import socket
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator
 from itertools import count
 from pathlib import Path
 from typing import Any, Final, NamedTuple
@@ -24,7 +24,6 @@ from delfim.errors import DelfimError
 from delfim.logging.blackbox import device
 from delfim.logging.keptwriter import VOYAGE
 from delfim.pulses import CHANNELS
-from delfim.simulator.nodes import PLAYED
 from delfim.simulator.nodes.talkers import BOARD
 
 SIMULATED: Final = "run/sim"  # the folder of the first one
@@ -153,9 +152,9 @@ def settings_of(vehicle: config.Vehicle, its: Berth, named: Collection[str]) -> 
     }
     given = tuple(f"{key}." for key in named)  # a table is given with all its keys
     texts = {key: text for key, text in texts.items() if not (key.startswith("nmea0183.") and f"{key}.".startswith(given))}
-    if not set(vehicle.drivers) <= set(PLAYED):
+    if vehicle.driven("played", False):
         texts["pwm.chip"] = f"{place}/pwmchip0"
-        values |= {"pwm.arm_s": "0.5", "pwm.channel": "{}", "thrusters": tables.inline(_by_pulses(vehicle.thrusters))}
+        values |= {"pwm.arm_s": "0.5", "pwm.channel": "{}", "thrusters": tables.inline(_by_pulses(vehicle))}
     texts = {key: text for key, text in texts.items() if not (key in OWN_PLACES and key in named)}
     if own := sorted({*texts, *values}.intersection(named) - HEEDED):
         raise DelfimError(f"--set {own[0]}: each simulation has its own; --output DIRECTORY names its folder")
@@ -216,13 +215,13 @@ def _device(name: str, device: str, its: Berth) -> str:
     return f"{kind}:{its.address(f'127.0.0.1:{config.address(place)[1]}', udp=kind == 'udp')}"
 
 
-def _by_pulses(rows: Sequence[config.ThrusterTable]) -> list[Any]:
+def _by_pulses(vehicle: config.Vehicle) -> list[Any]:
     """The rows, with motors whose devices are not simulated told by pulses, which `simulator/nodes/pulsefiles.py` reads. Raises
     DelfimError for more of them than there are channels."""
     channels, told = count(), list[Any]()
-    for row in rows:
+    for row in vehicle.thrusters:
         one = msgspec.to_builtins(row)
-        if row.driver not in PLAYED:
+        if not vehicle.drives(row).played:
             one |= {"driver": "pwm", "address": next(channels), "reversed": False}
             one |= {"steer": one["steer"] | {"address": next(channels)}} if row.steer else {}
         told.append(one)

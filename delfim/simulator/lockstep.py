@@ -20,7 +20,7 @@ from delfim.simulator.handset import HandsetAt, SimulatedReceiver
 from delfim.simulator.line import LockstepLine
 from delfim.simulator.lockstepbus import LockstepBus
 from delfim.simulator.model import Model
-from delfim.simulator.nodes import PLAYED, nodes_of
+from delfim.simulator.nodes import nodes_of
 from delfim.simulator.nodes.talkers import port_devices
 from delfim.slices import Sliced
 from delfim.vehicle import console, voyage
@@ -81,7 +81,7 @@ class Lockstep:
         self._ports = {name: self.lines[device] for name, device in port_devices(settings).items() if device in self.lines}
         line = self.lines.get(settings.handset.device)
         self._receiver = SimulatedReceiver(settings.handset, handset, line) if handset and line else None
-        self._others = tuple((i, row.name) for i, row in enumerate(settings.thrusters) if row.driver not in PLAYED)
+        self._others = settings.driven("played", False)
         self._outlet = self.lines.get(f"unix:{socket_path(settings.runtime.run_directory)}")
         self.faults.is_outlet = self._outlet is not None
         self._cycle_s = 1.0 / settings.navigation.rate_hz
@@ -235,9 +235,9 @@ class Lockstep:
         sent = self.state.actuation
         if self._outlet is not None and "outlet_silent" not in faults.on:
             self._answer(self._outlet)
-        for i, name in self._others:  # told by pulses, or by a front seat: their devices are played in tests
-            if "outlet_silent" not in faults.on or self.settings.thrusters[i].driver != "pwm":
-                self.nodes.model.push(name, sent.thrust[i], sent.angle_rad[i], sent.run)
+        for i, row in self._others:  # told by pulses, or by a front seat: their devices are played in tests
+            if "outlet_silent" not in faults.on or not self.settings.drives(row).outlet:
+                self.nodes.model.push(row.name, sent.thrust[i], sent.angle_rad[i], sent.run)
         clock.advance(self._cycle_s)
 
     def _answer(self, outlet: LockstepLine) -> None:

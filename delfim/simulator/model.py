@@ -14,6 +14,7 @@ from typing import Final, Literal, NamedTuple
 
 from delfim.config import DELFIMX, Sea, ThrusterTable, Vehicle
 from delfim.geodesy import from_plane, origin
+from delfim.parts import OWN_NODES
 from delfim.simulator.propulsor import AMBIENT_C, VOLTAGE_V, W_PER_N, Drive
 from delfim.vehicle.control.hull import full_mps
 
@@ -81,7 +82,7 @@ def hull_of(vehicle: Vehicle) -> Hull:
     long = boat.length_m / LENGTH_M
     heavy = boat.length_m * boat.beam_m / (LENGTH_M * BEAM_M) if boat.mass_kg is None else boat.mass_kg / MASS_KG
     side, root = math.sqrt(heavy * long), math.sqrt(long)  # its area under water, and the speed of like motion
-    arms = [abs(row.y_m) for row in vehicle.thrusters if row.driver == "dsor"]
+    arms = [abs(row.y_m) for _, row in vehicle.driven("nodes")]
     hull = Hull(
         length_m=boat.length_m,
         mass_kg=same.mass_kg * heavy,
@@ -111,7 +112,7 @@ def _dragged(hull: Hull, vehicle: Vehicle) -> Hull:
     boat = vehicle.boat
     if boat.drag_n_per_mps is not None or boat.drag_n_per_mps2 is not None:
         return hull._replace(surge_n_per_mps=boat.drag_n_per_mps or 0.0, surge_n_per_mps2=boat.drag_n_per_mps2 or 0.0)
-    if "dsor" in vehicle.drivers:
+    if vehicle.driven("nodes"):
         return hull
     ahead_n = sum(max(row.ends_n[1] * math.cos(math.radians(row.angle_deg)), 0.0) for row in vehicle.thrusters)
     most_mps = full_mps(boat)
@@ -149,7 +150,7 @@ class Model:
     ) -> None:
         self.hull = hull
         self.drives = {row.name: Drive(row, hull.rpm_max, hull.rpm_per_s_max) for row in rows}
-        arms = [math.copysign(hull.propeller_m, row.y_m) if row.driver == "dsor" else row.y_m for row in rows]
+        arms = [math.copysign(hull.propeller_m, row.y_m) if row.driver == OWN_NODES else row.y_m for row in rows]
         self._arms = list(zip(self.drives.values(), arms, strict=True))  # m to starboard of the middle
         self._motors = hull.motor_s, hull.coast_s, hull.idle_a, 3600.0 * hull.capacity_ah
         self._propeller = hull.thrust * hull.propeller_diameter_m, hull.thrust_per_j, hull.astern

@@ -5,6 +5,7 @@ from typing import Final, Literal
 
 from delfim.config import ThrusterTable
 from delfim.geodesy import wrap
+from delfim.parts import OWN_NODES
 from delfim.vehicle.control.thrustcurve import Curve, Law, Points
 
 DriveFault = Literal[
@@ -32,7 +33,7 @@ class Drive:
         self.row = row
         self.curve: Curve | None = None
         self.rpm_max, self.rpm_per_s_max = rpm_max, rpm_per_s_max
-        if row.driver != "dsor":
+        if row.driver != OWN_NODES:
             self.curve = Points(row.curve) if row.curve else Law(*row.thrust_n, row.power, row.dead)
             self.rpm_max = row.rpm_max or RPM
             self.rpm_per_s_max = RATE_PER_S * self.rpm_max

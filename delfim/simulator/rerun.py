@@ -29,6 +29,7 @@ from delfim.messages import (
     PROPELLER_PORT,
     PROPELLER_STARBOARD,
 )
+from delfim.parts import OWN_NODES
 from delfim.serialform import Form
 from delfim.simulator.comparing import PROTOCOLS, STAMP_NS, Difference, Findings, MotorBus
 from delfim.simulator.line import LockstepLine
@@ -132,7 +133,7 @@ class Rerun:
         links = Links(self._open_bus, self._open_line)
         self.vehicle, self._reports, *_ = build(settings, self.clock, self.state, links, self.log, DeafGuest)
         self._names = [row.name for row in settings.thrusters]
-        self._size = 2 * sum(row.driver == "dsor" for row in settings.thrusters)  # frames of one command
+        self._size = 2 * len(settings.driven("nodes"))  # frames of one command
         before_ns = round(0.4e9 / settings.navigation.rate_hz)  # earlier messages came before it listened
         self._heard_ns = [(each, first_ns.get(i, 0) - before_ns) for i, each in enumerate(self.vehicle.sources)]
         self._inputs = deque[BusInput]()
@@ -302,7 +303,7 @@ class Rerun:
         if self._found.span.has(t_ns):
             self._found.frames += len(then)
             if then != now:
-                self._found.differ(t_ns, "dsor", _words(then), _words(now))
+                self._found.differ(t_ns, OWN_NODES, _words(then), _words(now))
 
     def finish(self, ended: bool) -> None:
         """Compare the frames after the last record; a program that ended in order sent a stop last."""
@@ -337,11 +338,11 @@ def rerun(files: Sequence[LogFile], vehicle_file: str | None, span: Span = ALWAY
         raise DelfimError("this state log is damaged: some of its times are not numbers")
     boxes = [file for file in files if file.suffix.startswith(".log")]
     needed = {device(getattr(settings, driver).interface) for driver in settings.drivers if driver in PROTOCOLS}
-    needed |= {device(settings.can.interface)} if "dsor" in (*settings.drivers, *settings.navigation.sources) else set()
+    needed |= {device(settings.can.interface)} if OWN_NODES in (*settings.drivers, *settings.navigation.sources) else set()
     if missing := needed.difference(file.id for file in boxes):
         raise DelfimError(f"no black box of {', '.join(sorted(missing))} beside this state log")
     run = Rerun(settings, heard(boxes, files), starts[0], first_ns(columns), span)
-    unheard = [(i, row.name) for i, row in enumerate(settings.thrusters) if row.driver not in ("dsor", *PROTOCOLS)]
+    unheard = [(i, row.name) for i, row in enumerate(settings.thrusters) if row.driver not in (OWN_NODES, *PROTOCOLS)]
     # By the monotonic clock: the wall clock of what is no cycle is reckoned from both, and a busy machine reads them apart.
     due = sorted([*cycles(columns, unheard), *commands(told), *looks(columns, told)], key=lambda each: each.at_s)
     ended = any(event["event"] == "end" for event in told)

@@ -13,6 +13,7 @@ import msgspec
 
 from delfim import config
 from delfim.modes import Mode
+from delfim.parts import OWN_NODES
 from delfim.simulator.chased import CHASED, chased
 from delfim.simulator.faults import OF_AIS, OF_COMPASS, OF_PULSES, OF_THRUSTERS, VALUES
 from delfim.simulator.handset import HandsetAt
@@ -49,7 +50,8 @@ class _Aimed:
         self.random, self.vehicle, self.aim = random, vehicle, aim
         self.place, self.thrusters = partial(place_of, vehicle.simulation), [row.name for row in vehicle.thrusters]
         self.operator = DrawnOperator(random, self.place, self.thrusters[0])
-        self.has_nodes = vehicle.navigation.sources == ("dsor",) and vehicle.drivers == ("dsor",)  # its parts may be others
+        # Its parts may be others then.
+        self.has_nodes = vehicle.navigation.sources == (OWN_NODES,) and not vehicle.driven("nodes", False)
         self.at_s, self.tree = random.uniform(8.0, 13.0), dict[str, Any]()
         self.end_s = self.at_s + random.uniform(10.0, 24.0)
         self.orders, self.faults, self.vessels = list[Words](), list[FaultAt](), list[Words]()
@@ -92,7 +94,7 @@ class _Aimed:
         settings = config.read(laid_over(msgspec.to_builtins(self.vehicle), self.tree), "the scenario")
         nodes = nodes_of(settings, 0)
         lacks = {*(() if nodes.compasses else OF_COMPASS), *(() if nodes.shipping else OF_AIS)}
-        lacks |= {*(() if "pwm" in settings.drivers else OF_PULSES)}
+        lacks |= {*(() if settings.driven("outlet") else OF_PULSES)}
         places = {"", *self.thrusters, *nodes.sensors, *(["compass"] if nodes.compasses else [])}
         return [each for each in self.faults if each.kind not in lacks and each.where in places]
 

@@ -27,7 +27,6 @@ BLIND_S: Final = 0.5  # time beyond the limit until the watchdog acts
 ROUNDING_M: Final = 1e-6  # of a clearance, far more than that
 NOISE_M: Final = 1.5  # between the true and the measured position
 DECEIVED_M: Final = 3.0  # with a larger error of position a boat cannot keep its fence
-CUT: Final = "dsor"  # the driver whose thrusters the boat cuts off from their batteries
 _TOLD_NOTHING: Final = frozenset(
     {"bus_off", "sensor_silent", "outlet_silent"}
 )  # faults after which a propeller is told nothing, or tells nothing
@@ -84,7 +83,7 @@ class Onlooker:
         """`facts`: of who calls `look` after each single cycle."""
         self._run, self._drives, self.place = run, run.nodes.model.drives, TruePlace(run)
         self.failures: list[str] = []
-        self._uncut = {row.name for row in run.settings.thrusters if row.driver != CUT}
+        self._uncut = {row.name for _, row in run.settings.driven("nodes", False)}
         self._blind_s = run.settings.failsafe.navigation_silent.after_s + BLIND_S
         self._turning_since_s = math.inf
         self._was_inside, self._astray, self._drifted = True, False, False

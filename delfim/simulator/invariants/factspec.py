@@ -7,6 +7,7 @@ from typing import Any, Final
 
 from delfim.geodesy import wrap
 from delfim.modes import Mode
+from delfim.parts import OWN_NODES
 from delfim.simulator.faults import OF_THRUSTERS
 from delfim.simulator.invariants.cycle import CycleSeen
 from delfim.simulator.lockstep import Lockstep
@@ -97,8 +98,8 @@ class Batteries:
         watt = math.tau * turns * WATER * turns**2 * hull.propeller_diameter_m**5 * hull.torque
         most_a = DRAIN * watt / (hull.motor_efficiency * VOLTAGE_V) + hull.idle_a
         self._per_s = most_a / (3600.0 * hull.capacity_ah)
-        rows = [row for row in run.settings.thrusters if row.driver == "dsor"]
-        self._drives = [(SIDES[row.address], run.nodes.model.drives[row.name]) for row in rows]
+        rows = run.settings.driven("nodes")
+        self._drives = [(SIDES[row.address], run.nodes.model.drives[row.name]) for _, row in rows]
         self._charges = [drive.charge for _, drive in self._drives]
         self._looked_s, self._sags = 0.0, False
 
@@ -183,7 +184,7 @@ class Reported:
         self._position_m = SIGMAS * math.sqrt(2.0) * noise[0] + ROUNDING_M
         self._heading_rad = SIGMAS * math.radians(noise[1]) + math.radians(0.02)
         self._speed_mps = SIGMAS * math.sqrt(2.0) * noise[2] + 0.01
-        self._is_plain = run.settings.navigation.sources == ("dsor",)  # others filter, and come later
+        self._is_plain = run.settings.navigation.sources == (OWN_NODES,)  # others filter, and come later
         self._fields, self._rows = record.fields(run.settings), run.settings.thrusters
         self._doubt_s, self._mode = _settled_s(run), run.state.mode
 

@@ -211,7 +211,7 @@ class Orders:
         run, state = self._run, self._run.state
         settings, now_s, motion, failsafe = run.vehicle.helm.settings, run.elapsed_s, state.motion, run.settings.failsafe
         is_at_sea, fence = state.has_left_idle, run.vehicle.helm.plans.fence
-        if state.inputs or settings.handset.device or settings.drivers != ("dsor",) or state.fence_lost:
+        if state.inputs or settings.handset.device or settings.driven("nodes", False) or state.fence_lost:
             return None
 
         def acts(name: str) -> int:

@@ -71,9 +71,7 @@ class CommandedThrust:
             (math.radians(steer.angle_max_deg), math.radians(steer.rate_dps)) if steer else (0.0, 0.0) for steer in steers
         ]
         self._dsor = [
-            (i, run.nodes.model.drives[row.name], float(run.settings.dsor.rpm_max))
-            for i, row in enumerate(run.settings.thrusters)
-            if row.driver == "dsor"
+            (i, run.nodes.model.drives[row.name], float(run.settings.dsor.rpm_max)) for i, row in run.settings.driven("nodes")
         ]
         self._quiet_s = 0.0
 

@@ -137,7 +137,7 @@ def is_astray(look: Glance, i: int) -> bool | None:
         return False
     is_old = look.now_s - report.heard_s > FRESH_S
     if is_old or report.rpm is None or not rpm_max or report.refuses or report.angle_rad is not None:
-        return False if row.driver == "dsor" or not sent.run else None
+        return False if look.settings.drives(row).nodes or not sent.run else None
     asked_rpm = sent.thrust[i] * rpm_max
     if not sent.run:
         return abs(report.rpm) > limits.idle_rpm

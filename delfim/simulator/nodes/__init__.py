@@ -29,7 +29,6 @@ OTHER_BUSES: Final = (
     "escs",
     "vescs",
 )  # of other buses, with `devices_of` in each
-PLAYED: Final = ("dsor", "dronecan", "vesc")  # the drivers whose devices are here; all other motors are pushed as told
 _ARBITRATION: Final = itemgetter(0)
 STALL_S: Final = 1.0  # longer pauses of the whole simulator are left out of the modelled world
 

@@ -64,5 +64,5 @@ class BatteriesNode:
 
 
 def nodes(settings: config.Vehicle, model: Model, seed: int) -> dict[str, BatteriesNode]:
-    rows = [row for row in settings.thrusters if row.driver == "dsor"]
+    rows = [row for _, row in settings.driven("nodes")]
     return {("batteries_starboard", "batteries_port")[row.address]: BatteriesNode(model, row) for row in rows}

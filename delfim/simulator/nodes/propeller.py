@@ -85,5 +85,5 @@ class PropellerNode:
 
 
 def nodes(settings: config.Vehicle, model: Model, seed: int) -> dict[str, PropellerNode]:
-    rows = [row for row in settings.thrusters if row.driver == "dsor"]
+    rows = [row for _, row in settings.driven("nodes")]
     return {("propeller_starboard", "propeller_port")[row.address]: PropellerNode(model, row) for row in rows}
