@@ -1563,12 +1563,14 @@ class Vehicle(Table, frozen=True):
         here, networks = (ip_address("127.0.0.1"), ip_address("::1")), list(map(ip_network, self.guest.networks))
         if self.ros.commands and not any(each in network for each in here for network in networks):
             raise ValueError("ros.commands: it steers as the guest: guest.networks must have 127.0.0.0/8, where it comes from")
-        if "nmea0183" in (*self.navigation.sources, *self.sensors.names) and not self.nmea0183.ports:
-            raise ValueError("nmea0183 needs a port: a table [nmea0183.ports.NAME] with its device")
+        for name, ports in self.ports.items():
+            if not ports:
+                raise ValueError(f"{name} needs a port: a table [{name}.ports.NAME] with its device")
         if self.guest.enabled and self.nmea0183.guest.device:
             raise ValueError("guest.enabled and nmea0183.guest.device: two guests would steer by turns; choose one")
-        if {"nmea0183", "nmea2000"} <= set(self.sensors.names):
-            raise ValueError("sensors.names: nmea0183 and nmea2000 give the same values; name one of them")
+        alike = {name for name in self.sensors.names if parts.row(self.aboard, name).instruments}
+        if len(alike) > 1:
+            raise ValueError(f"sensors.names: {' and '.join(sorted(alike))} give the same values; name one of them")
         for each in self.simulation.instruments:
             if (port := each.partition(":")[0]) not in self.nmea0183.ports:
                 raise ValueError(f"simulation.instruments: there is no port {port} in nmea0183")
@@ -1599,6 +1601,12 @@ class Vehicle(Table, frozen=True):
     def rpm_max(self, row: ThrusterTable) -> float:
         """Revolutions per minute of a thruster at full command; 0 where they are not known."""
         return float(self.dsor.rpm_max) if self.drives(row).nodes else row.rpm_max
+
+    @property
+    def ports(self) -> dict[str, dict[str, Nmea0183Port]]:
+        """The lines of the sources and sensors that have several, by their parts and names."""
+        read = dict.fromkeys((*self.navigation.sources, *self.sensors.names))
+        return {name: getattr(self, name).ports for name in read if parts.row(self.aboard, name).ports}
 
     @property
     def drivers(self) -> tuple[str, ...]:
@@ -1651,10 +1659,10 @@ class Vehicle(Table, frozen=True):
 
     def _parts(self) -> dict[str, Table | None]:
         """The tables of the boat's nodes and parts, by their names in the file."""
-        spoken = ("nmea2000",) if self.nmea2000.joins else ()
+        spoken = tuple(name for name in OWN if getattr(getattr(self, name, None), "joins", False))
         names = ("can", "handset", *self.navigation.sources, *self.sensors.names, *self.drivers, *spoken)
         routed = {f"routing.buses.{name}": bus for name, bus in self.routing.buses.items()}
-        lines = {f"nmea0183.ports.{name}": port for name, port in self.nmea0183.ports.items() if "nmea0183" in names}
+        lines = {f"{part}.ports.{name}": port for part, ports in self.ports.items() for name, port in ports.items()}
         pilot = {"nmea0183.guest": self.nmea0183.guest} if self.nmea0183.guest.device else {}
         return {name: getattr(self, name, None) for name in names} | routed | lines | pilot
 

@@ -70,6 +70,9 @@ class Part(NamedTuple):
     protocol: str = ""  # that its bus carries, where others have it, too
     drives: Drives = Drives()
     separate: bool = False  # its source, one of the boat's own, reads separate sensors (docs/estimator.md)
+    instruments: bool = False  # its sensor reads a ship's instruments: a boat has one such
+    ports: bool = False  # its lines are `ports` of its table, by their names, of which it needs one
+    waits: bool = False  # its source's device may be missing, and is opened when it is there
 
 
 OWN_NODES: Final = "dsor"  # the part of the boat's own nodes: their source and driver
@@ -90,6 +93,7 @@ OWN: Final = {  # in the order in which sources are listed
             vessels=True,
             protocol="NMEA 2000",
             separate=True,
+            instruments=True,
         ),
         Part(
             "dronecan",
@@ -106,6 +110,8 @@ OWN: Final = {  # in the order in which sources are listed
             sensor="delfim.vehicle.sensors.nmea0183",
             vessels=True,
             separate=True,
+            instruments=True,
+            ports=True,
         ),
         Part("mavlink", vessels=True),
         Part("guest", vessels=True),
@@ -114,6 +120,7 @@ OWN: Final = {  # in the order in which sources are listed
             driver="delfim.vehicle.actuators.mavlink_front_seat",
             source="delfim.vehicle.sources.mavlink_front_seat",
             drives=Drives(sides="mixed"),
+            waits=True,
         ),
         Part("heron", driver="delfim.vehicle.actuators.heron", drives=Drives(sides="mixed")),
         Part("otter", driver="delfim.vehicle.actuators.otter", drives=Drives(sides="mixed")),

@@ -208,7 +208,7 @@ def receiver_port(settings: config.Vehicle) -> ReceiverPort:
     named = settings.nmea0183.ports.get(table.to)
     if named is None:
         return ReceiverPort(table.to, table.baud, shared=False)
-    is_read = "nmea0183" in (*settings.navigation.sources, *settings.sensors.names)
+    is_read = any(named in each.values() for each in settings.ports.values())
     return ReceiverPort(named.device, named.baud, is_read)
 
 

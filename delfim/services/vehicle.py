@@ -12,7 +12,7 @@ from functools import partial
 from pathlib import Path
 from typing import Protocol
 
-from delfim import config
+from delfim import config, parts
 from delfim.allowance import SECOND_BYTES, Allowance
 from delfim.canproxy.opening import open_bound
 from delfim.canproxy.socket import CanAddress, CanSocket
@@ -89,8 +89,9 @@ class OpenedLinks:
         else:
             table = settings.nmea0183
             ports, outs = (port.device for port in table.ports.values()), (out.to for out in table.out.values())
-            board = settings.mavlink_front_seat.device if "mavlink_front_seat" in settings.navigation.sources else ""
-            may_lack = device in {*ports, *outs, table.guest.device, board}
+            waits = [name for name in settings.navigation.sources if parts.row(settings.aboard, name).waits]
+            boards = (getattr(settings, name).device for name in waits)
+            may_lack = device in {*ports, *outs, table.guest.device, *boards}
             line = SerialLine(device, baud, clock, log.heard, may_lack, form, Allowance(SECOND_BYTES, clock.monotonic_s))
         self._links.callback(line.close)
         if not line.rebind():
