@@ -14,6 +14,7 @@ from pathlib import Path
 
 import pytest
 
+from delfim.parts import OWN
 from delfim.vehicle.state import State
 
 ROOT = Path(__file__).parents[1]
@@ -220,6 +221,37 @@ def test_every_document_is_reachable_from_the_readme() -> None:
             ahead += [(page.parent / link).resolve() for link in links]
     documents = [path for path in _files() if path.is_relative_to(ROOT / "docs")]
     assert [str(path.relative_to(ROOT)) for path in documents if path not in reached] == []
+
+
+CORE = (  # what every boat runs, whatever it owns
+    *("vehicle/*", "vehicle/control/*", "vehicle/*/__init__", "logging/*", "suite", "slices"),
+    *("config", "tables", "modes", "messages", "newest", "serialline", "networkline", "outside", "allowance"),
+    *("services/children", "services/priority", "services/runtime", "services/servicestatus", "services/shutdown"),
+    *("services/stop", "services/supervisor", "services/vehicle", "services/watchdog", "services/window"),
+)
+NAMED = {  # with the reason; a row that goes does not come back
+    "config.py: dsor.rpm_max",  # where a key of older files went
+    "config.py: nmea0183.guest",  # keys of lines beside those of its source: they go with its table
+    "config.py: nmea0183.out.",
+    "config.py: sysstat",  # the nodes that it requires are those of other tables
+    "services/vehicle.py: nmea0183.out.",  # the name of their reports, which tools read
+    "suite.py: dronecan.interface",  # its own service's row
+    "vehicle/snapshot.py: sysstat",  # a name of the report, which pages and tools read
+}
+
+
+def test_the_core_names_no_part() -> None:
+    """It asks their rows (`delfim/parts.py`)."""
+    names, inside = {each.name for each in OWN.values() if each.driver or each.source or each.sensor}, ROOT / "delfim"
+    paths = {path for pattern in CORE for path in inside.glob(f"{pattern}.py")}
+    texts = ((path, node.value) for path in paths for node in ast.walk(_tree(path)) if isinstance(node, ast.Constant))
+    named = {
+        f"{path.relative_to(inside)}: {text}"
+        for path, text in texts
+        if isinstance(text, str) and re.fullmatch(r"[a-z0-9_.]+", text) and text.partition(".")[0] in names
+    }
+    assert named == NAMED
+    assert all(any(inside.glob(f"{pattern}.py")) for pattern in CORE)
 
 
 def test_the_vehicles_state_is_changed_by_the_loop_alone() -> None:
