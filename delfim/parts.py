@@ -48,6 +48,7 @@ class Drives(NamedTuple):
     turns: int = 256  # thrusters that it can turn, at most
     channels: int = 0  # motors, and what turns them, share addresses below this; 0: each has its own
     revolves: bool = False  # its table's `command` may be rpm: a row must say then how many
+    # Facts of the boat's own alone:
     nodes: bool = False  # its motors are nodes of the boat's own bus, whose health they report and whose batteries it can cut
     outlet: bool = False  # its motors are told by pulses, which the outlet writes
     played: bool = False  # its devices are simulated; others are pushed as they are told
@@ -66,13 +67,14 @@ class Part(NamedTuple):
     modes: tuple[ModeRow, ...] = ()
     played: str = ""  # its device in simulation: module with `devices_of` on a bus, or `instrument_of` on a line
     api: int = API
-    vessels: bool = False  # it tells of other vessels
+    drives: Drives = Drives()  # the facts of its driver
     protocol: str = ""  # that its bus carries, where others have it, too
-    drives: Drives = Drives()
-    separate: bool = False  # its source, one of the boat's own, reads separate sensors (docs/estimator.md)
     instruments: bool = False  # its sensor reads a ship's instruments: a boat has one such
+    waits: bool = False  # its source's device may be missing at the start, and is opened when it is there
+    # Facts of the boat's own alone:
+    vessels: bool = False  # it tells of other vessels
+    separate: bool = False  # its source reads separate sensors, which an estimator may take (docs/estimator.md)
     ports: bool = False  # its lines are `ports` of its table, by their names, of which it needs one
-    waits: bool = False  # its source's device may be missing, and is opened when it is there
 
 
 OWN_NODES: Final = "dsor"  # the part of the boat's own nodes: their source and driver
