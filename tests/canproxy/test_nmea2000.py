@@ -492,6 +492,10 @@ def test_a_long_stale_limit_holds_for_everything() -> None:
     say(bus, 9, VesselHeading(1.0, None, None, NorthReference.TRUE), 0.0)
     n = said(bus, 9, LISBON, 5.0)
     assert (n.roll_rad, n.heading_rad) == (pytest.approx(0.1), pytest.approx(1.0))
+    bus = source(stale_s=90.0)
+    say(bus, 9, Variation(0.2), 0.0)
+    say(bus, 9, VesselHeading(1.0, None, None, NorthReference.MAGNETIC), 90.0)
+    assert said(bus, 9, LISBON, 90.0).heading_rad == pytest.approx(1.2)
 
 
 def test_an_attitude_of_yaw_alone_leaves_the_word_to_another_sensor() -> None:

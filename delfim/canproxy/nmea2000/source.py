@@ -72,7 +72,7 @@ _UNSTATED: Final = _Quality(2, 0, None)  # a position without quality data count
 class Nmea2000Source:
     """A navigation source made of an NMEA 2000 bus. Each kind of data has a chosen source and an age of its own; a value
     older than its limit is None in the message. Limits: `stale_s`; attitude, quality and time at least `SLOW_S`; variation
-    `VARIATION_S`. The rules are in docs/nmea2000.md."""
+    at least `VARIATION_S`. The rules are in docs/nmea2000.md."""
 
     # (arb, mask) to bind a socket to, set mask bits = don't care: the PGNs read here, at any priority, from any address.
     filters: Final = tuple((extended(pgn << 8), extended(7 << 26 | 0xFF) & ~CAN_IDE) for pgn in (*LAYOUTS, CLAIMED))
@@ -89,7 +89,7 @@ class Nmea2000Source:
         self._heading: Newest[int, float] = Newest(preferred, stale_s)
         self._rate: Newest[int, float] = Newest(preferred, stale_s)
         self._attitude: Newest[int, Attitude] = Newest(preferred, slow_s)
-        self._variation: Newest[int, float] = Newest(preferred, VARIATION_S)
+        self._variation: Newest[int, float] = Newest(preferred, max(stale_s, VARIATION_S))
         self._quality: Newest[int, _Quality] = Newest(preferred, slow_s)
         self._time: Newest[int, int] = Newest(preferred, slow_s)  # UTC minus monotonic time, ns
         self._kinds: dict[str, Newest[int, Any]] = {
