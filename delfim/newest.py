@@ -44,7 +44,8 @@ class Newest(Generic[A, T]):
             if not fresh:
                 return None
             address = min(fresh)
-        self._order = (*self._preferred, address)
+        if not self._order or self._order[-1] != address:
+            self._order = (*self._preferred, address)
         return address
 
     def get(self, now_s: float) -> T | None:

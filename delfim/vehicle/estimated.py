@@ -8,6 +8,7 @@ import math
 from typing import Final, Protocol, cast
 
 from delfim import config
+from delfim.fusion import Hearer
 from delfim.messages import Navigation
 from delfim.vehicle.estimator import LATE_MAX_S, Estimate, Estimator
 from delfim.vehicle.inputhealth import HEADING, NEVER_S, POSITION, RATE, VELOCITY
@@ -18,14 +19,6 @@ STEP_S: Final = 0.5  # stamps that differ from the monotonic clock by more than 
 SOONER: Final = 0.8  # of a period: sensors are not punctual
 FIX_2D: Final = 2
 SETTLE_S: Final = 0.5  # after the start: what waited while the program came up has stamps that say nothing of its age
-
-
-class Hearer(Protocol):
-    """Takes a value of the chosen device: "position" (latitude, longitude), "velocity" (north, east), "heading" (true), "rate"
-    (positive to starboard); rad, m/s. `utc_ns`: when it was so, 0 where the device does not say. `deviation`: its standard
-    deviation per axis, m, m/s or rad, as the device states it; 0 where it does not."""
-
-    def __call__(self, kind: str, value: tuple[float, ...], utc_ns: int, deviation: float = 0.0) -> None: ...
 
 
 class SeparateSource(Source, Protocol):

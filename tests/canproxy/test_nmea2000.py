@@ -23,11 +23,12 @@ from delfim.canproxy.nmea2000.pgns import (
     decode,
     encode,
 )
-from delfim.canproxy.nmea2000.source import SLOW_S, VARIATION_S, Nmea2000Source
+from delfim.canproxy.nmea2000.source import Nmea2000Source
 from delfim.canproxy.socket import CanAddress, accepts
 from delfim.config import Nmea2000
 from delfim.errors import FormatError
 from delfim.frames import CAN_ERR, Frame, extended, standard
+from delfim.fusion import SLOW_S, VARIATION_S
 from delfim.messages import Navigation
 from delfim.newest import Newest
 from tests.canproxy.pgn_of import pgn_of

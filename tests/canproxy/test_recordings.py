@@ -21,10 +21,11 @@ from delfim.canproxy.nmea2000 import pgns
 from delfim.canproxy.nmea2000.device import Device, DeviceFacts
 from delfim.canproxy.nmea2000.fastpacket import FastPacket
 from delfim.canproxy.nmea2000.pgns import decode
-from delfim.canproxy.nmea2000.source import SLOW_S, Nmea2000Source
+from delfim.canproxy.nmea2000.source import Nmea2000Source
 from delfim.canproxy.socket import CanAddress, accepts
 from delfim.config import Nmea2000
 from delfim.frames import Frame, extended
+from delfim.fusion import SLOW_S
 from delfim.messages import Navigation
 from tests.canproxy.pgn_of import pgn_of
 

@@ -6,8 +6,9 @@ from itertools import pairwise
 import pytest
 
 from delfim import config
+from delfim.fusion import SLOW_S, VARIATION_S
 from delfim.messages import Navigation
-from delfim.nmea0183.combining import SLOW_S, TALKERS_MAX, VARIATION_S, Combined
+from delfim.nmea0183.combining import TALKERS_MAX, Combined
 from delfim.nmea0183.framing import Sentences, framed
 from delfim.nmea0183.sentences import KNOT
 
@@ -277,7 +278,7 @@ def test_each_message_has_the_next_counter():
 
 def test_a_hearer_gets_each_value_of_the_chosen_talkers_as_it_comes():
     boat, told = Boat(), list[tuple[str, int]]()
-    boat.combined.hearer = lambda kind, value, *_: told.append((kind, len(value)))
+    boat.combined.fusion.hearer = lambda kind, value, *_: told.append((kind, len(value)))
     boat.hear("HEHDT,90.0,T", "TIROT,3.0,A", port="compass")
     boat.hear(gga(1), rmc(1))
     boat.hear(gga(1), rmc(1))  # a frozen receiver brings no position

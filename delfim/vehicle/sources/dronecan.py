@@ -19,10 +19,10 @@ from delfim.canproxy.dronecan.datatypes import (
 from delfim.canproxy.dronecan.transfers import TransferReceiver
 from delfim.canproxy.socket import CanSocket
 from delfim.errors import BusError, FormatError
+from delfim.fusion import Hearer
 from delfim.messages import Navigation
 from delfim.newest import Newest
 from delfim.vehicle.compass import FLAT, Calibration, FieldCircle, Tilt, Vector, attitude, magnetic_heading
-from delfim.vehicle.estimated import Hearer
 from delfim.vehicle.links import Links
 from delfim.vehicle.navigation import FRAMES_PER_READ, Fix
 from delfim.vehicle.state import State

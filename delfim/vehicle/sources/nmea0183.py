@@ -6,10 +6,10 @@ from collections.abc import Callable, Iterator
 from typing import Final, NamedTuple
 
 from delfim import config
+from delfim.fusion import Hearer
 from delfim.nmea0183.aissentences import AisPart
 from delfim.nmea0183.combining import Combined
 from delfim.ubx.mixedline import Antennas, MixedLine
-from delfim.vehicle.estimated import Hearer
 from delfim.vehicle.links import Links, ReadableLine
 from delfim.vehicle.navigation import Fix
 from delfim.vehicle.state import State
@@ -70,7 +70,7 @@ class Nmea0183Navigation:
         self._sound: dict[str, tuple[float, int, int]] = {}  # by port: when a sentence was sound last, and the counts then
 
     def tell(self, hearer: Hearer) -> None:
-        self._combined.hearer = hearer
+        self._combined.fusion.hearer = hearer
 
     def read(self, now_s: float) -> Fix | None:
         """The newest position that is complete, None while there is none. Unreadable sentences are counted."""

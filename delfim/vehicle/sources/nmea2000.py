@@ -10,7 +10,7 @@ from delfim.canproxy.nmea2000.parcels import ROLL_CALL, frames
 from delfim.canproxy.nmea2000.source import Nmea2000Source
 from delfim.canproxy.socket import CanAddress, CanSocket
 from delfim.errors import BusError
-from delfim.vehicle.estimated import Hearer
+from delfim.fusion import Hearer
 from delfim.vehicle.links import Links
 from delfim.vehicle.navigation import FRAMES_PER_READ, Fix
 from delfim.vehicle.state import State
@@ -26,7 +26,7 @@ class Nmea2000Navigation:
         self.heard_s, self.t_ns = -1e9, 0
 
     def tell(self, hearer: Hearer) -> None:
-        self._source.hearer = hearer
+        self._source.fusion.hearer = hearer
 
     def read(self, now_s: float) -> Fix | None:
         """As `DsorNavigation.read`: a fix for each message of the chosen position source."""
