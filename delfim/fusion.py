@@ -14,6 +14,7 @@ from delfim.newest import A, Newest
 SLOW_S: Final = 2.5  # once a second
 VARIATION_S: Final = 60.0  # some devices send it every ten seconds, and it changes by a minute of arc in a day's sail
 STANDSTILL_MPS: Final = 0.1  # receivers give no course at rest; an unknown course up to this speed means zero velocity
+SQRT2: Final = math.sqrt(2.0)  # an accuracy in the plane is that of two axes
 
 MOVING: Final = dict.fromkeys(("position", "velocity", "heading", "rate"), 0.0)  # kinds of every bus, with no such age
 

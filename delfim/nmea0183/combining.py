@@ -4,7 +4,7 @@ import math
 from typing import Final
 
 from delfim import config
-from delfim.fusion import MOVING, SLOW_S, UNSTATED, VARIATION_S, Fusion, Quality, over_ground
+from delfim.fusion import MOVING, SLOW_S, SQRT2, UNSTATED, VARIATION_S, Fusion, Quality, over_ground
 from delfim.messages import Navigation
 from delfim.nmea0183.framing import Sentence
 from delfim.nmea0183.instants import Instants
@@ -23,7 +23,6 @@ from delfim.nmea0183.sentences import (
 
 TALKERS_MAX: Final = 32
 UBX: Final = "UB"  # the talker of delfim.ubx: of a receiver that sends both, it is the better one
-SQRT2: Final = math.sqrt(2.0)  # an accuracy in the plane is that of two axes
 _GNSS: Final = {
     "GP",
     "GN",

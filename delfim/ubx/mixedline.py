@@ -8,6 +8,7 @@ import math
 from typing import Final, NamedTuple
 
 from delfim.errors import FormatError
+from delfim.fusion import SQRT2
 from delfim.nmea0183.combining import UBX
 from delfim.nmea0183.framing import NAMES_MAX, OTHERS, Sentence, Sentences
 from delfim.nmea0183.sentences import ActiveSatellites, Bearing, Located, Movement, Spread
@@ -15,7 +16,6 @@ from delfim.ubx.ubxframes import UbxFrame, UbxFrames
 from delfim.ubx.ubxmessages import NAMES, READERS, Baseline, Solution
 
 LENGTH_OFF: Final = 0.2  # of the baseline's length: a solution that differs more is a wrong one
-_SQRT2: Final = math.sqrt(2.0)
 _DAY_MS: Final = 86_400_000
 
 
@@ -91,9 +91,9 @@ def _solution(s: Solution) -> list[Sentence]:
     movement = Movement(None, None, None)
     if s.north_mps is not None and s.east_mps is not None:
         course_rad = math.atan2(s.east_mps, s.north_mps) % math.tau
-        deviation_mps = 0.0 if s.velocity_accuracy_mps is None else s.velocity_accuracy_mps / _SQRT2
+        deviation_mps = 0.0 if s.velocity_accuracy_mps is None else s.velocity_accuracy_mps / SQRT2
         movement = Movement(course_rad, None, math.hypot(s.north_mps, s.east_mps), deviation_mps)
-    each_m = None if s.accuracy_m is None else s.accuracy_m / _SQRT2
+    each_m = None if s.accuracy_m is None else s.accuracy_m / SQRT2
     located = Located(
         s.week_ms % _DAY_MS / 1000.0,  # of the GPS day, which differs from UTC's; it only tells one instant from another
         s.latitude_rad,

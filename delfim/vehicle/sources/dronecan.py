@@ -2,7 +2,7 @@
 
 import math
 from collections import Counter
-from typing import Any, Final
+from typing import Final
 
 from delfim import config
 from delfim.canproxy.dronecan import datatypes
@@ -19,9 +19,8 @@ from delfim.canproxy.dronecan.datatypes import (
 from delfim.canproxy.dronecan.transfers import TransferReceiver
 from delfim.canproxy.socket import CanSocket
 from delfim.errors import BusError, FormatError
-from delfim.fusion import Hearer
+from delfim.fusion import MOVING, SLOW_S, SQRT2, Fusion, Hearer
 from delfim.messages import Navigation
-from delfim.newest import Newest
 from delfim.vehicle.compass import FLAT, Calibration, FieldCircle, Tilt, Vector, attitude, magnetic_heading
 from delfim.vehicle.links import Links
 from delfim.vehicle.navigation import FRAMES_PER_READ, Fix
@@ -39,14 +38,13 @@ HEARD: Final = (
 )
 _NAMES: Final = {kind.id: kind.name for kind in HEARD}
 MESSAGES_PER_READ: Final = 16  # bounds one call on a flooded bus, as FRAMES_PER_READ does
-SLOW_S: Final = 2.5  # the dilution may come once a second, whatever the vehicle's `stale_s`
 FLAT_S: Final = 1.0  # after a beginning: who has not told its gravity by then lies flat
-_KINDS: Final = ("position", "velocity", "heading", "rate", "attitude", "dilution")
+_KINDS: Final = {**MOVING, "attitude": 0.0, "dilution": SLOW_S}  # an attitude comes with each rate of a gyro
 _DIFFERENTIAL, _RTK = 1, 2  # modes of a fix
 
 
 class DronecanNavigation:
-    """All sensors of the bus. A value older than its limit is None in the message."""
+    """All sensors of the bus."""
 
     name = "dronecan"
 
@@ -57,10 +55,7 @@ class DronecanNavigation:
         self._stale_s, self._calibration = stale_s, Calibration(table)
         self._variation_rad, self._arrow_rad = math.radians(table.variation_deg), math.radians(table.compass_deg)
         self._antennas_rad = math.radians(table.antennas_deg)
-        self._newest: dict[str, Newest[int, Any]] = {
-            kind: Newest(table.preferred_sources, max(stale_s, SLOW_S) if kind == "dilution" else stale_s) for kind in _KINDS
-        }
-        self._talking: Newest[int, bool] = Newest(table.preferred_sources, stale_s)  # sends fixes, even if it has none
+        self._fusion: Fusion[int] = Fusion(_KINDS, stale_s, table.preferred_sources)
         self._began_s = -1e9
         self._tilts = dict[int, Tilt]()  # of the nodes with a gyro and an accelerometer
         self._sensors = dict[int, int]()  # by node: its magnetometer, of several
@@ -69,11 +64,9 @@ class DronecanNavigation:
         self._circles = dict[int, FieldCircle]()  # by node, for the calibration
         self._nodes = dict[int, tuple[int, float]]()  # health, and when it was heard
         self._refused: Counter[str] = Counter()
-        self._counter = 0
-        self._hearer: Hearer | None = None
 
     def tell(self, hearer: Hearer) -> None:
-        self._hearer = hearer
+        self._fusion.hearer = hearer
 
     def read(self, now_s: float) -> Fix | None:
         """As `DsorNavigation.read`: a fix for each message of the chosen receiver."""
@@ -111,7 +104,7 @@ class DronecanNavigation:
             case GnssFix():
                 return self._located(node, message, now_s)
             case Dilution():
-                self._newest["dilution"].put(node, message, now_s)
+                self._fusion.put("dilution", node, message, now_s)
             case RelativeHeading(heading_rad, accuracy_rad):
                 if heading_rad is not None:
                     self._antennas_s = now_s
@@ -122,32 +115,16 @@ class DronecanNavigation:
             case ImuSample(rate_radps, force_mps2):
                 tilt = self._tilts.setdefault(node, Tilt())
                 turning_radps = tilt.feed(rate_radps, force_mps2, self.t_ns / 1e9)
-                self._newest["rate"].put(node, turning_radps, now_s)
-                if turning_radps is not None:
-                    self._tell("rate", node, (turning_radps,), now_s)
+                self._fusion.take("rate", node, None if turning_radps is None else (turning_radps,), now_s)
                 known = None if tilt.down is None else attitude(tilt.down, self._arrow_rad)
-                self._newest["attitude"].put(node, known, now_s)
+                self._fusion.put("attitude", node, known, now_s)
             case NodeStatus():
                 self._nodes[node] = message.health, now_s
         return None
 
-    def _tell(
-        self,
-        kind: str,
-        node: int,
-        value: tuple[float, ...],
-        now_s: float,
-        utc_ns: int | None = None,
-        deviation: float | None = None,
-    ) -> None:
-        """Hand a value over, if it is of the node that is chosen for its kind."""
-        if self._hearer is not None and self._newest[kind].choose(now_s) == node:
-            self._hearer(kind, value, utc_ns or 0, deviation or 0.0)
-
     def _headed(self, node: int, heading_rad: float | None, now_s: float, accuracy_rad: float | None = None) -> None:
-        self._newest["heading"].put(node, heading_rad, now_s)
-        if heading_rad is not None:
-            self._tell("heading", node, (heading_rad,), now_s, deviation=accuracy_rad)
+        heading = None if heading_rad is None else (heading_rad,)
+        self._fusion.take("heading", node, heading, now_s, accuracy_rad or 0.0)
 
     def _magnetic(self, node: int, m: MagneticField, now_s: float) -> None:
         """The heading of a compass: tilted as the gyro and the accelerometer of the same node say, flat where it has none. Two
@@ -181,51 +158,26 @@ class DronecanNavigation:
 
     def _located(self, node: int, g: GnssFix, now_s: float) -> Navigation | None:
         """File a fix, or a receiver's report that it has none; returns the message if the node is the chosen one."""
-        newest, fix = self._newest, fix_of(g)
+        fusion, fix = self._fusion, fix_of(g)
         if not now_s - self.heard_s <= self._stale_s:  # a beginning: a replay has perhaps not heard what came before it
             self._began_s, self._tilts, self._sensors, self._said = now_s, {}, {}, {}
         position = (g.latitude_rad, g.longitude_rad) if fix else None
-        newest["position"].put(node, position, now_s)
-        self._talking.put(node, True, now_s)
-        known = fix and g.north_mps is not None and g.east_mps is not None
-        newest["velocity"].put(node, (g.north_mps, g.east_mps) if known else None, now_s)
-        if (newest["position"].choose(now_s) or self._talking.choose(now_s)) != node:
+        velocity = None
+        if fix and g.north_mps is not None and g.east_mps is not None:
+            velocity = g.north_mps, g.east_mps
+        fusion.put("velocity", node, velocity, now_s)
+        fusion.talking.put(node, True, now_s)
+        if not fusion.place(node, position, now_s):
             return None
-        for kind, accuracy in (("velocity", g.accuracy_mps), ("position", g.accuracy_m)):
-            if (value := newest[kind].of(node, now_s)) is not None:
-                self._tell(kind, node, value, now_s, g.utc_ns, (accuracy or 0.0) / math.sqrt(2.0))
-        return self._message(node, g, position, now_s)
-
-    def _message(self, node: int, g: GnssFix, position: tuple[float, float] | None, now_s: float) -> Navigation:
-        newest = self._newest
-        latitude_rad, longitude_rad = position or (None, None)
-        north_mps, east_mps = newest["velocity"].get(now_s) or (None, None)
-        roll_rad, pitch_rad = newest["attitude"].get(now_s) or (None, None)
-        dilution = newest["dilution"].of(node, now_s)
-        self._counter = self._counter + 1 & 0xFF
-        return Navigation(
-            g.utc_ns or 0,
-            latitude_rad,
-            longitude_rad,
-            north_mps,
-            east_mps,
-            newest["heading"].get(now_s),
-            newest["rate"].get(now_s),
-            roll_rad,
-            pitch_rad,
-            fix_of(g),
-            g.satellites,
-            None if dilution is None else dilution.hdop,
-            self._counter,
-            g.accuracy_m if position else None,
-        )
+        fusion.tell("velocity", node, velocity, now_s, g.utc_ns, (g.accuracy_mps or 0.0) / SQRT2)
+        fusion.tell("position", node, position, now_s, g.utc_ns, (g.accuracy_m or 0.0) / SQRT2)
+        dilution: Dilution | None = fusion.kinds["dilution"].of(node, now_s)
+        hdop = None if dilution is None else dilution.hdop
+        return fusion.message(position, g.utc_ns or 0, now_s, fix, g.satellites, hdop, g.accuracy_m)
 
     def report(self, now_s: float) -> dict[str, object]:
         """Which node is used for which kind of data, the devices heard, and what was refused."""
-        kinds = dict[str, object]()
-        for kind, newest in self._newest.items():
-            node = newest.choose(now_s)
-            kinds[kind] = {"node": node, "age_s": None if node is None else newest.age_s(node, now_s)}
+        kinds = {kind: {"node": node, "age_s": age_s} for kind, (node, age_s) in self._fusion.used(now_s).items()}
         devices = {str(node): {"health": health, "age_s": now_s - at_s} for node, (health, at_s) in sorted(self._nodes.items())}
         compasses = {
             str(node): {
