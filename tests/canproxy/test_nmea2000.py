@@ -1,4 +1,6 @@
-"""NMEA 2000 codec, fast packets and choice of source, on frames made here. Recorded traffic: test_recordings.py."""
+"""NMEA 2000 codec, fast packets and readings, on frames made here. Recorded traffic: test_recordings.py.
+Which device is believed: tests/test_fusion.py.
+"""
 
 import math
 import struct
@@ -28,9 +30,8 @@ from delfim.canproxy.socket import CanAddress, accepts
 from delfim.config import Nmea2000
 from delfim.errors import FormatError
 from delfim.frames import CAN_ERR, Frame, extended, standard
-from delfim.fusion import SLOW_S, VARIATION_S
+from delfim.fusion import VARIATION_S
 from delfim.messages import Navigation
-from delfim.newest import Newest
 from tests.canproxy.pgn_of import pgn_of
 
 STALE_S = 1.0
@@ -344,68 +345,6 @@ def test_reassembly_takes_anything_and_stays_bounded(frames: list[tuple[int, byt
     assert all(len(flights) <= FastPacket.IN_FLIGHT for flights in fast._flights.values())
 
 
-# Choice of source -----------------------------------------------------------------------------------------------------------
-
-
-def test_the_lowest_address_is_chosen_and_kept_while_it_is_fresh() -> None:
-    newest: Newest[int, str] = Newest((), 1.0)
-    assert newest.choose(0.0) is None
-    for address in (30, 20):
-        newest.put(address, "old", 0.0)
-    assert newest.choose(0.0) == 20
-    newest.put(10, "lower", 0.5)
-    assert newest.get(0.5) == "old"
-    assert newest.choose(1.0) == 20  # exactly at its limit it is fresh
-    newest.put(30, "newer", 1.0)
-    assert newest.choose(1.01) == 10
-    newest.put(20, "back", 1.1)
-    assert newest.choose(1.1) == 10
-    assert newest.choose(9.0) is None
-
-
-def test_preferred_addresses_win_in_order_and_win_back() -> None:
-    newest: Newest[int, int] = Newest((50, 60), 1.0)
-    chosen = []
-    for now_s, talking in enumerate([(1,), (1, 60), (1, 50, 60), (1, 60), (1, 50), (1,), ()]):
-        for address in talking:
-            newest.put(address, address, now_s * 2.0)
-        chosen.append(newest.choose(now_s * 2.0))
-    assert chosen == [1, 60, 50, 60, 50, 1, None]
-
-
-def test_a_source_that_says_it_does_not_know_loses_its_value_at_once() -> None:
-    newest: Newest[int, int] = Newest((), 1.0)
-    newest.put(1, 11, 0.0)
-    newest.put(2, 22, 0.0)
-    assert newest.get(0.0) == 11
-    newest.put(1, None, 0.1)
-    assert newest.get(0.1) == 22
-    assert newest.of(1, 0.1) is None
-
-
-@given(
-    st.permutations((1, 2, 3)).map(lambda p: tuple(p[:2])),
-    st.lists(st.tuples(st.floats(0, 0.7), st.integers(0, 4), st.booleans()), max_size=60),
-)
-def test_choice_keeps_its_rules(preferred: tuple[int, ...], events: list[tuple[float, int, bool]]) -> None:
-    newest: Newest[int, float] = Newest(preferred, 1.0)
-    said_s: dict[int, float] = {}
-    now_s, before = 0.0, None
-    for later_s, address, known in events:
-        now_s += later_s
-        newest.put(address, now_s if known else None, now_s)
-        if known:
-            said_s[address] = now_s
-        else:
-            said_s.pop(address, None)
-        fresh = {a for a, t_s in said_s.items() if t_s >= now_s - 1.0}
-        chosen = newest.choose(now_s)
-        expected = next((a for a in (*preferred, before) if a in fresh), min(fresh, default=None))
-        assert chosen == expected
-        assert newest.get(now_s) == (said_s[chosen] if chosen is not None else None)
-        before = chosen if chosen is not None else before
-
-
 # The source -----------------------------------------------------------------------------------------------------------------
 
 
@@ -449,22 +388,6 @@ def test_nothing_but_a_position_makes_a_message() -> None:
 
 
 @pytest.mark.parametrize(
-    ("message", "field", "limit_s"),
-    [
-        (VesselHeading(1.0, None, None, NorthReference.TRUE), "heading_rad", STALE_S),
-        (RateOfTurn(0.1), "yaw_rate_radps", STALE_S),
-        (CourseSpeed(NorthReference.TRUE, 1.0, 1.0), "north_mps", STALE_S),
-        (Attitude(None, 0.1, 0.1), "roll_rad", SLOW_S),
-    ],
-)
-def test_what_is_older_than_its_limit_is_unknown(message: pgns.Message, field: str, limit_s: float) -> None:
-    bus = source()
-    say(bus, 9, message, 0.0)
-    assert getattr(said(bus, 9, LISBON, limit_s), field) is not None
-    assert getattr(said(bus, 9, LISBON, limit_s + 0.01), field) is None
-
-
-@pytest.mark.parametrize(
     ("message", "unknown", "field"),
     [
         (
@@ -487,39 +410,11 @@ def test_not_available_ends_what_was_said_before(message: pgns.Message, unknown:
     assert getattr(said(bus, 9, LISBON, 0.2), field) is None
 
 
-def test_a_long_stale_limit_holds_for_everything() -> None:
-    bus = source(stale_s=5.0)
-    say(bus, 9, Attitude(None, 0.1, 0.1), 0.0)
-    say(bus, 9, VesselHeading(1.0, None, None, NorthReference.TRUE), 0.0)
-    n = said(bus, 9, LISBON, 5.0)
-    assert (n.roll_rad, n.heading_rad) == (pytest.approx(0.1), pytest.approx(1.0))
-    bus = source(stale_s=90.0)
-    say(bus, 9, Variation(0.2), 0.0)
-    say(bus, 9, VesselHeading(1.0, None, None, NorthReference.MAGNETIC), 90.0)
-    assert said(bus, 9, LISBON, 90.0).heading_rad == pytest.approx(1.2)
-
-
 def test_an_attitude_of_yaw_alone_leaves_the_word_to_another_sensor() -> None:
     bus = source(9)
     say(bus, 9, Attitude(0.5, None, None), 0.0)
     say(bus, 12, Attitude(None, 0.1, 0.2), 0.0)
     assert said(bus, 9, LISBON, 0.0).roll_rad == pytest.approx(0.2)
-
-
-def test_a_receiver_at_rest_that_names_no_course_has_velocity_zero() -> None:
-    bus = source()
-    say(bus, 9, CourseSpeed(NorthReference.TRUE, None, 0.05), 0.0)
-    n = said(bus, 9, LISBON, 0.0)
-    assert (n.north_mps, n.east_mps) == (0.0, 0.0)
-
-
-def test_positions_of_other_sources_are_silent_until_the_chosen_one_is() -> None:
-    bus = source(20)
-    assert say(bus, 5, LISBON, 0.0) is not None
-    assert say(bus, 20, PORTO, 0.1) is not None
-    assert say(bus, 5, LISBON, 0.2) is None
-    assert say(bus, 5, LISBON, 1.05) is None
-    assert said(bus, 5, LISBON, 1.2).latitude_rad == pytest.approx(LISBON.latitude_rad)
 
 
 def test_each_kind_has_a_source_of_its_own() -> None:
@@ -555,24 +450,6 @@ def test_what_is_reckoned_typed_or_simulated_is_no_position(method: int) -> None
     bus = source()
     for n in (said(bus, 2, gnss(method=method), 0.0), said(bus, 2, LISBON, 0.1)):
         assert (n.latitude_rad, n.longitude_rad, n.fix) == (None, None, 0)
-
-
-def test_without_any_position_the_word_of_one_receiver_is_passed_on() -> None:
-    bus = source()
-    say(bus, 3, VesselHeading(1.0, None, None, NorthReference.TRUE), 0.0)
-    n = said(bus, 5, NOWHERE, 0.1)
-    assert (n.latitude_rad, n.fix, n.heading_rad) == (None, 0, pytest.approx(1.0))
-    assert say(bus, 6, NOWHERE, 0.1) is None
-    assert said(bus, 6, LISBON, 0.2).fix == 2
-    assert say(bus, 5, NOWHERE, 0.3) is None
-
-
-def test_a_source_that_loses_its_fix_is_left_at_once() -> None:
-    bus = source(2)
-    assert say(bus, 2, LISBON, 0.0) is not None
-    assert say(bus, 8, PORTO, 0.1) is None
-    assert say(bus, 2, NOWHERE, 0.2) is None
-    assert said(bus, 8, PORTO, 0.3).latitude_rad == pytest.approx(PORTO.latitude_rad, abs=1e-9)
 
 
 @pytest.mark.parametrize(
@@ -615,14 +492,6 @@ def test_a_magnetic_course_becomes_true() -> None:
     assert (n.north_mps, n.east_mps) == (pytest.approx(0.0, abs=2e-4), pytest.approx(2.0))
 
 
-def test_an_old_variation_gives_way_to_the_configured_one() -> None:
-    bus = source(variation_deg=math.degrees(0.4))
-    say(bus, 9, Variation(0.2), 0.0)
-    for now_s, expected_rad in ((VARIATION_S, 1.2), (VARIATION_S + 0.1, 1.4)):
-        say(bus, 9, VesselHeading(1.0, None, None, NorthReference.MAGNETIC), now_s)
-        assert said(bus, 2, LISBON, now_s).heading_rad == pytest.approx(expected_rad)
-
-
 def test_without_time_on_the_bus_there_is_none() -> None:
     """The stamp of the frame is the computer's own time: a clock compared with that would always be right."""
     bus = source()
@@ -638,11 +507,6 @@ def test_the_time_of_a_devices_own_crystal_is_no_time(by: int, known: bool) -> N
     data[1] = by
     assert (decode(pgns.SYSTEM_TIME, bytes(data)) == SystemTime(86_400_000_000_000)) is known
     assert known or decode(pgns.SYSTEM_TIME, bytes(data)) == SystemTime(None)
-
-
-def test_counter_wraps() -> None:
-    bus = source()
-    assert [said(bus, 2, LISBON, i * 0.1).counter for i in range(257)] == [*range(1, 256), 0, 1]
 
 
 def test_status_says_who_talks_and_what_was_refused() -> None:

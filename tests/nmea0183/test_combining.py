@@ -217,12 +217,6 @@ def test_accuracy_and_the_age_of_corrections_are_in_the_message():
     assert Boat().hear(gns)[0][9:] == (5, 20, 0.7, 1, None, 3.0)
 
 
-def test_at_rest_without_a_course_the_velocity_is_zero_and_at_speed_it_is_unknown():
-    boat = Boat()
-    assert boat.hear(f"GPRMC,120001,A,{HERE},0.1,,221126,,,A")[0][3:5] == (0.0, 0.0)
-    assert boat.hear(f"GPRMC,120002,A,{HERE},1.0,,221126,,,A")[0][3:5] == (None, None)
-
-
 def test_without_a_date_the_time_is_unknown():
     boat = Boat()
     assert boat.hear(gga(1))[0].utc_ns == 0
@@ -268,12 +262,6 @@ def test_a_receiver_is_heard_after_noise_that_made_up_talkers(preferred, pause_s
     assert len([n for i in (1, 2) for n in boat.hear(gga(i)) if n.latitude_rad is not None]) == 2
     assert len(boat.combined.status(boat.now_s)["talkers"]) == TALKERS_MAX
     assert boat.combined.strangers == 0
-
-
-def test_each_message_has_the_next_counter():
-    boat = Boat()
-    counters = [n.counter for i in range(40) for n in boat.hear(rmc(i))]
-    assert all(b == a + 1 for a, b in pairwise(counters))
 
 
 def test_a_hearer_gets_each_value_of_the_chosen_talkers_as_it_comes():
