@@ -96,14 +96,11 @@ def facts_said(told: VesselFacts, is_class_a: bool, number: int) -> Iterator[byt
 
 def _distances(told: VesselFacts) -> list[tuple[int, int]]:
     """Of the antenna from bow, stern, port and starboard, m; all 0: not known."""
-    if None in (told.length_m, told.beam_m, told.from_bow_m, told.from_starboard_m):
+    length_m, beam_m, bow_m, starboard_m = told.length_m, told.beam_m, told.from_bow_m, told.from_starboard_m
+    if length_m is None or beam_m is None or bow_m is None or starboard_m is None:
         return [(0, 9), (0, 9), (0, 6), (0, 6)]
-    assert told.length_m is not None
-    assert told.beam_m is not None
-    assert told.from_bow_m is not None
-    assert told.from_starboard_m is not None
-    bow_m, starboard_m = max(told.from_bow_m, 0.0), max(told.from_starboard_m, 0.0)
-    stern_m, port_m = max(told.length_m - bow_m, 0.0), max(told.beam_m - starboard_m, 0.0)
+    bow_m, starboard_m = max(bow_m, 0.0), max(starboard_m, 0.0)
+    stern_m, port_m = max(length_m - bow_m, 0.0), max(beam_m - starboard_m, 0.0)
     along = [(min(round(each), 511), 9) for each in (bow_m, stern_m)]
     return along + [(min(round(each), 63), 6) for each in (port_m, starboard_m)]
 
