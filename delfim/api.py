@@ -9,12 +9,14 @@ from delfim.errors import BusError, ConfigError, DelfimError, FormatError, Perma
 from delfim.frames import Frame, extended, standard
 from delfim.geodesy import from_plane
 from delfim.messages import Navigation
-from delfim.parts import API, Drives, ModeRow, Part, TroubleRow
+from delfim.parts import API, Drives, ModeRow, OrderRow, Part, TroubleRow
 from delfim.tables import Table, text
 from delfim.vehicle.actuators import Actuator
+from delfim.vehicle.console import Continue, Course, Goto, Heading, Pause, Play, SetMode, SetSpeed, Stop
 from delfim.vehicle.control.autopilot import entered, steer
 from delfim.vehicle.control.control import Program
 from delfim.vehicle.control.memory import Memory, Settings
+from delfim.vehicle.foreign import OrderAsked
 from delfim.vehicle.links import Links, LoopInput, ReadableLine
 from delfim.vehicle.navigation import Fix, Source
 from delfim.vehicle.sensors import Value
@@ -32,6 +34,8 @@ __all__ = [
     "CanSocket",
     "Clock",
     "ConfigError",
+    "Continue",
+    "Course",
     "DelfimError",
     "Device",
     "Drives",
@@ -39,6 +43,8 @@ __all__ = [
     "FormatError",
     "Fraction",
     "Frame",
+    "Goto",
+    "Heading",
     "Interface",
     "Links",
     "Look",
@@ -48,18 +54,25 @@ __all__ = [
     "ModeRow",
     "Motion",
     "Navigation",
+    "OrderAsked",
+    "OrderRow",
     "Part",
+    "Pause",
     "PermanentFailure",
+    "Play",
     "Program",
     "ReadableLine",
     "Reference",
     "Seconds",
+    "SetMode",
+    "SetSpeed",
     "Setpoint",
     "Settings",
     "Silence",
     "Source",
     "Speed",
     "State",
+    "Stop",
     "Table",
     "ThrusterReport",
     "Trouble",

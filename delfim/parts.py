@@ -5,6 +5,7 @@ entry point in the group `delfim.parts` is its row. The vehicle's file names it 
 imported. No other file pays for the look among the installed packages, which takes some 30 ms.
 """
 
+import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import cache
 from importlib import import_module
@@ -13,6 +14,7 @@ from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple
 from delfim import modes
 from delfim.errors import ConfigError, DelfimError, PermanentFailure, did_you_mean, in_words
 from delfim.pulses import CHANNELS
+from delfim.numberedorders import numbered
 from delfim.tables import Table
 
 if TYPE_CHECKING:  # its import takes as long as that of all tables, and few files name a part
@@ -54,6 +56,15 @@ class Drives(NamedTuple):
     played: bool = False  # its devices are simulated; others are pushed as they are told
 
 
+class OrderRow(NamedTuple):
+    """An order of the operator that a part carries out."""
+
+    name: str  # small letters, digits and _
+    table: type[Table]  # its keys
+    does: str  # module:function; it takes a `delfim.api.OrderAsked`, and returns None, why not, or a `delfim.api.Goto` ...
+    number: int = 0  # by MAVLink and in the page's menu, MAV_CMD_USER_1 to 5, 31010 to 31014; 0: neither
+
+
 class Part(NamedTuple):
     """A row. A text names a module, or a function as module:function, which is loaded when it is used."""
 
@@ -65,6 +76,7 @@ class Part(NamedTuple):
     service: str = ""  # module:coroutine, which takes the runtime
     troubles: tuple[TroubleRow, ...] = ()
     modes: tuple[ModeRow, ...] = ()
+    orders: tuple[OrderRow, ...] = ()
     played: str = ""  # its device in simulation: module with `devices_of` on a bus, or `instrument_of` on a line
     api: int = API
     drives: Drives = Drives()  # the facts of its driver
@@ -171,7 +183,26 @@ def named(wanted: object, file: str) -> tuple[Part, ...]:
                 modes.join(mode.name, mode.number)
             except ValueError as error:
                 raise ConfigError(file, f"parts.{row.name}", str(error)) from None
+    _check_orders(rows, file)
     return rows
+
+
+def _check_orders(rows: tuple[Part, ...], file: str) -> None:
+    """Raises ConfigError where an order has no name or number of its own, or numbers cannot give it."""
+    names, numbers = dict[str, str](), dict[int, str]()
+    for part, order in ((row.name, order) for row in rows for order in row.orders):
+        key, name = f"parts.{part}", order.name
+        if not re.fullmatch("[a-z][a-z0-9_]{0,31}", name):
+            raise ConfigError(file, key, f"{name!r} is no name for an order: small letters, digits and _")
+        if (other := names.setdefault(name, part)) != part:
+            raise ConfigError(file, key, f"its order {name} has the name of an order of {other}")
+        if order.number and (other := numbers.setdefault(order.number, name)) != name:
+            raise ConfigError(file, key, f"its order {name} has number {order.number}, as {other} has")
+        try:
+            if order.number:
+                numbered(order.number, name, order.table)
+        except ValueError as error:
+            raise ConfigError(file, key, str(error)) from None
 
 
 def _loaded(name: str, version: str, file: str) -> Part:

@@ -30,8 +30,8 @@ from delfim.vehicle.links import Links
 from delfim.vehicle.sources import dsor
 from delfim.vehicle.state import State
 from tests.afloat import running
-from tests.enlarged import ROOT
 
+ROOT = Path(__file__).parents[1]
 PATIENCE_S = 200.0
 
 

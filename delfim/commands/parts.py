@@ -10,7 +10,7 @@ from delfim.commands import OWN_FILE, PACKAGE, shipped
 from delfim.errors import DelfimError
 
 EXAMPLES: Final = PACKAGE / "etc/parts"
-KINDS: Final = ("mode", "motor", "sensor", "service", "source", "trouble")
+KINDS: Final = ("mode", "motor", "order", "sensor", "service", "source", "trouble")
 
 
 def options(parser: argparse.ArgumentParser) -> None:
@@ -57,7 +57,7 @@ def _new(asked: argparse.Namespace) -> int:
     for path in sorted(place.rglob("*"), reverse=True):
         if example in path.name:
             path.rename(path.with_name(path.name.replace(example, asked.name)))
-    print(f"{place} has a {asked.kind} that works. Now:")
+    print(f"{place} has a part of the kind {asked.kind} that works. Now:")
     print(f"  pip install -e {place}")
     print(f"  delfim parts check {asked.name}")
     print(

@@ -3,6 +3,7 @@
 import math
 from collections import deque
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Any, Final, NamedTuple
 
 from delfim.console.mavlink import mavlink
@@ -11,6 +12,7 @@ from delfim.console.reception import Reception
 from delfim.console.wayhome import HeardTrack
 from delfim.console.words import Words
 from delfim.modes import Mode
+from delfim.numberedorders import NUMBERS, PARAM, NumberedOrder
 from delfim.vehicle.mavlink.params import BOAT_NAME
 from delfim.vehicle.mavlink.vesselsout import GUARDED, ORDERED
 
@@ -20,6 +22,8 @@ CHECKSUM_S: Final = 6.0  # the time for a boat to send the checksum of its plans
 NAME_MAX: Final = 32
 TRACK_MAX: Final = 36_000  # points: ten hours at one a second
 UNKNOWN_HEADING: Final = 65535
+OWN_TEXTS: Final = 2  # of a boat: its name, and its run
+TEXTS_MAX: Final = OWN_TEXTS + len(NUMBERS)
 MEASURED_MAX: Final = 32  # values of sensors, by name
 
 
@@ -42,6 +46,9 @@ class Boat:
         self.modes: dict[int, str] = {mode: mode.name.lower() for mode in Mode}  # until the boat has sent its own
         self.has_told_modes = False
         self._modes_told: dict[int, tuple[int, str]] = {}  # by their place in its list
+        self.orders: dict[str, NumberedOrder] = {}  # of a laboratory's parts, by name
+        self._texts: set[int] = set()  # places of those that it has told
+        self.texts = 0  # that it has
         self.commander = 0  # number of the console that commands; 0: none
         self.used = False  # the operator has commanded it
         self.twins: list[str] = []  # addresses of all boats that have this number, if there is more than one
@@ -104,6 +111,7 @@ class Boat:
             for each in (self.values, self.measured, self.reference, self.at_s, self.has, self._modes_told):
                 each.clear()
             self.heard_track = HeardTrack()
+            self.orders, self._texts, self.texts = {}, set(), 0
             self.has_told_modes, self.asks, self.reason, self.failsafe, self.warning, self.forced = False, 0, "", "", "", ""
 
     def enter(self, number: int) -> None:
@@ -126,6 +134,20 @@ class Boat:
             self.modes = dict(self._modes_told[each] for each in places) | {Mode.IDLE: "idle"}
             self.has_told_modes = True
 
+    def learn_text(self, place: int, count: int, param: str, text: str) -> None:
+        """Takes one of its texts; those of its orders come behind name and run."""
+        if self.texts != min(count, TEXTS_MAX):  # it was started again, with other parts
+            self.orders, self._texts, self.texts = {}, set(), min(count, TEXTS_MAX)
+        self._texts.add(place)
+        with suppress(ValueError):
+            if param.startswith(PARAM):
+                order = NumberedOrder.told(param, text)
+                self.orders[order.name] = order
+
+    def untold(self) -> list[int]:
+        """The places of orders that it has not told yet."""
+        return [place for place in range(OWN_TEXTS, self.texts) if place not in self._texts]
+
     def snapshot(self, now_s: float) -> dict[str, Any]:
         """The boat as the page shows it."""
         v = self.values
@@ -145,6 +167,7 @@ class Boat:
             **{key: v.get(key) for key in _PLAIN},
             "mode": self.mode or None,
             "modes": list(self.modes.values()),
+            "orders": [{"name": each.name, "keys": [key._asdict() for key in each.keys]} for each in self.orders.values()],
             "asked": self.asked,
             "armed": self.armed,
             "owner": True,
@@ -318,9 +341,10 @@ def _depth(boat: Boat, m: Any) -> None:
     boat.measure("depth_m", m.distance, m.time_boot_ms)
 
 
-def _name(boat: Boat, m: Any) -> None:
+def _text(boat: Boat, m: Any) -> None:
     if m.param_id == BOAT_NAME:
         boat.rename(m.param_value)
+    boat.learn_text(m.param_index, m.param_count, m.param_id, m.param_value)
 
 
 def _available(boat: Boat, m: Any) -> None:
@@ -373,7 +397,7 @@ _HANDLERS: Final[dict[str, Callable[[Boat, Any], None]]] = {
     "NAMED_VALUE_INT": _named,
     "NAMED_VALUE_FLOAT": _float,
     "WATER_DEPTH": _depth,
-    "PARAM_EXT_VALUE": _name,
+    "PARAM_EXT_VALUE": _text,
     "AVAILABLE_MODES": _available,
     "MISSION_CHECKSUM": _checksum,
     "AIS_VESSEL": lambda boat, m: boat.others.hear(m, boat.heard_s),

@@ -36,14 +36,22 @@ def describe(kind: type[config.Vehicle] = config.Vehicle) -> str:
             page += ["", f"## `[{name}]`", "", f"{about[0].upper()}{about[1:]}: NAME = {values}; NAME is {names}."]
             continue
         heading = f"[[{name}]]" if name in LISTS else f"[{name}]"
-        page += ["", f"## `{heading}`", "", _sentence(table), "", "| key | default | allowed | meaning |", "|---|---|---|---|"]
-        comments = _comments(table)
-        hints = tables.keys(table)
-        for field in msgspec.structs.fields(table):
-            if not _is_table(hints[field.name]):
-                allowed = tables.allowed(hints[field.name]).replace("|", "\\|")
-                page.append(f"| `{field.name}` | {_default(field)} | {allowed} | {comments.get(field.name, '')} |")
+        page += ["", f"## `{heading}`", *_described(table)]
+    for row in (row for part in kind.aboard for row in part.orders):
+        by = f"`delfim drive FILE order {row.name} KEY=VALUE ...`" + (f"; by MAVLink {row.number}" if row.number else "")
+        page += ["", f"## The order `{row.name}`", "", f"{by}.", *_described(row.table)]
     return "\n".join(page) + "\n"
+
+
+def _described(table: Any) -> list[str]:
+    """A table's sentence, and its keys."""
+    lines = ["", _sentence(table), "", "| key | default | allowed | meaning |", "|---|---|---|---|"]
+    comments, hints = _comments(table), tables.keys(table)
+    for field in msgspec.structs.fields(table):
+        if not _is_table(hints[field.name]):
+            allowed = tables.allowed(hints[field.name]).replace("|", "\\|")
+            lines.append(f"| `{field.name}` | {_default(field)} | {allowed} | {comments.get(field.name, '')} |")
+    return lines
 
 
 def _tables(prefix: str, kind: Any) -> list[tuple[str, Any]]:

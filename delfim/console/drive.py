@@ -16,7 +16,7 @@ from delfim.config import EndMode
 from delfim.console.link import Link
 from delfim.errors import DelfimError, FormatError, Refused, in_words
 from delfim.modes import Mode
-from delfim.outside import read_text
+from delfim.outside import parse_toml, read_text
 
 ALIVE_S = 1.0
 PROMPT = "delfim> "
@@ -59,6 +59,7 @@ WORDS: dict[str, Word] = {
     "mission": Word("load a mission file", ("file",)),
     "mode": Word("enter a mode by name", ("name",)),
     "payload": Word("give the boat to a payload program; any other order takes it back", ("name",)),
+    "order": Word("give an order of a part of this boat", ("name",), ("KEY=VALUE ...",)),
     "shutdown": Word("stop and shut the computer down, so that the power may be cut"),
     "reboot": Word("stop, and start the computer again"),
     "help": Word("show all commands, or one", (), ("command",)),
@@ -76,6 +77,8 @@ def usage(verb: str = "") -> str:
 def command(words: list[str]) -> dict[str, Any]:
     """The command for a line of words: "heading 90 1.5". Raises FormatError in words."""
     verb, *rest = words
+    if verb == "order" and rest:
+        return {"command": verb, "name": rest[0], "values": dict(map(_key, rest[1:]))}
     if verb not in WORDS and not rest:  # it may be a mode that only the boat knows
         return {"command": "mode", "mode": verb}
     end = {"end": rest.pop()} if verb == "goto" and rest and rest[-1] in get_args(EndMode) else {}
@@ -99,6 +102,17 @@ def command(words: list[str]) -> dict[str, Any]:
         case "path":
             verb, end = "mode", {"mode": "path"}
     return {"command": verb} | {name: _number(name, text, shape) for name, text in said.items()} | end
+
+
+def _key(word: str) -> tuple[str, Any]:
+    """Of KEY=VALUE. Raises FormatError."""
+    key, equals, value = word.partition("=")
+    if not equals:
+        raise FormatError(f"{word!r} is not KEY=VALUE: {WORDS['order'].shape('order')}")
+    try:
+        return key, parse_toml(f"value = {value}")["value"]
+    except FormatError:
+        return key, value  # a word
 
 
 def _number(name: str, text: str, where: str) -> float | int:

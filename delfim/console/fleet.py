@@ -188,6 +188,8 @@ class Fleet:
         self._profiles.hear(boat, message)
 
     def _on_name(self, boat: Boat, message: Any, now_s: float) -> None:
+        if message.param_id == BOAT_NAME:
+            self._ask_orders(boat)
         if message.param_id == BOAT_NAME and boat.before:
             self.missions.get(boat.number, {}).pop("aboard", None)
             self._say(boat.number, 4, f"number {boat.number} is now {boat.name}: it was {boat.before}", "console")
@@ -245,7 +247,7 @@ class Fleet:
         boat.twins = twins
 
     def _ask_once(self, boat: Boat) -> None:
-        """Asks for name, profile and modes until they are known, up to ASKS times."""
+        """Asks for name, profile, modes and orders of parts until they are known, up to ASKS times."""
         boat.asks += 1
         if boat.asks > ASKS:
             return
@@ -254,9 +256,14 @@ class Fleet:
             self._profiles.ask(boat.number)
         if not boat.is_named:
             self._send(boat.number, mavlink.MAVLink_param_ext_request_read_message(*to, BOAT_NAME.encode(), -1))
+        self._ask_orders(boat)
         if not boat.has_told_modes:
             modes = mavlink.MAVLINK_MSG_ID_AVAILABLE_MODES, *(0.0,) * 6  # all of them
             self._send(boat.number, mavlink.MAVLink_command_long_message(*to, mavlink.MAV_CMD_REQUEST_MESSAGE, 0, *modes))
+
+    def _ask_orders(self, boat: Boat) -> None:
+        for place in boat.untold():
+            self._send(boat.number, mavlink.MAVLink_param_ext_request_read_message(boat.number, AUTOPILOT, b"", place))
 
     def snapshot(self) -> list[dict[str, Any]]:
         """All boats for the page, in order of their numbers."""
@@ -274,7 +281,7 @@ class Fleet:
         """Sends a command of this page. Raises Refused if it cannot be sent; otherwise calls `answer` once, with the boat's
         answer or at the end of the wait."""
         boat, now_s = self._use(number), self._clock.monotonic_s()
-        row = row_of(word, boat.modes) if word != "profile" else None
+        row = row_of(word, boat.modes, boat.orders) if word != "profile" else None
         stop = row is not None and row.mode == "idle"
         if self._asleep_s(now_s) > LIFE_S and not stop:
             raise Refused("the console's computer slept: give the command again")

@@ -1,18 +1,21 @@
 """The operator's commands: one row for each word, with the numbers that it takes and its MAVLink command; the names of the
-boat's modes are commands, too.
+boat's modes are commands, too, and so are those of the orders of its parts, behind OF_PART.
 
 An unknown word, an unknown or missing argument and an argument that is no number are refused with the reason. Nothing is
 ignored in silence, and nothing is guessed.
 """
 
+import math
 from collections.abc import Callable, Mapping
 from typing import Any, Final, NamedTuple
 
 from delfim.console.mavlink import mavlink
 from delfim.errors import FormatError
 from delfim.modes import Mode
+from delfim.numberedorders import NumberedOrder
 
 REQUEST_CONTROL: Final = 32100  # MAV_CMD_REQUEST_OPERATOR_CONTROL
+OF_PART: Final = "order "  # begins the word for an order of a part
 OWN_SPEED: Final = -1.0  # the boat's
 Numbers = Mapping[str, float]
 
@@ -25,7 +28,7 @@ class CommandLong(NamedTuple):
     place: tuple[int, int] | None = None
 
 
-class OrderRow(NamedTuple):
+class WordRow(NamedTuple):
     """Of a word."""
 
     make: Callable[[Numbers], CommandLong]
@@ -36,18 +39,20 @@ class OrderRow(NamedTuple):
     key: str = ""  # of the page's keyboard
 
 
-def row_of(word: str, modes: Mapping[int, str]) -> OrderRow:
-    """The row of a word, or that of a mode that the boat has. Raises FormatError."""
+def row_of(word: str, modes: Mapping[int, str], orders: Mapping[str, NumberedOrder]) -> WordRow:
+    """The row of a word, that of a mode that the boat has, or of an order of its parts. Raises FormatError."""
     for number, name in modes.items() if word not in ORDERS else ():
         if name == word:
             return _enter(name, number)
+    if word.startswith(OF_PART) and (found := orders.get(word.removeprefix(OF_PART))) is not None:
+        return _of_part(found)
     try:
         return ORDERS[word]
     except KeyError:
         raise FormatError(f"no command {word!r}") from None
 
 
-def order(word: str, row: OrderRow, words: Mapping[str, Any]) -> CommandLong:
+def order(word: str, row: WordRow, words: Mapping[str, Any]) -> CommandLong:
     """Raises FormatError."""
     if unknown := sorted(set(words) - {*row.needs, *row.takes}):
         raise FormatError(f"{word} does not take {', '.join(map(repr, unknown))}")
@@ -62,9 +67,15 @@ def _number(word: str, name: str, value: Any) -> float:
     return float(value)
 
 
-def _enter(mode: str, number: int) -> OrderRow:
+def _enter(mode: str, number: int) -> WordRow:
     asked = CommandLong(mavlink.MAV_CMD_DO_SET_MODE, (1.0, float(number)))
-    return OrderRow(lambda n: asked, mode)
+    return WordRow(lambda n: asked, mode)
+
+
+def _of_part(found: NumberedOrder) -> WordRow:
+    """Keys that are not given are NaN, for which the boat takes what its part says."""
+    names = tuple(key.name for key in found.keys)
+    return WordRow(lambda n: CommandLong(found.number, tuple(n.get(name, math.nan) for name in names)), takes=names)
 
 
 def _heading(n: Numbers) -> CommandLong:
@@ -140,22 +151,22 @@ def _take(n: Numbers) -> CommandLong:
     return CommandLong(REQUEST_CONTROL, (0.0, 1.0, 1.0))
 
 
-ORDERS: Final[dict[str, OrderRow]] = {
+ORDERS: Final[dict[str, WordRow]] = {
     "stop": _enter("idle", Mode.IDLE),
-    "heading": OrderRow(_heading, "heading", takes=("heading_deg",)),
-    "heading_to": OrderRow(_heading, "heading", needs=("heading_deg",)),
-    "course": OrderRow(_course, "course", takes=("course_deg",)),
-    "goto_point": OrderRow(_goto_point, "goto", needs=("latitude_deg", "longitude_deg"), takes=("speed_mps",)),
-    "play": OrderRow(_play, "play", takes=("leg",)),
-    "path": OrderRow(_path, "path", takes=("piece",)),
-    "pause": OrderRow(_pause, "hold", key="B"),
-    "continue": OrderRow(_continue, key="C"),
-    "speed": OrderRow(_speed, takes=("speed_mps", "speed_pct")),
-    "arm": OrderRow(_arm),
-    "disarm": OrderRow(_disarm, "idle"),
-    "reset": OrderRow(_reset, takes=("component",), title="Reset the peripherals", key="R"),
-    "kill": OrderRow(_kill, "idle", title="Kill: idle until it is cleared"),
-    "clear": OrderRow(_clear, title="Clear the kill"),
-    "take": OrderRow(_take),
+    "heading": WordRow(_heading, "heading", takes=("heading_deg",)),
+    "heading_to": WordRow(_heading, "heading", needs=("heading_deg",)),
+    "course": WordRow(_course, "course", takes=("course_deg",)),
+    "goto_point": WordRow(_goto_point, "goto", needs=("latitude_deg", "longitude_deg"), takes=("speed_mps",)),
+    "play": WordRow(_play, "play", takes=("leg",)),
+    "path": WordRow(_path, "path", takes=("piece",)),
+    "pause": WordRow(_pause, "hold", key="B"),
+    "continue": WordRow(_continue, key="C"),
+    "speed": WordRow(_speed, takes=("speed_mps", "speed_pct")),
+    "arm": WordRow(_arm),
+    "disarm": WordRow(_disarm, "idle"),
+    "reset": WordRow(_reset, takes=("component",), title="Reset the peripherals", key="R"),
+    "kill": WordRow(_kill, "idle", title="Kill: idle until it is cleared"),
+    "clear": WordRow(_clear, title="Clear the kill"),
+    "take": WordRow(_take),
 }
 OFFERED: Final = [{"command": word, "title": row.title, "key": row.key} for word, row in ORDERS.items() if row.title or row.key]

@@ -15,7 +15,8 @@ class Said(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
 
 
 class Command(Said, frozen=True, forbid_unknown_fields=False):
-    """A mode out of the boat's `modes`, or a word of `delfim.console.orders`, whose numbers are the other fields."""
+    """A mode out of the boat's `modes`, `order NAME` of its `orders`, or a word of `delfim.console.orders`; numbers are the
+    other fields."""
 
     boat: Number | Literal["all"]  # all: for `stop` only
     command: str

@@ -21,14 +21,14 @@ from delfim.canproxy.socket import CanAddress, CanSocket
 from delfim.clock import ManualClock
 from delfim.errors import DelfimError, in_words
 from delfim.frames import extended, standard
-from delfim.parts import Part
+from delfim.parts import OrderRow, Part
 from delfim.serialform import Form
 from delfim.simulator.line import LockstepLine
 from delfim.simulator.lockstep import Lockstep
 from delfim.simulator.lockstepbus import LockstepBus
 from delfim.simulator.nodes import nodes_of
 from delfim.tables import read_toml
-from delfim.vehicle import console
+from delfim.vehicle import console, foreign
 from delfim.vehicle.actuators import Actuator, open_actuator
 from delfim.vehicle.foreign import SLOW_S, is_sound, triggers
 from delfim.vehicle.links import Links
@@ -140,6 +140,8 @@ def tried(name: str, version: str, file: str = BOAT) -> Iterator[Tried]:
         yield Tried("service", "".join(faults))
     for mode in part.modes:
         yield from _mode(mode.name, settings)
+    for order in part.orders:
+        yield from _order(part, order, settings)
     if part.driver or part.source or part.sensor or part.played:
         yield from _voyage(part, settings)
 
@@ -300,6 +302,35 @@ def _mode(name: str, settings: config.Vehicle) -> Iterator[Tried]:
                 break
         faults += [refused] if refused is not None else []
     yield Tried(f"mode {name}: {VOYAGE_S:.0f} s in simulation", "".join(faults[:1]))
+
+
+def _order(part: Part, row: OrderRow, settings: config.Vehicle) -> Iterator[Tried]:
+    """An order without values, and with some that make no sense: it is carried out, or refused for a reason, and in time."""
+    faults, run = list[str](), Lockstep(settings, 1, lambda clock: NoLog())
+    health, garbage = run.state.parts[part.name], (-1e300, 1e300, "\0")
+    tries: list[console.Values] = [{}, {"no_such_key": 1.0}]
+    tries += [{key: value} for key in row.table.__struct_fields__ for value in garbage]
+    for values in tries:
+        for _ in run.cycles(1.0):
+            pass
+        with _in_real_time():
+            refused = run.command(console.PartOrder(row.name, values))
+        faults += [health.reason] if health.failed else []
+        faults += [f"{key} has no limits" for key, value in values.items() if refused is None and isinstance(value, float)]
+    if health.worst_s > 10.0 * SLOW_S:
+        faults.append(f"a call took {1e3 * health.worst_s:.1f} ms")
+    yield Tried(f"order {row.name}", "".join(faults[:1]), health.worst_s)
+
+
+@contextmanager
+def _in_real_time() -> Iterator[None]:
+    """Calls of parts are broken off within."""
+    before = foreign._limit[0]
+    foreign.in_real_time()
+    try:
+        yield
+    finally:
+        foreign._limit[0] = before
 
 
 def _voyage(part: Part, settings: config.Vehicle) -> Iterator[Tried]:

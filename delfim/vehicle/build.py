@@ -12,7 +12,7 @@ from delfim.vehicle import sensors
 from delfim.vehicle.actuators import Actuator, open_actuator
 from delfim.vehicle.control.control import MODES
 from delfim.vehicle.estimated import between
-from delfim.vehicle.foreign import GuardedActuator, GuardedSensor, GuardedSource, programs
+from delfim.vehicle.foreign import GuardedActuator, GuardedSensor, GuardedSource, orders, programs
 from delfim.vehicle.grex import Guest
 from delfim.vehicle.hands import Hand
 from delfim.vehicle.handset import open_handset
@@ -59,6 +59,7 @@ def build(
         GuardedSource(each, each.name, state) if find(settings.aboard, each.name) else each
         for each in open_sources(settings, links, state)
     )
+    opened = list[object](sources)
     board = next((cast(SharingSource, each) for each in sources if hasattr(each, "share")), None)
     if settings.navigation.estimator:
         sources = between(sources, settings, state)
@@ -78,6 +79,7 @@ def build(
     propulsion = Propulsion(actuators, links.bus(settings.can.interface, ()), settings.thrusters, state)
     MODES.update(programs(settings))
     vehicle = VehicleLoop(settings, clock, state, sources, propulsion, make_guest(state, clock), log)
+    vehicle.helm.orders = orders(settings, state, [*opened, *readings, *actuators])
     told = [each for actuator in actuators for each in actuator.inputs]
     reports = [each for each in told if not isinstance(each.input, SecondEnd)]
     if board is not None:

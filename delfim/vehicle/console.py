@@ -23,7 +23,8 @@ Longitude = Annotated[float, msgspec.Meta(ge=-180.0, le=180.0)]
 Speed = Annotated[float, msgspec.Meta(ge=0.0, le=30.0)]
 Thrust = Annotated[float, msgspec.Meta(ge=-1.0, le=1.0)]
 Short = Annotated[str, msgspec.Meta(max_length=100)]
-
+Key = Annotated[str, msgspec.Meta(max_length=64)]
+Values = Annotated[dict[Key, int | float | bool | Short], msgspec.Meta(max_length=20, description="a table of up to 20 values")]
 
 ZONE, ROW = 10, 1  # time to write one, counted in comparisons
 PART, TEXT = 1 << 14, 1 << 20  # characters: of a part of a mission's text, and of all of it
@@ -210,6 +211,13 @@ class Set(Command, frozen=True):
     value: float | Annotated[str, msgspec.Meta(max_length=64)]
 
 
+class PartOrder(Command, frozen=True, tag="order"):
+    """Give an order of a laboratory's part (docs/own-parts.md). `values`: the keys of its table."""
+
+    name: Annotated[str, msgspec.Meta(max_length=64)]
+    values: Values = {}
+
+
 class TellState(Command, frozen=True, tag="state"):
     """Ask for the state once."""
 
@@ -242,9 +250,10 @@ class ShutDown(Command, frozen=True):
 Commands = (
     Alive | Stop | Kill | Clear | Leave | SetMode | Manual | Actuate | Heading | Course | SetSpeed | Goto | Pause | Continue
     | LoadMission | Upload | Play | Leg | Unload | SetFence | Rally
-    | Entrust | Sight | OfPayload | Take | Arm | Reset | Set | TellState | Watch | Return | ShutDown
+    | Entrust | Sight | OfPayload | Take | Arm | Reset | Set | PartOrder | TellState | Watch | Return | ShutDown
 )  # fmt: skip
 KINDS: dict[str, type[Command]] = {str(kind.__struct_config__.tag): kind for kind in get_args(Commands)}  # by their words
+Meant = Stop | Pause | Continue | SetMode | Heading | Course | SetSpeed | Goto | Play  # an order of a part may stand for these
 Halts = Stop | Kill  # anybody may stop the boat, whoever commands it
 Plan = LoadMission | Upload | SetFence  # checking these takes longer than a callback may
 Kind = TypeVar("Kind", bound=Command)

@@ -8,16 +8,20 @@ replay differ from run to run.
 import math
 import signal
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from types import FrameType
-from typing import Any, Final, Self, TypeVar
+from typing import Any, Final, NamedTuple, Self, TypeVar, get_args
+
+import msgspec
 
 from delfim import config
-from delfim.errors import FormatError, in_words, one_line
+from delfim.errors import ConfigError, FormatError, Refused, in_words, one_line
 from delfim.messages import Navigation
 from delfim.modes import Mode
-from delfim.parts import ModeRow, Part, TroubleRow, load
+from delfim.parts import ModeRow, OrderRow, Part, TroubleRow, load
+from delfim.tables import Table, decode
+from delfim.vehicle import console
 from delfim.vehicle.actuators import Actuator
 from delfim.vehicle.control.control import PartError
 from delfim.vehicle.control.memory import Memory, Settings
@@ -68,10 +72,12 @@ def _break_off(number: int, frame: FrameType | None) -> None:
 
 
 class _Guarded:
-    """What a part's driver, source and sensor have in common. Each is switched off alone; they share the part's health."""
+    """What a part's driver, source, sensor and orders have in common. Each is switched off alone; the health is the part's."""
 
-    def __init__(self, name: str, state: State) -> None:
-        self.name = name
+    KIND = ""  # as in `OrderAsked`
+
+    def __init__(self, name: str, state: State, opened: object = None) -> None:
+        self.name, self.opened = name, opened
         self.health = state.parts.setdefault(name, PartHealth())
         self._state, self._strikes, self._is_off = state, 0.0, False
 
@@ -116,8 +122,10 @@ def _are_numbers(values: object) -> bool:
 class GuardedSource(_Guarded):
     """A source of navigation of a part."""
 
+    KIND = "source"
+
     def __init__(self, source: Source, name: str, state: State) -> None:
-        super().__init__(name, state)
+        super().__init__(name, state, source)
         self._source, self.input = source, source.input
 
     @property
@@ -144,8 +152,10 @@ class GuardedSource(_Guarded):
 class GuardedSensor(_Guarded):
     """A sensor of a part, or the reports of its motors. Values that are no finite numbers are not taken."""
 
+    KIND = "sensor"
+
     def __init__(self, sensor: LoopInput, name: str, state: State, values: tuple[str, ...] = ()) -> None:
-        super().__init__(name, state)
+        super().__init__(name, state, sensor)
         self._sensor, self.input, self._values = sensor, sensor.input, values
 
     def read(self, state: State, now_s: float) -> None:
@@ -167,8 +177,10 @@ def _count(call: Callable[..., int], *arguments: Any) -> int:
 class GuardedActuator(_Guarded):
     """A driver of a part. Switched off, it is still told to stop."""
 
+    KIND = "driver"
+
     def __init__(self, actuator: Actuator, rows: int, state: State) -> None:
-        super().__init__(actuator.name, state)
+        super().__init__(actuator.name, state, actuator)
         self._actuator, self._rows, self.period_s = actuator, rows, actuator.period_s
         self.inputs: tuple[LoopInput, ...] = tuple(GuardedSensor(each, self.name, state) for each in actuator.inputs)
 
@@ -191,6 +203,62 @@ class GuardedActuator(_Guarded):
 
     def report(self) -> dict[str, object]:
         return self._call({}, "report", self._actuator.report)
+
+
+class OrderAsked(NamedTuple):
+    """What the function of a part's order is told, and what its part has opened (None: the vehicle's file does not use it)."""
+
+    values: Any  # of the row's table
+    settings: config.Vehicle
+    state: State  # to look at
+    now_s: float
+    driver: Any = None
+    source: Any = None
+    sensor: Any = None
+
+
+class GuardedOrder(_Guarded):
+    """An order of a part. One that fails is refused with the reason."""
+
+    def __init__(self, part: Part, row: OrderRow, state: State, has: dict[str, object]) -> None:
+        super().__init__(part.name, state)
+        self.row, self._has, self._does = row, has, load(part, row.does)
+        is_table: Any = {"bases": (Table,), "frozen": True, "forbid_unknown_fields": True, "kw_only": True}
+        self._kind: Any = msgspec.defstruct("Order", [(row.name, row.table)], **is_table)  # so a key is told with its order
+
+    def carry_out(self, values: console.Values, settings: config.Vehicle, now_s: float) -> console.Meant | None:
+        """The order of the console that it stands for, if it is one. Raises Refused."""
+        failed = self.health.failed
+        answer = self._call(None, f"order {self.row.name}", self._answer, values, settings, now_s)
+        if self._is_off or self.health.failed != failed:
+            raise Refused(f"order refused: {self.health.off if self._is_off else f'part {self.name}: {self.health.reason}'}")
+        if isinstance(answer, str):
+            raise Refused(f"order refused: {answer}")
+        return answer
+
+    def _answer(self, values: console.Values, settings: config.Vehicle, now_s: float) -> console.Meant | str | None:
+        try:
+            table = decode({self.row.name: values}, self._kind, "")
+        except ConfigError as error:
+            return f"{error.key}: {error.reason}" + (f" (allowed: {error.allowed})" if error.allowed else "")
+        answer = self._does(OrderAsked(getattr(table, self.row.name), settings, self._state, now_s, **self._has))
+        if isinstance(answer, str) and answer.strip():
+            return f"{self.row.name}: {one_line(answer)}"
+        if type(answer) in get_args(console.Meant):  # made without a look at its numbers
+            meant: console.Meant = console.asked(type(answer), **msgspec.structs.asdict(answer))
+            return meant
+        if answer is None:
+            return None
+        raise FormatError(f"it answered {answer!r:.60}, which is no reason and no order that a part may give")
+
+
+def orders(settings: config.Vehicle, state: State, aboard: Iterable[object]) -> dict[str, GuardedOrder]:
+    """Those of the parts aboard, by name. `aboard`: what has been opened. Raises PermanentFailure."""
+    found = dict[str, GuardedOrder]()
+    for part in settings.aboard:
+        own = {each.KIND: each.opened for each in aboard if isinstance(each, _Guarded) and each.name == part.name}
+        found |= {row.name: GuardedOrder(part, row, state, own) for row in part.orders}
+    return found
 
 
 def _reason(part: str, ask: Callable[..., object], about: object) -> str | None:

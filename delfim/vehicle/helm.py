@@ -6,7 +6,7 @@ from typing import Any, Final
 
 from delfim import config, geodesy
 from delfim.clock import Clock
-from delfim.errors import ConfigError, Refused
+from delfim.errors import ConfigError, Refused, did_you_mean
 from delfim.modes import Mode, mode_named
 from delfim.slices import Sliced
 from delfim.vehicle import console, detour, failsafe, fence, kills, setpoints
@@ -18,6 +18,7 @@ from delfim.vehicle.control.control import control as step
 from delfim.vehicle.control.control import enter as begin
 from delfim.vehicle.control.hull import filled
 from delfim.vehicle.failsafe import Action
+from delfim.vehicle.foreign import GuardedOrder
 from delfim.vehicle.planning import Plans
 from delfim.vehicle.propulsion import Propulsion
 from delfim.vehicle.safe import STOP
@@ -44,6 +45,7 @@ class Helm:
         self.changed = dict[str, float | str]()  # keys of the vehicle's file that consoles set
         self.taken = False  # the failsafe changed the mode; a joystick held over does not change it back
         self.paused: Paused | None = None
+        self.orders = dict[str, GuardedOrder]()  # of parts, by name
         self.alone = Alone(settings.thrusters, state, propulsion, log)
         self._announcing = Announcing(state, log)
         self._seeking: Sliced[tuple[Point, float]] | None = None  # the search for a better place to hold
@@ -371,6 +373,16 @@ class Helm:
         else:
             self.rules.settings = settings
 
+    def _order(self, command: console.PartOrder, now_s: float) -> None:
+        """An order of a part; what that asks of the boat goes through the same door as the operator's own."""
+        if self.state.killed.reason:  # it may turn something that people are near
+            raise Refused(f"order refused: kill: {self.state.killed.reason}")
+        if (found := self.orders.get(command.name)) is None:
+            others = did_you_mean(command.name, self.orders) or f"; there are {', '.join(self.orders) or 'none'}"
+            raise Refused(f"order refused: there is no order {command.name!r}{others}")
+        if (meant := found.carry_out(command.values, self.settings, now_s)) is not None:
+            self.obey(meant, now_s)
+
 
 _OBEYED: Final[dict[type[console.Command], Callable[[Helm, Any, float], None]]] = {
     console.Alive: lambda helm, command, now_s: None,  # the loop has already noted that the console is there, ...
@@ -398,5 +410,6 @@ _OBEYED: Final[dict[type[console.Command], Callable[[Helm, Any, float], None]]] 
     console.Arm: Helm._arm,
     console.Reset: Helm._reset,
     console.Set: Helm._set,
+    console.PartOrder: Helm._order,
     console.ShutDown: Helm._halt,
 }

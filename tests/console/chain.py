@@ -243,8 +243,7 @@ async def _socket(heard: Callable[[bytes, tuple[str, int]], None]) -> asyncio.Da
 class Gateway:
     """`delfim console`, which finds its boats and its page again on the same ports when it is started anew."""
 
-    def __init__(self, folder: Path, env: dict[str, str] | None = None) -> None:
-        self._env = env
+    def __init__(self, folder: Path) -> None:
         self.boats = ("127.0.0.1", _unused(socket.SOCK_DGRAM))
         self._page = _unused(socket.SOCK_STREAM)
         self._folder = folder
@@ -255,7 +254,7 @@ class Gateway:
         words = [f"--boats=127.0.0.1:{self.boats[1]}", f"--page=127.0.0.1:{self._page}", "--no-browser", f"--vehicle={VEHICLE}"]
         words += [f"--{each}={self._folder}/{each}" for each in ("missions", "charts", "sessions", "token")]
         command = [sys.executable, "-u", "-m", "delfim", "console", *words]
-        self._program = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=self._env)
+        self._program = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
         line = cast(Any, self._program.stdout).readline()
         assert "the console is at " in line
         return str(line.split("the console is at ")[1].split(";")[0])
@@ -341,11 +340,9 @@ async def shown_mode(page: Page, number: int, words: str) -> None:
 
 
 @contextlib.asynccontextmanager
-async def operating(
-    folder: Path, *more: str, count: int = 2, env: dict[str, str] | None = None, gateway_env: dict[str, str] | None = None
-) -> AsyncIterator[Sea]:
-    """`count` boats; `more` settings of the boats; `env` of their programs and of the gateway's, where they are not ours."""
-    gateway = Gateway(folder, gateway_env)
+async def operating(folder: Path, *more: str, count: int = 2, env: dict[str, str] | None = None) -> AsyncIterator[Sea]:
+    """`count` boats; `more` settings of the boats; `env` of their programs, where they are not ours."""
+    gateway = Gateway(folder)
     radios = [Radio(gateway.boats) for _ in range(count)]
     ports = [await radio.open() for radio in radios]
     try:

@@ -233,7 +233,7 @@ class Standin:
             msgspec.convert(message, said.Message)
             if message["t"] == "command":
                 numbers = {name: value for name, value in message.items() if name not in said.NO_NUMBERS}
-                order(message["command"], row_of(message["command"], MODES), numbers)
+                order(message["command"], row_of(message["command"], MODES, {}), numbers)
         except (msgspec.ValidationError, FormatError) as error:
             self.faults.append(f"{error}: {message}")
 

@@ -49,6 +49,12 @@ def test_what_it_writes_is_installed_and_keeps_the_contract(tmp_path, kind):
             "def nothing(): ...\n\n\nserve = nothing\n\n\nasync def other",
             "is no coroutine",
         ),
+        (
+            "order/winch.py",
+            "    fastest_mps, mo",
+            "    while True: pass\n    fastest_mps, mo",
+            "order pay_out: TimeoutError: it took",
+        ),
         ("trouble/sees.py", "if navigation is None or ", "if ", "cannot tell: AttributeError"),
     ],
 )

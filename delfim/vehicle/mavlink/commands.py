@@ -10,7 +10,10 @@ from typing import Final, NamedTuple
 
 from delfim.errors import FormatError, Refused
 from delfim.modes import PAYLOADS, Mode
+from delfim.numberedorders import numbered
+from delfim.parts import OrderRow
 from delfim.vehicle import console
+from delfim.vehicle.mavlink import params
 from delfim.vehicle.mavlink.plans import GLOBAL
 from delfim.vehicle.mavlink.wire import Message, dialect
 
@@ -160,6 +163,15 @@ def _reset(o: Order, boat: Terms) -> console.Commands:
     if o.p[0] or o.p[1] or o.p[2] != 1.0:
         raise FormatError("only the other nodes can be restarted: send 0, 0, 1")
     return console.asked(console.Reset, node=_whole(o.p[3]) or 127)
+
+
+def of_part(row: OrderRow, o: Order, boat: Terms) -> console.Commands:
+    """The order of a part; its keys are the command's numbers, in their order."""
+    try:
+        values = numbered(row.number, row.name, row.table).values([params.single(each) for each in o.p])
+    except ValueError as error:
+        raise FormatError(str(error)) from None
+    return console.asked(console.PartOrder, name=row.name, values=values)
 
 
 def _whole(value: float) -> int:

@@ -8,6 +8,7 @@ import secrets
 from collections.abc import Callable
 from typing import Final
 
+from delfim.numberedorders import numbered
 from delfim.vehicle import console
 from delfim.vehicle.loop import HELD_BY_HAND, VehicleLoop
 from delfim.vehicle.mavlink import params, telemetry
@@ -158,9 +159,12 @@ class Consoles:
             return params.message(name, float(telemetry.PROFILES.index(peer.profile)))
         return params.message(name, params.value(self.boat.helm.settings, params.BY_NAME[name]))
 
-    def text(self, name: str) -> str:
-        """Of one of `params.TEXTS`."""
-        return {params.BOAT_NAME: self.boat.helm.settings.boat.name, params.BOAT_RUN: self._run}[name]
+    def texts(self) -> dict[str, str]:
+        """The parameters that are texts: name, run, and an order of a part each."""
+        rows = [each.row for each in self.boat.helm.orders.values() if each.row.number]
+        found = sorted(numbered(row.number, row.name, row.table) for row in rows)
+        own = {params.BOAT_NAME: self.boat.helm.settings.boat.name, params.BOAT_RUN: self._run}
+        return own | {each.param: each.text for each in found}
 
     def view(self) -> TelemetryView:
         return TelemetryView(

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable
+from functools import partial
 from typing import Final, NamedTuple
 
 from delfim.errors import FormatError, Refused
@@ -48,7 +49,9 @@ def _ordered(consoles: Consoles, peer: Peer, source: Speaker, order: commands.Or
     own = _REQUESTS.get(order.command)
     if own is not None:
         return own(consoles, peer, source, order), None
-    make = commands.COMMANDS.get(order.command)
+    rows = (each.row for each in consoles.boat.helm.orders.values())
+    of_part = {row.number: partial(commands.of_part, row) for row in rows}
+    make = commands.COMMANDS.get(order.command) or of_part.get(order.command)
     if make is None:
         return UNSUPPORTED, None
     if order.target_system != consoles.system:
@@ -171,15 +174,17 @@ def _param_set(consoles: Consoles, peer: Peer, source: Speaker, message: Message
 
 def _text_list(consoles: Consoles, peer: Peer, source: Speaker, message: Message) -> None:
     """PARAM_EXT_REQUEST_LIST"""
-    consoles.peers.tell(peer, [params.text(name, consoles.text(name)) for name in params.TEXTS])
+    texts = consoles.texts()
+    consoles.peers.tell(peer, [params.text(texts, name) for name in texts])
 
 
 def _text_read(consoles: Consoles, peer: Peer, source: Speaker, message: Message) -> None:
     """PARAM_EXT_REQUEST_READ"""
     index = message.param_index
-    name = params.TEXTS[index] if 0 <= index < len(params.TEXTS) else params.named(message.param_id)
-    if name in params.TEXTS:
-        consoles.peers.tell(peer, [params.text(name, consoles.text(name))])
+    texts = consoles.texts()
+    name = [*texts][index] if 0 <= index < len(texts) else params.named(message.param_id)
+    if name in texts:
+        consoles.peers.tell(peer, [params.text(texts, name)])
     else:
         missing = dialect.MAV_PARAM_ERROR_DOES_NOT_EXIST
         consoles.peers.tell(peer, [params.error(source.party, name, index, missing)])

@@ -1,5 +1,6 @@
 """Numbers of the vehicle's file as MAVLink's parameters. Ranges are the file's own; a change lasts for the voyage."""
 
+from collections.abc import Mapping
 from typing import Any, Final, NamedTuple
 
 from delfim import config
@@ -49,7 +50,6 @@ PARAMS: Final = (
 BOAT_NAME: Final = "BOAT_NAME"  # the parameters that are texts; read only
 BOAT_RUN: Final = "BOAT_RUN"  # drawn at the start: two addresses with the same value are one boat
 TROUBLES: Final = "TROUBLES"  # the named value of those that are there now: bit n is number n of `Trigger`
-TEXTS: Final = (BOAT_NAME, BOAT_RUN)
 NAMES: Final = (PROFILE, *(param.name for param in PARAMS))
 BY_NAME: Final = {param.name: param for param in PARAMS}
 
@@ -87,10 +87,10 @@ def message(name: str, number: float) -> Message:
     return dialect.MAVLink_param_value_message(name.encode(), number, REAL32, len(NAMES), NAMES.index(name))
 
 
-def text(name: str, value: str) -> Message:
+def text(texts: Mapping[str, str], name: str) -> Message:
     """PARAM_EXT_VALUE"""
-    kind = dialect.MAV_PARAM_EXT_TYPE_CUSTOM
-    return dialect.MAVLink_param_ext_value_message(name.encode(), value.encode(), kind, len(TEXTS), TEXTS.index(name))
+    place, kind = [*texts].index(name), dialect.MAV_PARAM_EXT_TYPE_CUSTOM
+    return dialect.MAVLink_param_ext_value_message(name.encode(), texts[name].encode(), kind, len(texts), place)
 
 
 def error(to: tuple[int, int], name: str, index: int, code: int) -> Message:

@@ -66,6 +66,7 @@ export interface Boat {
   mode: Mode | null;
   asked: Mode | null;
   modes: Mode[]; // of this boat
+  orders?: PartOrder[]; // of a laboratory's parts aboard
   armed: boolean;
   owner: boolean; // this console commands it, or nobody does
   commander: number; // the console that does; the boat's own number: its hand-set; 0: none
@@ -159,6 +160,12 @@ export interface Order {
   command: string;
   title: string;
   key: string;
+}
+
+/** An order of a part, and its keys, whose names end with their units. */
+export interface PartOrder {
+  name: string;
+  keys: { name: string; least: number; most: number; value: number }[];
 }
 
 /** Values over the time of a replay: [at_s, value] by name with unit. */
