@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple
 
 from delfim import modes
 from delfim.errors import ConfigError, DelfimError, PermanentFailure, did_you_mean, in_words
-from delfim.pulses import CHANNELS
 from delfim.numberedorders import numbered
+from delfim.pulses import CHANNELS
 from delfim.tables import Table
 
 if TYPE_CHECKING:  # its import takes as long as that of all tables, and few files name a part
