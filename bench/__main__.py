@@ -4,8 +4,8 @@ import argparse
 import sys
 from collections.abc import Sequence
 
+from delfim.base.errors import DelfimError, in_words
 from delfim.commands import Formatter, overrides
-from delfim.errors import DelfimError, in_words
 
 PROGRAMS = ("critical-path", "costs", "allocation", "sim", "log", "watchers", "datagrams", "floods", "downloads", "disk")
 

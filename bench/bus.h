@@ -1,5 +1,5 @@
 /* What loop.c and feeder.c share: a CAN bus, Linux' own or canloop's (delfim/canproxy/canloop.py), and the layouts of the
- * boat's messages (docs/dsor.md, delfim/messages.py). A bus is named as an interface, "can0", or as canloop's multicast
+ * boat's messages (docs/dsor.md, delfim/canproxy/dsor/messages.py). A bus is named as an interface, "can0", or as canloop's multicast
  * group, "239.255.1.2:17000". Arbitration fields are those of thesis figure 5-5. */
 
 #include <arpa/inet.h>
@@ -26,7 +26,7 @@ enum { HEADER, BODY, ACK, PLAIN };
 enum { VEHICLE = 0x00, GPS = 0x01, NAVIGATION = 0x02, BROADCAST = 0x7F, SYSSTAT_SUBJECT = 1 };
 enum { NAVIGATION_PRIORITY = 0x20, SYSSTAT_PRIORITY = 0x80, NAVIGATION_ID = 1, GPS_SYSSTAT_ID = 2 };
 
-struct navigation { /* little endian, as delfim.messages.NAVIGATION */
+struct navigation { /* little endian, as delfim.canproxy.dsor.messages.NAVIGATION */
     uint64_t utc_ns;
     int32_t latitude, longitude; /* 1e-7 degrees */
     int16_t north, east;         /* mm/s */

@@ -20,9 +20,9 @@ from multiprocessing import get_context
 from multiprocessing.connection import Connection
 from pathlib import Path
 
+from delfim.base.frames import extended
 from delfim.canproxy.canloop import open_canloop
 from delfim.canproxy.socket import CanAddress
-from delfim.frames import extended
 
 BUS = f"bench{os.getpid() % 100000}"
 BURSTS_PER_S = 1000

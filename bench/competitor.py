@@ -21,9 +21,10 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import Any, Final
 
 from bench.load import Ports, rows
-from delfim import config, suite
-from delfim.clock import Clock, SystemClock
+from delfim import config
+from delfim.base.clock import Clock, SystemClock
 from delfim.logging import systemlog
+from delfim.services import suite
 from delfim.services.priority import Practice, speaker
 from delfim.services.runtime import LoadedService, Runtime
 

@@ -19,30 +19,32 @@ from pathlib import Path
 from random import Random
 from typing import Any, Final, NamedTuple
 
-from delfim import config, geodesy
-from delfim.clock import SystemClock
+from delfim import config
+from delfim.base import geodesy
+from delfim.base.clock import SystemClock
+from delfim.base.modes import Mode
+from delfim.base.slices import Sliced
+from delfim.base.vessels import VesselPosition
 from delfim.logging.systemlog import SystemHandler
-from delfim.modes import Mode
 from delfim.simulator.lockstep import Lockstep
-from delfim.slices import Sliced
-from delfim.vehicle import console, detour, fence, missionreader
+from delfim.vehicle import console, detour
 from delfim.vehicle.control.control import enter
-from delfim.vehicle.estimator import Estimator
 from delfim.vehicle.loop import VehicleLoop
 from delfim.vehicle.mavlink import plans
 from delfim.vehicle.mavlink.station import FRAMES, Station
 from delfim.vehicle.mavlink.wire import Sender, dialect
-from delfim.vehicle.mission import ROWS, Mission, PathPoint, Waypoint
+from delfim.vehicle.navigation.estimator import Estimator
+from delfim.vehicle.plans import fence, missionreader
+from delfim.vehicle.plans.mission import ROWS, Mission, PathPoint, Waypoint
+from delfim.vehicle.plans.track import Track
+from delfim.vehicle.plans.zones import Point, Zone, polygon
 from delfim.vehicle.state import Motion, NoLog, Setpoint
 from delfim.vehicle.state import Waypoint as To
 from delfim.vehicle.target import Target
-from delfim.vehicle.track import Track
 from delfim.vehicle.traffic import keepclear
 from delfim.vehicle.traffic.encounter import Own
 from delfim.vehicle.traffic.targets import MOST
 from delfim.vehicle.traffic.trialways import Caution, RouteAhead
-from delfim.vehicle.zones import Point, Zone, polygon
-from delfim.vessels import VesselPosition
 
 REPETITIONS: Final = 5
 WARM_S: Final = 3.0  # sailed before anything is asked

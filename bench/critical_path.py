@@ -29,9 +29,9 @@ from bench import report
 from bench.load import ASHORE, ELSEWHERE, IDLE, Ports, prepare
 from bench.report import Cycle
 from delfim import config
+from delfim.base.errors import DelfimError, Refused
 from delfim.canproxy.canloop import group_of
 from delfim.console.link import Link
-from delfim.errors import DelfimError, Refused
 from delfim.logging.statelog import columns
 from delfim.services.window import ARRIVALS
 

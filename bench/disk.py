@@ -11,7 +11,7 @@ import subprocess
 from pathlib import Path
 from typing import Final, Self
 
-from delfim.errors import DelfimError
+from delfim.base.errors import DelfimError
 
 SIZE: Final = 64 << 20
 PATH: Final = f"{os.environ.get('PATH', '')}:/usr/sbin:/sbin"

@@ -20,11 +20,11 @@ from typing import Any, NamedTuple
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
+from delfim.base.frames import Frame
 from delfim.canproxy.canloop import open_canloop
 from delfim.canproxy.dsor.protocol import Message, Outcome
 from delfim.canproxy.dsor.sockets import DsorTransport
 from delfim.canproxy.socket import ANYTHING, CanSocket
-from delfim.frames import Frame
 
 NODES = (1, 2)
 REORDERED_S = 0.02  # a frame that is held back goes on after so long, or ...

@@ -19,10 +19,10 @@ from pathlib import Path
 from typing import Any, Final
 
 from bench.record import draw
+from delfim.base.geodesy import wrap
 from delfim.campaign.rulecheck import Instant
-from delfim.geodesy import wrap
-from delfim.simulator.encounters import Encounter, Ship, StraightWay, drawn, read_encounters
 from delfim.simulator.nodes.shipping import axes_m, within
+from delfim.simulator.scenarios.encounters import Encounter, Ship, StraightWay, drawn, read_encounters
 from delfim.vehicle.target import Target
 from delfim.vehicle.traffic.encounter import Own
 from delfim.vehicle.traffic.keepclear import Memory, decide

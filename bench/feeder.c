@@ -63,7 +63,7 @@ static void say_navigation(long number) {
     say_message(NAVIGATION_PRIORITY, NAVIGATION, NAVIGATION_ID, &n, sizeof n, (int)(number & 31));
 }
 
-/* The reports of a second, spread over it: layouts of delfim/messages.py, all good. */
+/* The reports of a second, spread over it: layouts of delfim/canproxy/dsor/messages.py, all good. */
 static void say_status(long number) {
     static const uint8_t propeller[8] = {0, 0, 0, 0, 10, 0, 30, 0};
     static const uint8_t batteries[8] = {0, 0, 0xC0, 0x12, 20, 0, 180, 25};

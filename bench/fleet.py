@@ -21,14 +21,14 @@ from typing import Any, Final
 
 import msgspec
 
+from delfim.base.clock import SystemClock
+from delfim.base.errors import DelfimError
 from delfim.broker import STATE, UP, BrokerLine, BrokerPlace
-from delfim.clock import SystemClock
 from delfim.console.fleet import Fleet
 from delfim.console.mavlink import Key, keygen
 from delfim.console.serving import BROKER_FRAMES
-from delfim.errors import DelfimError
 from delfim.services.fleetd import told
-from delfim.services.web.api import State
+from delfim.services.page.api import State
 from delfim.vehicle.mavlink import wire
 from delfim.vehicle.mavlink.signing import EPOCH_NS, PER_S, Signing, read_key
 

@@ -27,7 +27,7 @@ from typing import Final
 from bench.critical_path import running, until
 from bench.fuzz import SYSTEM
 from bench.load import IDLE, Ports
-from delfim.errors import DelfimError
+from delfim.base.errors import DelfimError
 from delfim.nmea0183.framing import framed
 from delfim.vehicle.mavlink.wire import dialect
 

@@ -21,7 +21,7 @@ from pathlib import Path
 
 from bench import competitor, critical_path, report
 from delfim.vehicle.helm import Helm
-from delfim.vehicle.navigation import Fix
+from delfim.vehicle.navigation.fixes import Fix
 from delfim.vehicle.rehearsal import Rehearsal
 from delfim.vehicle.sources.dsor import DsorNavigation
 from delfim.vehicle.state import Wanted

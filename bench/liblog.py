@@ -23,14 +23,14 @@ from typing import Any, Final, get_args
 
 from bench.critical_path import cpu_ns, family
 from delfim import config
+from delfim.base.clock import SystemClock
+from delfim.base.errors import DelfimError
+from delfim.base.frames import extended
 from delfim.canproxy.opening import open_can
 from delfim.canproxy.socket import BATCH
-from delfim.clock import SystemClock
-from delfim.errors import DelfimError
-from delfim.frames import extended
+from delfim.logging.ashore.plot import INK, LINE, SEA
 from delfim.logging.liblog import Method
 from delfim.logging.openlog import open_log
-from delfim.logging.plot import INK, LINE, SEA
 from delfim.logging.reading import read_log
 
 WRITES, QUICK_WRITES = 100_000, 2_000

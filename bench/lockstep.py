@@ -11,10 +11,10 @@ from pathlib import Path
 from typing import Final
 
 from delfim import config
-from delfim.errors import ConfigError, DelfimError
+from delfim.base.errors import ConfigError, DelfimError
 from delfim.simulator.lockstep import Lockstep
 from delfim.vehicle.logbook import Logbook
-from delfim.vehicle.mission import canonical, load_mission
+from delfim.vehicle.plans.mission import canonical, load_mission
 
 REPETITIONS, QUICK_REPETITIONS = 7, 2
 SAILED_S: Final = 7200.0  # the longest voyage

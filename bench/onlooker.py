@@ -4,11 +4,11 @@ stamps of both. It needs no log, so it can be used where logs are what is tried.
 from collections.abc import Sequence
 from typing import Final, Self
 
+from delfim.base.errors import DelfimError
+from delfim.canproxy.dsor.messages import BATTERIES_PORT, BATTERIES_STARBOARD, PROPELLER_PORT, PROPELLER_STARBOARD, Node
 from delfim.canproxy.dsor.protocol import message_filter
 from delfim.canproxy.opening import open_can
 from delfim.canproxy.socket import CanAddress
-from delfim.errors import DelfimError
-from delfim.messages import BATTERIES_PORT, BATTERIES_STARBOARD, PROPELLER_PORT, PROPELLER_STARBOARD, Node
 
 COMMANDS: Final = (PROPELLER_STARBOARD, PROPELLER_PORT, BATTERIES_STARBOARD, BATTERIES_PORT)
 BUFFER_BYTES: Final = 64 << 20  # a minute and a half at 100 Hz

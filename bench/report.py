@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
-from delfim.logging.plot import INK, LINE, SEA
+from delfim.logging.ashore.plot import INK, LINE, SEA
 
 PERCENTILES: Final = {"p50": 0.5, "p99": 0.99, "p999": 0.999}
 LIMITS: Final = {"p50": 1.25, "p99": 1.0, "p999": 1.0}  # of the ratio to the C program: the contract of the design

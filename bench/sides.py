@@ -31,8 +31,8 @@ from bench.floods import KINDS, PAYLOAD, payload, sensor_line
 from bench.load import ASHORE, prepare
 from bench.onlooker import Onlooker
 from bench.stalled import Radio
+from delfim.base.errors import DelfimError
 from delfim.console.link import Link
-from delfim.errors import DelfimError
 from delfim.vehicle.mavlink.signing import new_key
 
 RATE_HZ: Final = 100.0

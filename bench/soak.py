@@ -26,9 +26,9 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 from bench.critical_path import command_line, cpu_ns, family, free_ports, running, until
+from delfim.base.errors import DelfimError, Refused
 from delfim.console.link import Link
-from delfim.errors import DelfimError, Refused
-from delfim.services.door import hashed
+from delfim.services.access.door import hashed
 
 LOOK_S: Final = 5.0  # between two samples; shorter where the whole is short
 SAMPLES_MIN: Final = 24

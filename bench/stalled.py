@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Final, Self
 
 from bench.fuzz import COMPONENT, SYSTEM
-from delfim.clock import SystemClock
+from delfim.base.clock import SystemClock
 from delfim.vehicle.mavlink.signing import Signing, read_key
 from delfim.vehicle.mavlink.wire import Sender, dialect
 

@@ -13,9 +13,9 @@ import matplotlib
 import numpy as np
 
 from delfim.simulator.lockstep import Lockstep
-from delfim.simulator.scenario import load_scenario, settings_of
-from delfim.simulator.trial import sail
-from delfim.simulator.watch import TruePlace
+from delfim.simulator.scenarios.scenario import load_scenario, settings_of
+from delfim.simulator.scenarios.trial import sail
+from delfim.simulator.scenarios.watch import TruePlace
 
 ROOT: Final = Path(__file__).parents[1]
 SCENARIO, VEHICLE, PROGRAM = (ROOT / "etc" / name for name in ("scenarios/payload.toml", "delfimx.toml", "payloads/uphill.py"))

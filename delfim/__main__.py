@@ -11,8 +11,8 @@ from collections.abc import Sequence
 from types import ModuleType
 
 from delfim import __version__
+from delfim.base.errors import DelfimError, PermanentFailure, Refused, did_you_mean, in_words
 from delfim.commands import GROUPS, LINUX, SENTENCES, Formatter
-from delfim.errors import DelfimError, PermanentFailure, Refused, did_you_mean, in_words
 
 EXIT_REFUSED, EXIT_WRONG, EXIT_PERMANENT = 1, 2, 100  # 100 tells the supervisor: do not start me again
 FORMATS = ("asammdf", "pyarrow", "scipy")  # packages of delfim[formats]; all others are of delfim[ground]

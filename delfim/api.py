@@ -2,15 +2,15 @@
 everything else in the project may change from one version to the next.
 """
 
+from delfim.base.clock import Clock
+from delfim.base.errors import BusError, ConfigError, DelfimError, FormatError, PermanentFailure
+from delfim.base.frames import Frame, extended, standard
+from delfim.base.geodesy import from_plane
+from delfim.base.parts import API, Drives, ModeRow, OrderRow, Part, TroubleRow
+from delfim.base.tables import Table, text
+from delfim.canproxy.dsor.messages import Navigation
 from delfim.canproxy.socket import CanAddress, CanSocket
-from delfim.clock import Clock
 from delfim.config import ActionName, Baud, Device, Fraction, Interface, Metres, Seconds, Silence, Speed, Trouble, Vehicle
-from delfim.errors import BusError, ConfigError, DelfimError, FormatError, PermanentFailure
-from delfim.frames import Frame, extended, standard
-from delfim.geodesy import from_plane
-from delfim.messages import Navigation
-from delfim.parts import API, Drives, ModeRow, OrderRow, Part, TroubleRow
-from delfim.tables import Table, text
 from delfim.vehicle.actuators import Actuator
 from delfim.vehicle.console import Continue, Course, Goto, Heading, Pause, Play, SetMode, SetSpeed, Stop
 from delfim.vehicle.control.autopilot import entered, steer
@@ -18,7 +18,7 @@ from delfim.vehicle.control.control import Program
 from delfim.vehicle.control.memory import Memory, Settings
 from delfim.vehicle.foreign import OrderAsked
 from delfim.vehicle.links import Links, LoopInput, ReadableLine
-from delfim.vehicle.navigation import Fix, Source
+from delfim.vehicle.navigation.fixes import Fix, Source
 from delfim.vehicle.sensors import Value
 from delfim.vehicle.state import Actuation, Motion, Reference, Setpoint, State, ThrusterReport, Wanted
 from delfim.vehicle.troubles import Look

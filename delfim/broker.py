@@ -15,9 +15,9 @@ from collections import Counter, deque
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
-from delfim.clock import Clock
-from delfim.errors import ConfigError, in_words
-from delfim.outside import read_credentials
+from delfim.base.clock import Clock
+from delfim.base.errors import ConfigError, in_words
+from delfim.base.outside import read_credentials
 
 if TYPE_CHECKING:
     import aiomqtt

@@ -13,13 +13,13 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Final, Literal, cast
 
 import msgspec
 
-from delfim import parts
-from delfim.errors import ConfigError
-from delfim.geodesy import polygon_fault
-from delfim.modes import Mode
-from delfim.parts import OWN, OWN_NODES, Drives, Part, named, of_kind
-from delfim.slices import Sliced, Work
-from delfim.tables import Table, decode, read_toml, text
+from delfim.base import parts
+from delfim.base.errors import ConfigError
+from delfim.base.geodesy import polygon_fault
+from delfim.base.modes import Mode
+from delfim.base.parts import OWN, OWN_NODES, Drives, Part, named, of_kind
+from delfim.base.slices import Sliced, Work
+from delfim.base.tables import Table, decode, read_toml, text
 
 _PORT = "([0-9]{1,4}|[1-5][0-9]{4}|6[0-4][0-9]{3}|65[0-4][0-9]{2}|655[0-2][0-9]|6553[0-5])"  # 0 to 65535
 Name = Annotated[str, text("[A-Za-z][A-Za-z0-9_-]{0,31}", "a letter, then up to 31 letters, digits, _ or -")]

@@ -7,8 +7,8 @@ docs/nmea2000.md, "Which source counts", on all of them.
 import math
 from typing import Any, Final, Generic, NamedTuple, Protocol
 
-from delfim.messages import Navigation
-from delfim.newest import A, Newest
+from delfim.base.newest import A, Newest
+from delfim.canproxy.dsor.messages import Navigation
 
 # Ages to which a value counts, whatever the vehicle's `stale_s`, of kinds that come less often than positions.
 SLOW_S: Final = 2.5  # once a second

@@ -26,7 +26,7 @@ from pathlib import Path
 from typing import BinaryIO, Final
 
 from delfim import __version__
-from delfim.services.imagefile import PARTS, pack
+from delfim.services.image.imagefile import PARTS, pack
 
 SOURCES: Final = Path(__file__).parents[1]
 EPOCH_S: Final = int(os.environ.get("SOURCE_DATE_EPOCH", "1767225600"))  # of every file in the image

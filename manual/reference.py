@@ -14,14 +14,15 @@ from typing import Any, Final, Literal, Union, get_args, get_origin, get_type_hi
 import cantools
 import msgspec
 
-from delfim import messages, tables
 from delfim.__main__ import declared
 from delfim.audit import auditor
+from delfim.base import tables
+from delfim.base.modes import Mode
+from delfim.canproxy.dsor import messages
 from delfim.commands import GROUPS
 from delfim.console import orders, said
 from delfim.console.describe import describe
-from delfim.modes import Mode
-from delfim.services.web import api, metrics
+from delfim.services.page import api, metrics
 from delfim.vehicle.mavlink import commands, handlers, params, telemetry
 from delfim.vehicle.mavlink.wire import dialect
 

@@ -17,9 +17,9 @@ from dronecan.driver.common import AbstractDriver, CANFrame, TxQueueFullError
 from dronecan.node import Node
 from dronecan.transport import TransferError
 
+from delfim.base.frames import extended
 from delfim.canproxy.opening import open_can
 from delfim.canproxy.socket import ANYTHING
-from delfim.frames import extended
 
 NODE, MOTORS, RPM_MAX = 20, 2, 1400
 PERIOD_S = 0.04

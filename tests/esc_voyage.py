@@ -14,13 +14,13 @@ import urllib.request
 from collections.abc import Iterator
 from pathlib import Path
 
+from delfim.base.errors import DelfimError
 from delfim.canproxy.dronecan.datatypes import NODE_STATUS, RAW_COMMAND
 from delfim.canproxy.dronecan.transfers import TransferReceiver
 from delfim.canproxy.opening import open_can
 from delfim.canproxy.socket import CanSocket
 from delfim.config import Dronecan
 from delfim.console.link import Link
-from delfim.errors import DelfimError
 from tests.afloat import ROOT, running
 
 PAGE = 18_731

@@ -8,8 +8,8 @@ import signal
 import sys
 from pathlib import Path
 
-from delfim import suite
 from delfim.__main__ import main
+from delfim.services import suite
 from delfim.services.runtime import Runtime
 
 HANG = Path(sys.argv.pop(1))

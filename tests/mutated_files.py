@@ -60,7 +60,7 @@ def command(*words: str) -> Said:
 
 def refused(read: Callable[[], object]) -> Said:
     """What a function says that is not a command."""
-    from delfim.errors import DelfimError, in_words
+    from delfim.base.errors import DelfimError, in_words
 
     try:
         read()
@@ -92,17 +92,17 @@ def numbers(here: Path) -> Said:
 
 
 def mission(here: Path) -> Said:
-    from delfim.vehicle.mission import load_mission
+    from delfim.vehicle.plans.mission import load_mission
 
     return refused(lambda: load_mission(here / "lake.toml"))
 
 
 def library(here: Path) -> Said:
     """The text is read in this process, and not in one of its own for each mutation."""
+    from delfim.base.errors import DelfimError
     from delfim.console.library import Library
-    from delfim.errors import DelfimError
-    from delfim.vehicle.mission import read_mission
-    from delfim.vehicle.missionreader import Reading, written
+    from delfim.vehicle.plans.mission import read_mission
+    from delfim.vehicle.plans.missionreader import Reading, written
 
     def lines(self: Reading) -> list[bytes] | DelfimError:
         try:
@@ -120,20 +120,20 @@ def library(here: Path) -> Said:
 
 
 def scenario(here: Path) -> Said:
-    from delfim.simulator.scenario import load_scenario, settings_of
+    from delfim.simulator.scenarios.scenario import load_scenario, settings_of
 
     return refused(lambda: settings_of(load_scenario(here / "storm.toml"), VEHICLE))
 
 
 def scenarios_mission(here: Path) -> Said:
-    from delfim.simulator.scenario import load_scenario, mission_of
+    from delfim.simulator.scenarios.scenario import load_scenario, mission_of
 
     return refused(lambda: mission_of(load_scenario(here / "storm.toml"), here / "storm.toml"))
 
 
 def encounters(here: Path) -> Said:
-    from delfim.simulator.encounters import staged_of
-    from delfim.simulator.scenario import load_scenario
+    from delfim.simulator.scenarios.encounters import staged_of
+    from delfim.simulator.scenarios.scenario import load_scenario
 
     file = here / "imazu22-real.toml"
     return refused(lambda: staged_of(load_scenario(file), file))
@@ -175,15 +175,15 @@ def operators_mission(here: Path) -> Said:
 
 
 def serial_line(here: Path) -> Said:
+    from delfim.logging.ashore.tree import files
     from delfim.logging.linelog import pieces
-    from delfim.logging.tree import files
 
     return refused(lambda: list(pieces(files([here / "log" / next(os.walk(here / "log"))[1][0] / "-dev-gnss"]))))
 
 
 def last_lines(here: Path) -> Said:
     """As the boat's page shows them; those that it must not show are told."""
-    from delfim.services.web import saidlines
+    from delfim.services.page import saidlines
 
     said = [words for told in saidlines.last_lines(str(here), 100) for words in (told.service, told.text)]
     return [words for words in said if not words.isprintable()]
@@ -191,7 +191,7 @@ def last_lines(here: Path) -> Said:
 
 def replayed(here: Path) -> Said:
     """All of a tape, and every tenth of it jumped to, as a page gets it."""
-    from delfim.clock import ManualClock
+    from delfim.base.clock import ManualClock
     from delfim.console.replay import TapePlayer, open_tapes
 
     def play() -> None:
@@ -238,8 +238,8 @@ def can_replay(name: str) -> Callable[[Path], Said]:
 
 
 def database(here: Path) -> Said:
+    from delfim.base.frames import Frame, standard
     from delfim.console.framefilter import decoder
-    from delfim.frames import Frame, standard
 
     def read() -> None:
         decoded = decoder(str(here / "boat.dbc"))
@@ -303,7 +303,7 @@ def slot(here: Path) -> Said:
 
 
 def casters_password(here: Path) -> Said:
-    from delfim.outside import read_credentials
+    from delfim.base.outside import read_credentials
 
     os.chmod(here / "ntrip", 0o600)
     return refused(lambda: read_credentials(str(here / "ntrip")))
@@ -323,13 +323,13 @@ def stamps(here: Path) -> Said:
 
 
 def host_key(here: Path) -> Said:
-    from delfim.services.sshd import _host_key
+    from delfim.services.files.sshd import _host_key
 
     return refused(lambda: _host_key(str(here / "host_key")))
 
 
 def certificate(here: Path) -> Said:
-    from delfim.services.ftpd import _tls
+    from delfim.services.files.ftpd import _tls
 
     return refused(lambda: _tls(str(here / "boat.pem")))
 
@@ -354,8 +354,8 @@ def kept_voyage(here: Path) -> Said:
 
 
 def supervisors_record(here: Path) -> Said:
-    from delfim.services.supervisorfile import last_deadman
-    from delfim.suite import _told
+    from delfim.services.suite import _told
+    from delfim.services.supervision.supervisorfile import last_deadman
 
     with contextlib.redirect_stdout(io.StringIO()):
         return refused(lambda: (last_deadman(here / "record"), _told(here / "record", 0.0, "")))

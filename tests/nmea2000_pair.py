@@ -12,13 +12,13 @@ from collections.abc import Callable
 from random import Random
 
 from delfim import config
+from delfim.base.clock import SystemClock
 from delfim.canproxy.nmea2000.device import FIRST, Device
 from delfim.canproxy.nmea2000.parcels import CLAIM, addressed
 from delfim.canproxy.opening import open_bound, open_can
 from delfim.canproxy.socket import ANYTHING, CanAddress, CanSocket
-from delfim.clock import SystemClock
 from delfim.services.nmea2000d import BoatDevice
-from delfim.services.web.api import State
+from delfim.services.page.api import State
 
 PATIENCE_S = 200.0
 

@@ -11,11 +11,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from delfim import config, frames, messages, tables
+from delfim import config
+from delfim.base import frames, tables
+from delfim.base.errors import ConfigError
+from delfim.base.tables import Table
+from delfim.canproxy.dsor import messages
 from delfim.config import OTHER_NODES, TAKEN_VEHICLES, ServiceTable, Vehicle
-from delfim.errors import ConfigError
-from delfim.services.doors import doors
-from delfim.tables import Table
+from delfim.services.access.doors import doors
 
 BOAT_KEYS = ", ".join(config.BoatTable.__struct_fields__)
 BOAT = '[boat]\nname = "delfimx"\n'

@@ -12,8 +12,9 @@ from typing import Any
 import msgspec
 import pytest
 
-from delfim import config, messages
+from delfim import config
 from delfim.__main__ import parsed
+from delfim.canproxy.dsor import messages
 from delfim.logging.candump import parse_line
 from tests.guest import boat_image
 from tests.guest.harness import PATH, ROOT, Guest, guest

@@ -196,7 +196,7 @@ def test_the_reference_has_every_command_parameter_message_and_metric() -> None:
     )
     assert "| `latitude_rad` | 8 | i32 | 1e-07 degrees | 0x7fffffff |  |" in made["docs/can-messages.md"]
     assert "| `hdop` | 4 | u8 | 0.1 | 0xff |  |" in made["docs/can-messages.md"]
-    source = (ROOT / "delfim/services/web/metrics.py").read_text()
+    source = (ROOT / "delfim/services/page/metrics.py").read_text()
     named = set(re.findall(r'"(delfim_[a-z_]+)"', source))
     assert [name for name in named if f"| `{name}` |" not in made["docs/metrics.md"]] == []
 

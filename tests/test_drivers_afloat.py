@@ -14,11 +14,11 @@ from typing import Any, Protocol
 import pytest
 
 from delfim import config
+from delfim.base.errors import DelfimError
 from delfim.canproxy.opening import open_can
 from delfim.canproxy.socket import ANYTHING
 from delfim.console.link import Link
-from delfim.errors import DelfimError
-from delfim.services.stop import PropellerStop
+from delfim.services.supervision.stop import PropellerStop
 from tests.afloat import running
 from tests.services.test_outlet import chip, pulse_us
 from tests.vehicle.played_devices import PlayedPx4, PlayedSeat, PlayedVesc

@@ -2,7 +2,7 @@
 
 import pytest
 
-from delfim.errors import BusError, ConfigError, in_words
+from delfim.base.errors import BusError, ConfigError, in_words
 
 
 @pytest.mark.parametrize(

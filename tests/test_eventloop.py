@@ -13,8 +13,8 @@ from pathlib import Path
 import pytest
 
 from delfim import config
-from delfim.clock import SystemClock
-from delfim.eventloop import new_event_loop
+from delfim.base.clock import SystemClock
+from delfim.base.eventloop import new_event_loop
 from delfim.services import runtime
 
 VEHICLE = Path(__file__).parents[1] / "etc" / "delfimx.toml"

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from delfim import messages
+from delfim.canproxy.dsor import messages
 from delfim.canproxy.opening import open_can
 from delfim.canproxy.socket import CanAddress, CanSocket
 

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from delfim.errors import FormatError
-from delfim.frames import (
+from delfim.base.errors import FormatError
+from delfim.base.frames import (
     CAN_ANY,
     CAN_ERR,
     CAN_FRAME,

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from delfim.geodesy import TAU, compass, from_plane, origin, to_plane, wrap
+from delfim.base.geodesy import TAU, compass, from_plane, origin, to_plane, wrap
 
 latitude = st.floats(-80.0, 80.0).map(math.radians)
 longitude = st.floats(-180.0, 180.0).map(math.radians)

@@ -11,8 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from delfim import gpio
-from delfim.errors import DelfimError
+from delfim.base.errors import DelfimError
+from delfim.lines import gpio
 
 HEADER = Path("/usr/include/linux/gpio.h")
 PROGRAM = """

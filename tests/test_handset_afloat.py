@@ -13,8 +13,8 @@ from typing import Any, Self
 
 import pytest
 
+from delfim.base.errors import DelfimError, Refused
 from delfim.console.link import Link
-from delfim.errors import DelfimError, Refused
 from delfim.vehicle.loop import HELD_BY_HAND
 from delfim.vehicle.mavlink import wire
 from delfim.vehicle.mavlink.wire import Sender, dialect

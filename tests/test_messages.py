@@ -7,10 +7,19 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from delfim import messages
-from delfim.errors import FormatError
-from delfim.frames import Frame
-from delfim.messages import BatteriesStatus, Fault, GpsStatus, Navigation, Node, PropellerCommand, PropellerStatus, Status
+from delfim.base.errors import FormatError
+from delfim.base.frames import Frame
+from delfim.canproxy.dsor import messages
+from delfim.canproxy.dsor.messages import (
+    BatteriesStatus,
+    Fault,
+    GpsStatus,
+    Navigation,
+    Node,
+    PropellerCommand,
+    PropellerStatus,
+    Status,
+)
 
 NAN = math.nan
 STRANGE = (NAN, math.inf, -math.inf, 1e300, -1e300)

@@ -19,11 +19,11 @@ from typing import Any, NamedTuple
 
 import pytest
 
-from delfim import messages
+from delfim.base.errors import DelfimError
+from delfim.canproxy.dsor import messages
 from delfim.canproxy.opening import open_can
 from delfim.canproxy.socket import CanAddress, CanSocket
 from delfim.console.link import Link
-from delfim.errors import DelfimError
 
 pytestmark = [pytest.mark.long, pytest.mark.timeout(300)]
 ROOT = Path(__file__).parents[1]

@@ -13,19 +13,19 @@ import asyncssh
 import msgspec
 import pytest
 
+from delfim.base.clock import ManualClock
 from delfim.campaign.runplan import read
 from delfim.campaign.store import Store
-from delfim.clock import ManualClock
 from delfim.console.fleet import Fleet
 from delfim.console.replay import open_tapes
 from delfim.console.session import Session
 from delfim.logging import nodelog
 from delfim.logging.keptwriter import packed
 from delfim.logging.reading import read_log
-from delfim.simulator.scenario import load_scenario
+from delfim.simulator.scenarios.scenario import load_scenario
 from delfim.vehicle import console
 from delfim.vehicle.mavlink.signing import Kept, new_key, read_key, write_stamps
-from delfim.vehicle.mission import load_mission
+from delfim.vehicle.plans.mission import load_mission
 from delfim.vehicle.voyage import KeptHead
 from delfim.vehicle.voyagestate import VoyageState
 from tests.console.fakeboat import FakeBoat
@@ -299,7 +299,7 @@ def readers() -> set[str]:
 
 LOGS = {"system log", "state log", "black box", "sidecar", "run to repeat", "state log as a tape", "sidecar of a tape"}
 READ_BY = {  # function: the readers above that come by it
-    "tables.py: read_toml": {"vehicle", "mission", "scenario", "control points"},
+    "base/tables.py: read_toml": {"vehicle", "mission", "scenario", "control points"},
     "console/library.py: load": {"library"},
     "console/bus.py: logged": {"candump", "candump, deflated"},
     "console/framefilter.py: decoder": {"CAN database"},
@@ -314,26 +314,26 @@ READ_BY = {  # function: the readers above that come by it
     "logging/reading.py: raw": LOGS,
     "logging/reading.py: read_events": LOGS,
     "logging/reading.py: _pieces": LOGS,
-    "logging/repair.py: repair": {"state log", "black box", "sidecar"},
+    "logging/ashore/repair.py: repair": {"state log", "black box", "sidecar"},
     "logging/systemlog.py: recent": {"last lines of the system log"},
-    "logging/tree.py: _end": {"sidecar"},
-    "logging/tree.py: _starts": {"sidecar"},
-    "services/ftpd.py: _tls": {"certificate"},
+    "logging/ashore/tree.py: _end": {"sidecar"},
+    "logging/ashore/tree.py: _starts": {"sidecar"},
+    "services/files/ftpd.py: _tls": {"certificate"},
     "commands/commission.py: _users": {"user's ssh key"},
     "campaign/runplan.py: _mission": {"mission of a campaign"},
     "campaign/store.py: head_of": {"head of a campaign's results", "a campaign's results"},
     "services/nmea2000d.py: __init__": {"address on NMEA 2000"},
     "services/numbering.py: known_numbers": {"numbers of DroneCAN devices"},
-    "outside.py: read_credentials": {"password at a caster"},
-    "services/supervisorfile.py: last_deadman": {"supervisor's record"},
-    "services/slots.py: environment": {"boot environment"},
-    "services/slots.py: manifest": {"manifest of a slot"},
-    "services/imagefile.py: verify": {"image"},
-    "services/sshd.py: _host_key": {"host key"},
+    "base/outside.py: read_credentials": {"password at a caster"},
+    "services/supervision/supervisorfile.py: last_deadman": {"supervisor's record"},
+    "services/image/slots.py: environment": {"boot environment"},
+    "services/image/slots.py: manifest": {"manifest of a slot"},
+    "services/image/imagefile.py: verify": {"image"},
+    "services/files/sshd.py: _host_key": {"host key"},
     "services/vehiclefile.py: changed": {"vehicle to commission"},
-    "simulator/encounters.py: read_encounters": {"encounters"},
-    "simulator/scenario.py: mission_of": {"scenario's mission"},
-    "suite.py: _told": {"supervisor's record"},
+    "simulator/scenarios/encounters.py: read_encounters": {"encounters"},
+    "simulator/scenarios/scenario.py: mission_of": {"scenario's mission"},
+    "services/suite.py: _told": {"supervisor's record"},
     "vehicle/mavlink/signing.py: read_key": {"signing key"},
     "vehicle/mavlink/signing.py: read_stamps": {"stamps"},
 }
@@ -345,15 +345,19 @@ OTHERS = {  # what the kernel tells, and what is only copied or digested
         "commands/image.py: confirm",
         "commands/image.py: status",
     ),
-    *("outside.py: read_file", "outside.py: read_text"),
-    *("logging/fetch.py: _condition", "logging/fetch.py: _digest", "logging/fetch.py: _read"),
-    *("campaign/store.py: flush", "services/firstcontact.py: user_of", "services/numbering.py: identity"),
-    *("services/cgroup.py: exceeded", "services/computer.py: _read", "services/shutdown.py: _read"),
-    *("services/slipd.py: _counters", "services/slipd.py: carrier_source"),
-    *("services/imagefile.py: _digest", "services/slots.py: _digest_of_disk", "services/imagefile.py: pack"),
-    *("services/slots.py: present_notice", "services/children.py: process_state", "services/processes.py: _all"),
+    *("base/outside.py: read_file", "base/outside.py: read_text"),
+    *("logging/ashore/fetch.py: _condition", "logging/ashore/fetch.py: _digest", "logging/ashore/fetch.py: _read"),
+    *("campaign/store.py: flush", "services/listening/firstcontact.py: user_of", "services/numbering.py: identity"),
+    *("services/supervision/cgroup.py: exceeded", "services/computer.py: _read", "services/supervision/shutdown.py: _read"),
+    *("services/radio/slipd.py: _counters", "services/radio/slipd.py: carrier_source"),
+    *("services/image/imagefile.py: _digest", "services/image/slots.py: _digest_of_disk", "services/image/imagefile.py: pack"),
+    *(
+        "services/image/slots.py: present_notice",
+        "services/supervision/children.py: process_state",
+        "services/supervision/processes.py: _all",
+    ),
     "services/voyagekeeping.py: _boot",
-    *("services/kernelclock.py: _read", "suite.py: _started", "simulator/nodes/pulsefiles.py: _part"),
+    *("services/clock/kernelclock.py: _read", "services/suite.py: _started", "simulator/nodes/pulsefiles.py: _part"),
 }
 
 

@@ -6,8 +6,8 @@ from collections.abc import Callable, Iterator
 
 import pytest
 
-from delfim.allowance import BURST_S, PIECE_BYTES, SECOND_BYTES
-from delfim.networkline import NetworkLine
+from delfim.base.allowance import BURST_S, PIECE_BYTES, SECOND_BYTES
+from delfim.lines.networkline import NetworkLine
 
 LOOPBACK = ("127.0.0.0/8", "::1/128")
 PATIENCE_S = 200.0

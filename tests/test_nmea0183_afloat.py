@@ -20,10 +20,10 @@ import pynmea2
 import pytest
 
 from delfim import config
+from delfim.base.errors import DelfimError
+from delfim.canproxy.dsor.messages import Navigation
 from delfim.canproxy.opening import open_bound
 from delfim.console.link import Link
-from delfim.errors import DelfimError
-from delfim.messages import Navigation
 from delfim.nmea0183.framing import framed
 from delfim.nmea0183.speaking import gga, hdt, rmc
 from delfim.vehicle.links import Links

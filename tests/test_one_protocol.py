@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from delfim import config
-from delfim.errors import ConfigError
+from delfim.base.errors import ConfigError
 
 VEHICLE = str(Path(__file__).parents[1] / "etc/delfimx.toml")
 ROW = '{name="%s", driver="dronecan", address=%d, y_m=%g, thrust_n=[-10.0, 20.0]%s}'

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from delfim.errors import FormatError
-from delfim.outside import parse_json, parse_toml, read_file
+from delfim.base.errors import FormatError
+from delfim.base.outside import parse_json, parse_toml, read_file
 
 
 def test_a_file_is_read_up_to_its_limit(tmp_path: Path) -> None:

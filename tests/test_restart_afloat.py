@@ -14,8 +14,8 @@ from typing import Any
 
 import pytest
 
+from delfim.base.errors import DelfimError
 from delfim.console.link import Link
-from delfim.errors import DelfimError
 from delfim.logging.kept import newest
 from delfim.logging.keptwriter import VOYAGE
 

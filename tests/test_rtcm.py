@@ -7,7 +7,7 @@ import pyrtcm
 from hypothesis import given
 from hypothesis import strategies as st
 
-from delfim.rtcm import FRAME_MAX, NUMBERS_MAX, PREAMBLE, RtcmFrames, crc24q, framed
+from delfim.lines.rtcm import FRAME_MAX, NUMBERS_MAX, PREAMBLE, RtcmFrames, crc24q, framed
 from tests.mutations import cut, dropped, flipped, spliced
 
 PLACE = bytes.fromhex("d300133ed7d30202980edeef34b4bd62ac0941986f33360b98")  # 1005 of RTCM 10403's example

@@ -21,12 +21,12 @@ from typing import NamedTuple
 import pytest
 
 from delfim import config
+from delfim.base.errors import DelfimError
 from delfim.console.link import Link
 from delfim.console.mavlink import mavlink
-from delfim.errors import DelfimError
-from delfim.services.door import hashed
-from delfim.services.doors import doors
-from delfim.suite import services
+from delfim.services.access.door import hashed
+from delfim.services.access.doors import doors
+from delfim.services.suite import services
 from delfim.vehicle.mavlink.signing import new_key
 
 pytestmark = [

@@ -10,11 +10,11 @@ from types import SimpleNamespace
 
 import pytest
 
-from delfim import serialline
-from delfim.allowance import PIECE_BYTES, Allowance
-from delfim.clock import ManualClock
-from delfim.errors import DelfimError
-from delfim.serialline import SerialLine, open_port
+from delfim.base.allowance import PIECE_BYTES, Allowance
+from delfim.base.clock import ManualClock
+from delfim.base.errors import DelfimError
+from delfim.lines import serialline
+from delfim.lines.serialline import SerialLine, open_port
 
 
 @pytest.fixture

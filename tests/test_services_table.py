@@ -8,11 +8,11 @@ from typing import Any
 import pytest
 
 from delfim import config
-from delfim.clock import SystemClock
-from delfim.errors import PermanentFailure
-from delfim.services.cgroup import Limits
+from delfim.base.clock import SystemClock
+from delfim.base.errors import PermanentFailure
 from delfim.services.runtime import LoadedService, Runtime
-from delfim.suite import SERVICES, Service, _limits, services
+from delfim.services.suite import SERVICES, Service, _limits, services
+from delfim.services.supervision.cgroup import Limits
 
 VEHICLE = Path(__file__).parents[1] / "etc" / "delfimx.toml"
 
@@ -86,13 +86,15 @@ def test_a_service_whose_package_is_missing_says_so_and_is_not_started_again(lat
 
 def test_the_supervisor_loads_none_of_the_services() -> None:
     """What it loads at sea it loads before the first actuation."""
-    look = "import sys, delfim.suite, delfim.services.kernelclock, delfim.services.supervisor; print(*sys.modules)"
+    modules = "sys, delfim.services.suite, delfim.services.clock.kernelclock, delfim.services.supervision.supervisor"
+    look = f"import {modules}; print(*sys.modules)"
     loaded = set(subprocess.run([sys.executable, "-c", look], capture_output=True, text=True, check=True).stdout.split())
     assert loaded & {"asyncio", "aiohttp", "pymavlink", "delfim.vehicle", "delfim.services.runtime"} == set()
 
 
 def test_what_is_large_does_not_keep_the_vehicle_from_its_first_command() -> None:
-    look = f"import sys; from delfim import config, suite; rows = suite.services(config.load({str(VEHICLE)!r}))\n"
+    look = "import sys; from delfim import config; from delfim.services import suite\n"
+    look += f"rows = suite.services(config.load({str(VEHICLE)!r}))\n"
     look += "[row.loading() if row.late else row.loaded() for row in rows if row.place == 'runtime']; print(*sys.modules)"
     loaded = set(subprocess.run([sys.executable, "-c", look], capture_output=True, text=True, check=True).stdout.split())
     assert "delfim.vehicle.loop" in loaded

@@ -13,13 +13,13 @@ from typing import NamedTuple
 
 import pytest
 
-from delfim import messages
+from delfim.base.errors import DelfimError
+from delfim.canproxy.dsor import messages
+from delfim.canproxy.dsor.messages import PropellerCommand, ShutdownStage
 from delfim.canproxy.opening import open_can
 from delfim.canproxy.socket import CanAddress, CanSocket
 from delfim.console.link import Link
-from delfim.errors import DelfimError
-from delfim.messages import PropellerCommand, ShutdownStage
-from delfim.services import shutdown
+from delfim.services.supervision import shutdown
 
 ROOT = Path(__file__).parents[1]
 VEHICLE = str(ROOT / "etc/delfimx.toml")

@@ -4,8 +4,8 @@ import select
 import socket
 from pathlib import Path
 
-from delfim.clock import ManualClock
-from delfim.serialline import SerialLine
+from delfim.base.clock import ManualClock
+from delfim.lines.serialline import SerialLine
 
 
 def readable(line: SerialLine) -> bytes:

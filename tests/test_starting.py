@@ -10,9 +10,9 @@ from typing import Any
 import pytest
 
 from delfim import config
-from delfim.clock import SystemClock
+from delfim.base.clock import SystemClock
+from delfim.base.errors import DelfimError
 from delfim.console.link import Link
-from delfim.errors import DelfimError
 from delfim.services.runtime import LoadedService, Runtime
 from delfim.services.vehicle import serve
 

@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from delfim import config
+from delfim.base.errors import ConfigError
 from delfim.config import DELFIMX, ThrusterTable, load, pushes
-from delfim.errors import ConfigError
 
 BOAT = '[boat]\nname = "test"\n'
 LEFT = '[[thrusters]]\nname = "left"\ndriver = "dsor"\naddress = 1\ny_m = -0.4\nthrust_n = [-30, 50]\n'

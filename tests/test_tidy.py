@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pytest
 
-from delfim.parts import OWN
+from delfim.base.parts import OWN
 from delfim.vehicle.state import State
 
 ROOT = Path(__file__).parents[1]
@@ -241,7 +241,7 @@ NAMED = {  # with the reason; a row that goes does not come back
 
 
 def test_the_core_names_no_part() -> None:
-    """It asks their rows (`delfim/parts.py`)."""
+    """It asks their rows (`delfim/base/parts.py`)."""
     names, inside = {each.name for each in OWN.values() if each.driver or each.source or each.sensor}, ROOT / "delfim"
     paths = {path for pattern in CORE for path in inside.glob(f"{pattern}.py")}
     texts = ((path, node.value) for path in paths for node in ast.walk(_tree(path)) if isinstance(node, ast.Constant))
@@ -264,8 +264,8 @@ def test_the_vehicles_state_is_changed_by_the_loop_alone() -> None:
         "failing",
         "planning",
         "returning",
-        "navigation",
-        "estimated",
+        "navigation/fixes",
+        "navigation/estimated",
         "traffic/lookout",
         "traffic/watchkeeper",
         "sensors/*",
@@ -274,7 +274,7 @@ def test_the_vehicles_state_is_changed_by_the_loop_alone() -> None:
     )
     inside = ROOT / "delfim"
     loop = {str(path.relative_to(inside)) for name in called for path in inside.glob(f"vehicle/{name}.py")} | {
-        "simulator/rerun.py"
+        "simulator/replay/rerun.py"
     }
     changed = [
         at

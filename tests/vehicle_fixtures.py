@@ -9,19 +9,21 @@ from itertools import count
 
 import pytest
 
-from delfim import config, messages, tables
+from delfim import config
+from delfim.base import tables
+from delfim.base.clock import ManualClock
+from delfim.base.frames import Frame
+from delfim.base.slices import SLICE, Sliced
+from delfim.canproxy.dsor import messages
+from delfim.canproxy.dsor.messages import BatteriesStatus, Fault, Navigation, Node, PropellerCommand, PropellerStatus, Status
 from delfim.canproxy.dsor.protocol import Message, segments
 from delfim.canproxy.opening import open_bound
 from delfim.canproxy.socket import ANYTHING, CanAddress, CanSocket
-from delfim.clock import ManualClock
-from delfim.frames import Frame
-from delfim.messages import BatteriesStatus, Fault, Navigation, Node, PropellerCommand, PropellerStatus, Status
-from delfim.serialline import Form
+from delfim.lines.serialline import Form
 from delfim.simulator.line import LockstepLine
-from delfim.slices import SLICE, Sliced
-from delfim.vehicle import fence
 from delfim.vehicle.build import build
 from delfim.vehicle.links import Links
+from delfim.vehicle.plans import fence
 from delfim.vehicle.state import State
 
 WELL = Fault(0)

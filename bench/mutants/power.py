@@ -89,9 +89,9 @@ def sailed(seed: int) -> tuple[str, list[str]]:
     """The digest of a run, and what the watch says of it. Whatever the boat's program raises is a failure."""
     from delfim import config
     from delfim.campaign.measures import RunTape
-    from delfim.simulator.mixed import mixed, mixed_mission
-    from delfim.simulator.scenario import settings_of
-    from delfim.simulator.trial import sail
+    from delfim.simulator.scenarios.mixed import mixed, mixed_mission
+    from delfim.simulator.scenarios.scenario import settings_of
+    from delfim.simulator.scenarios.trial import sail
     from delfim.vehicle.state import NoLog
 
     here, tapes = config.load(VEHICLE), list[RunTape]()

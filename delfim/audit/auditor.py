@@ -7,11 +7,11 @@ from typing import Final, NamedTuple
 from delfim.audit import busrules, fencerules, orderrules, recordrules, troublerules
 from delfim.audit.evidence import Evidence, Sent, Unjudged, parts
 from delfim.audit.rule import Finding, Rule
-from delfim.errors import DelfimError
-from delfim.logging import tree
-from delfim.logging.summary import utc
-from delfim.logging.table import frames, table
-from delfim.logging.tree import ALWAYS, Run, Span
+from delfim.base.errors import DelfimError
+from delfim.logging.ashore import tree
+from delfim.logging.ashore.summary import utc
+from delfim.logging.ashore.table import frames, table
+from delfim.logging.ashore.tree import ALWAYS, Run, Span
 
 RULES: Final[Sequence[Rule]] = (
     *recordrules.RULES,

@@ -12,8 +12,8 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from delfim.errors import DelfimError
-from delfim.modes import Mode
+from delfim.base.errors import DelfimError
+from delfim.base.modes import Mode
 
 TROUBLES: Final = (  # bit n of the field `troubles` is the n-th: docs/failsafe.md
     *("control", "navigation_jumping", "navigation_silent", "navigation_frozen", "sensor_bad", "battery_critical", "thruster"),

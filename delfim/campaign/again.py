@@ -2,11 +2,11 @@
 
 from pathlib import Path
 
+from delfim.base.errors import DelfimError
 from delfim.campaign import findings
 from delfim.campaign.runplan import Plan
 from delfim.campaign.sailing import VERSION, sailed_run
-from delfim.errors import DelfimError
-from delfim.logging import plot
+from delfim.logging.ashore import plot
 from delfim.logging.statelog import columns
 
 

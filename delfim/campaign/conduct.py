@@ -5,12 +5,12 @@ import time
 from pathlib import Path
 from typing import Any, Final
 
+from delfim.base.errors import DelfimError
 from delfim.campaign import findings, pairtable, shrinking
 from delfim.campaign.runplan import CampaignFile, Plan
 from delfim.campaign.sailing import VERSION, TooLong
 from delfim.campaign.store import Store
 from delfim.campaign.workers import by_cluster, by_processes
-from delfim.errors import DelfimError
 
 TELL_S: Final = 2.0  # between two lines of progress on a terminal; elsewhere ten times as much
 SHRUNK: Final = 3  # kinds of failures of which a run is shrunken without being asked

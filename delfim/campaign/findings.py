@@ -8,10 +8,10 @@ from typing import Any, Final, NamedTuple
 import duckdb
 import numpy as np
 
+from delfim.base.errors import DelfimError
 from delfim.campaign.measures import MEASURES
 from delfim.campaign.runplan import Answer, CampaignFile, Pass, Plan
 from delfim.campaign.store import parts, schema
-from delfim.errors import DelfimError
 
 NUMBERS: Final = tuple(measure.name for measure in MEASURES if measure.kind != "VARCHAR")
 JUDGED: Final = ("cross_rms_m", "cross_max_m", "noticed_s", "energy_j", "sailed_s")  # the greatest are the worst, in this order

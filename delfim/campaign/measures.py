@@ -6,17 +6,17 @@ import struct
 from collections.abc import Callable
 from typing import Final, NamedTuple
 
+from delfim.base.clock import ManualClock
+from delfim.base.modes import Mode
 from delfim.campaign.rulecheck import Check, RuleTape, alterations
 from delfim.campaign.steertape import Deviation, SteerTape
-from delfim.clock import ManualClock
-from delfim.modes import Mode
 from delfim.simulator.lockstep import Lockstep, OrderLog
-from delfim.simulator.trial import Event
-from delfim.simulator.watch import TruePlace
+from delfim.simulator.scenarios.trial import Event
+from delfim.simulator.scenarios.watch import TruePlace
 from delfim.vehicle.console import Commands
 from delfim.vehicle.logbook import ORDERLY
+from delfim.vehicle.plans.zones import Point
 from delfim.vehicle.state import State, StateLog
-from delfim.vehicle.zones import Point
 
 STOPS: Final = (Mode.IDLE, Mode.HOLD)
 

@@ -1,4 +1,4 @@
-"""The table of pairs that a campaign has met (`delfim.simulator.pairs`), for people."""
+"""The table of pairs that a campaign has met (`delfim.simulator.scenarios.pairs`), for people."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -6,9 +6,9 @@ from typing import Final
 
 import duckdb
 
+from delfim.base.errors import DelfimError
 from delfim.campaign import findings
-from delfim.errors import DelfimError
-from delfim.simulator.pairs import ALL, PAIRS, THINGS, kind_of
+from delfim.simulator.scenarios.pairs import ALL, PAIRS, THINGS, kind_of
 
 LEAST: Final = 10  # pairs that are named one by one
 NEVER: Final = 40

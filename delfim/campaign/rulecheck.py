@@ -1,15 +1,15 @@
 """How a run among other vessels kept rules 8 and 13 to 17 of the COLREG, by geometry: from the true motion of all, not from
-what the boat knew or meant. Only encounters are checked (delfim/simulator/encounters.py): there the boat goes north.
+what the boat knew or meant. Only encounters are checked (delfim/simulator/scenarios/encounters.py): there the boat goes north.
 """
 
 import math
 from collections.abc import Iterator
 from typing import Final, NamedTuple
 
-from delfim.geodesy import wrap
-from delfim.simulator.encounters import START_S
+from delfim.base.geodesy import wrap
 from delfim.simulator.lockstep import Lockstep
 from delfim.simulator.nodes.shipping import Vessel, axes_m, nearness
+from delfim.simulator.scenarios.encounters import START_S
 from delfim.vehicle import setpoints
 
 LOOK_S: Final = 1.0

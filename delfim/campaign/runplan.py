@@ -15,13 +15,14 @@ from typing import Annotated, Any, Final, Literal, NamedTuple
 
 import msgspec
 
-from delfim import config, tables
-from delfim.errors import ConfigError, FormatError
-from delfim.outside import read_text
-from delfim.simulator.encounters import staged_of
-from delfim.simulator.scenario import FaultAt, Scenario, fault_of, load_scenario
-from delfim.simulator.searching import DRAWN
-from delfim.vehicle.mission import load_mission
+from delfim import config
+from delfim.base import tables
+from delfim.base.errors import ConfigError, FormatError
+from delfim.base.outside import read_text
+from delfim.simulator.scenarios.encounters import staged_of
+from delfim.simulator.scenarios.scenario import FaultAt, Scenario, fault_of, load_scenario
+from delfim.simulator.scenarios.searching import DRAWN
+from delfim.vehicle.plans.mission import load_mission
 
 POINTS_MAX: Final = 100_000
 RUNS_MAX: Final = 100_000_000

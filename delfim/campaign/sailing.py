@@ -12,19 +12,20 @@ from tempfile import TemporaryDirectory
 from typing import Any, Final, NamedTuple
 
 import delfim
-from delfim import config, tables
+from delfim import config
+from delfim.base import tables
+from delfim.base.clock import ManualClock
+from delfim.base.errors import DelfimError
 from delfim.campaign.measures import MEASURES, RunTape, Sailed, Truth
 from delfim.campaign.runplan import Batch, Plan, broken_of, laid, parted
-from delfim.clock import ManualClock
-from delfim.errors import DelfimError
-from delfim.simulator.encounters import OWN_MPS, RANDOM, drawn, staged
 from delfim.simulator.lockstep import Lockstep
-from delfim.simulator.mixed import mixed_mission
-from delfim.simulator.pairs import PairTape
-from delfim.simulator.scenario import Scenario, laid_upon
-from delfim.simulator.searching import DRAWN
-from delfim.simulator.trial import Event, sail
-from delfim.simulator.watch import TruePlace
+from delfim.simulator.scenarios.encounters import OWN_MPS, RANDOM, drawn, staged
+from delfim.simulator.scenarios.mixed import mixed_mission
+from delfim.simulator.scenarios.pairs import PairTape
+from delfim.simulator.scenarios.scenario import Scenario, laid_upon
+from delfim.simulator.scenarios.searching import DRAWN
+from delfim.simulator.scenarios.trial import Event, sail
+from delfim.simulator.scenarios.watch import TruePlace
 from delfim.vehicle.logbook import Logbook
 from delfim.vehicle.state import NoLog, StateLog
 

@@ -10,11 +10,11 @@ from typing import Any, Final, NamedTuple
 
 import msgspec
 
-from delfim import tables
+from delfim.base import tables
+from delfim.base.errors import DelfimError
 from delfim.campaign.runplan import Plan, laid
 from delfim.campaign.sailing import Drawn, drawn_run, judged
-from delfim.errors import DelfimError
-from delfim.simulator.scenario import Scenario
+from delfim.simulator.scenarios.scenario import Scenario
 
 RUNS_MAX: Final = 200
 TELL_S: Final = 2.0  # between two lines of progress

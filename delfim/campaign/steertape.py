@@ -4,12 +4,12 @@ import math
 from itertools import pairwise
 from typing import Final
 
-from delfim.geodesy import wrap
-from delfim.modes import Mode
+from delfim.base.geodesy import wrap
+from delfim.base.modes import Mode
 from delfim.simulator.lockstep import Lockstep
 from delfim.vehicle.control.path import nearest
+from delfim.vehicle.plans.zones import Point, from_segment
 from delfim.vehicle.state import Arc, Motion, Plan
-from delfim.vehicle.zones import Point, from_segment
 
 STEADY_S: Final = 60.0  # after an order, or after a hold began, what is left counts as steady
 CORNER_S: Final = 20.0  # a boat that comes onto a path across it gets this long; smooth joints get nothing

@@ -17,10 +17,10 @@ import duckdb
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from delfim.base.errors import DelfimError, in_words
+from delfim.base.outside import parse_json, read_text
 from delfim.campaign.measures import MEASURES
 from delfim.campaign.runplan import Plan
-from delfim.errors import DelfimError, in_words
-from delfim.outside import parse_json, read_text
 
 PART_ROWS: Final = 5000
 PART_S: Final = 10.0  # a part is written when it has so many rows, or after this time

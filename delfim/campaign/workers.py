@@ -13,9 +13,9 @@ from itertools import islice
 from multiprocessing.connection import Connection
 from typing import Any, Final
 
+from delfim.base.errors import DelfimError
 from delfim.campaign.runplan import Batch, Plan
 from delfim.campaign.sailing import VERSION, sail_batch
-from delfim.errors import DelfimError
 
 AHEAD: Final = 3  # batches handed out for each worker: enough that nobody waits, few enough that nobody remembers a million
 START_S: Final = 60.0  # until the first worker of a cluster must be there

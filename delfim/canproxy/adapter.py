@@ -17,10 +17,10 @@ from typing import Any
 
 import can
 
+from delfim.base.errors import BusError, FormatError
+from delfim.base.frames import CAN_ERR, CAN_ID, CAN_IDE, CAN_RTR, Frame, extended, identifier, standard
 from delfim.canproxy.canloop import stable_index
 from delfim.canproxy.socket import CanAddress, accepts
-from delfim.errors import BusError, FormatError
-from delfim.frames import CAN_ERR, CAN_ID, CAN_IDE, CAN_RTR, Frame, extended, identifier, standard
 
 _RECORD = struct.Struct("=qI?B8s")  # stamp, arbitration field, sent here, length, data
 _STOP_CHECK_S = 0.1

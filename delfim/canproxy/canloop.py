@@ -25,11 +25,11 @@ from collections.abc import Callable, Sequence
 from copy import copy
 from random import Random
 
+from delfim.base.errors import BusError, FormatError
+from delfim.base.frames import CAN_ERR, CAN_IDE, CAN_RTR, Frame, identifier
 from delfim.canproxy import mmsg
 from delfim.canproxy.socket import BATCH, REHEARSED, CanAddress, CanSocket, accepts, receive_each, send_each
 from delfim.canproxy.socketcan import SO_TIMESTAMPNS, TIMESPEC, set_receive_buffer
-from delfim.errors import BusError, FormatError
-from delfim.frames import CAN_ERR, CAN_IDE, CAN_RTR, Frame, identifier
 
 _DATAGRAM = struct.Struct("!IIB8s")
 _SENDER = struct.Struct("!2xH12x")  # struct sockaddr_in

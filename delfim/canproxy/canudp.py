@@ -16,10 +16,10 @@ from ipaddress import IPv4Address, IPv4Interface
 from typing import Final
 
 from delfim import config
+from delfim.base.errors import DelfimError, FormatError, PermanentFailure, Refused
 from delfim.canproxy.dsor.protocol import BROADCAST, Message, Outcome
 from delfim.canproxy.dsor.sockets import DsorTransport
 from delfim.canproxy.socket import CanSocket
-from delfim.errors import DelfimError, FormatError, PermanentFailure, Refused
 
 UDP_MAX: Final = 65_507  # bytes of data that fit a datagram of IPv4
 TTL: Final = 64

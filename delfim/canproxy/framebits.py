@@ -3,7 +3,7 @@
 import re
 from typing import Final
 
-from delfim.frames import CAN_ERR, CAN_IDE, CAN_RTR, Frame
+from delfim.base.frames import CAN_ERR, CAN_IDE, CAN_RTR, Frame
 
 _POLYNOMIAL: Final = 0x4599  # CRC-15, without its highest bit
 _UNSTUFFED_BITS: Final = 13  # CRC delimiter, acknowledge slot and its delimiter, end of frame (7), interframe space (3)

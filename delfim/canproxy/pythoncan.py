@@ -8,11 +8,11 @@ from typing import Any
 import can
 from can import typechecking
 
+from delfim.base.errors import BusError, FormatError
+from delfim.base.frames import CAN_ERR, CAN_IDE, Frame
 from delfim.canproxy.adapter import from_message, to_message
 from delfim.canproxy.canloop import open_canloop
 from delfim.canproxy.socket import ANYTHING, CanAddress
-from delfim.errors import BusError, FormatError
-from delfim.frames import CAN_ERR, CAN_IDE, Frame
 
 
 def addresses(filters: typechecking.CanFilters) -> tuple[CanAddress, ...]:

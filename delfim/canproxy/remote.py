@@ -13,11 +13,11 @@ import time
 from collections.abc import Callable, Sequence
 from typing import Final
 
+from delfim.base.errors import BusError, FormatError
+from delfim.base.frames import CAN_ERR, CAN_RTR, Frame
 from delfim.canproxy.canloop import stable_index
 from delfim.canproxy.socket import CanAddress, accepts
 from delfim.canproxy.socketcand import ELEMENT_BYTES, HI, OK, parse_frame, send_text
-from delfim.errors import BusError, FormatError
-from delfim.frames import CAN_ERR, CAN_RTR, Frame
 
 CONNECT_S: Final = 5.0  # for the connection, and for each answer while it is made
 PEEK_BYTES: Final = 256  # more than any frame takes

@@ -14,7 +14,7 @@ from functools import partial
 from types import TracebackType
 from typing import Final, NamedTuple, Protocol, Self, runtime_checkable
 
-from delfim.frames import CAN_ANY, CAN_ERR, Frame
+from delfim.base.frames import CAN_ANY, CAN_ERR, Frame
 
 MSG_DONTWAIT: Final[int] = getattr(
     socket, "MSG_DONTWAIT", 0x40
@@ -27,7 +27,7 @@ _FULL_RETRY_S: Final = 0.0005  # the kernel has no event for room in an interfac
 class CanAddress(NamedTuple):
     """`struct sockaddr_can` of thesis 5.2.2: the filter of `bind`, the identifier and interface of `connect` and `sendto`."""
 
-    arb: int = 0  # arbitration field of thesis figure 5-5, see delfim.frames
+    arb: int = 0  # arbitration field of thesis figure 5-5, see delfim.base.frames
     mask: int = 0  # of arb; set bits are "don't care" (5.2.4); ignored in sending
     ifindex: int = 0  # interface; 0: all those that the socket was opened on
 

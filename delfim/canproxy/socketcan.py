@@ -13,10 +13,10 @@ from collections.abc import Callable, Sequence
 from copy import copy
 from typing import Final
 
+from delfim.base.errors import BusError
+from delfim.base.frames import CAN_ERR, CAN_FRAME, CAN_IDE, CAN_RTR, Frame, from_can_id, to_can_frame, to_can_id
 from delfim.canproxy import mmsg
 from delfim.canproxy.socket import BATCH, REHEARSED, CanAddress, receive_each
-from delfim.errors import BusError
-from delfim.frames import CAN_ERR, CAN_FRAME, CAN_IDE, CAN_RTR, Frame, from_can_id, to_can_frame, to_can_id
 
 # asm-generic/socket.h, linux/can/raw.h, linux/if_arp.h, linux/sockios.h: constants that Python 3.11 lacks
 SO_RCVBUFFORCE: Final = 33

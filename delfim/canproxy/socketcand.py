@@ -13,8 +13,8 @@ from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass
 from typing import Final, Literal, NamedTuple
 
-from delfim.errors import FormatError
-from delfim.frames import CAN_IDE, Frame, extended, standard
+from delfim.base.errors import FormatError
+from delfim.base.frames import CAN_IDE, Frame, extended, standard
 
 ELEMENT_BYTES: Final = 8290  # the longest command, a muxfilter with 257 rows, takes 6.2 kB
 WORD_CHARACTERS: Final = 20  # of a decimal number

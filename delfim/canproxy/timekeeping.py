@@ -12,11 +12,11 @@ import struct
 from collections import deque
 from typing import Final, Literal
 
+from delfim.base.clock import MADE_NS, Clock
+from delfim.base.errors import BusError
+from delfim.base.frames import Frame
+from delfim.canproxy.dsor.messages import TIME, TIME_FRAME
 from delfim.canproxy.socket import CanSocket
-from delfim.clock import MADE_NS, Clock
-from delfim.errors import BusError
-from delfim.frames import Frame
-from delfim.messages import TIME, TIME_FRAME
 
 REDUNDANT_DELAY_S: Final = 0.01  # after the start of a second, so that a returning master is first
 FRAMES_PER_READ: Final = 16

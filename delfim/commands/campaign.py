@@ -7,8 +7,8 @@ import signal
 from pathlib import Path
 from typing import Final
 
+from delfim.base.errors import DelfimError
 from delfim.commands import shipped
-from delfim.errors import DelfimError
 
 FOLDER: Final = Path("run/campaign")
 

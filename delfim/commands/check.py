@@ -26,8 +26,8 @@ def options(parser: argparse.ArgumentParser) -> None:
 def run(asked: argparse.Namespace) -> int:
     """Returns 2 if the file has faults, 1 if the boat must not go to sea with it. A warning is neither: another computer may
     have the device that this one lacks."""
-    from delfim import tables
-    from delfim.suite import services
+    from delfim.base import tables
+    from delfim.services.suite import services
 
     tree = tables.read_toml(asked.file, asked.set)
     wrong = list(tables.complaints(tree, config.kind_of(tree, asked.file), asked.file))
@@ -60,7 +60,7 @@ def _told(vehicle: config.Vehicle) -> str:
 
 def _at_sea(vehicle: config.Vehicle, running: list[str]) -> bool:
     """Prints the boat's doors. Whether it must not go to sea with them."""
-    from delfim.services.doors import doors, unheard
+    from delfim.services.access.doors import doors, unheard
 
     found = doors(vehicle, running)
     titles = {"anyone": "Open to anyone:", "known": "Behind a key or a password:", "here": "On this computer alone:"}
@@ -77,8 +77,8 @@ def _at_sea(vehicle: config.Vehicle, running: list[str]) -> bool:
 
 def _doubts(file: str, vehicle: config.Vehicle) -> Iterator[str]:
     """Devices and files that the file names and this computer lacks, in words."""
-    from delfim.errors import ConfigError
-    from delfim.vehicle.mission import load_mission
+    from delfim.base.errors import ConfigError
+    from delfim.vehicle.plans.mission import load_mission
 
     for key, bus in vehicle.outside("interface").items():
         if ":" not in bus and not Path("/sys/class/net", bus).exists():

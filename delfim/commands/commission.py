@@ -12,10 +12,10 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 from delfim import config
+from delfim.base.errors import DelfimError, Refused
 from delfim.commands import overrides, shipped
-from delfim.errors import DelfimError, Refused
-from delfim.services import commissioned
-from delfim.services.commissioned import BOAT
+from delfim.services.access import commissioned
+from delfim.services.access.commissioned import BOAT
 
 FILE: Final = "etc/delfimx-sea.toml"
 USER: Final = "[A-Za-z][A-Za-z0-9_-]{0,31}"
@@ -59,9 +59,9 @@ def options(parser: argparse.ArgumentParser) -> None:
 
 
 def run(asked: argparse.Namespace) -> int:
-    from delfim import tables
+    from delfim.base import tables
     from delfim.services import vehiclefile
-    from delfim.suite import services
+    from delfim.services.suite import services
 
     settings = config.load(asked.file, asked.set)
     answers = dict[str, str]()
@@ -124,8 +124,8 @@ def _users(text: str) -> dict[str, str]:
     """The users, with the public ssh key of those who have one. Raises DelfimError."""
     import re
 
-    from delfim.outside import read_file
-    from delfim.services.credentials import public_ssh_key
+    from delfim.base.outside import read_file
+    from delfim.services.access.credentials import public_ssh_key
 
     users = dict[str, str]()
     for each in text.split(","):
@@ -187,7 +187,7 @@ def _everywhere(listen: str) -> str:
 
 def _mission(file: str, settings: config.Vehicle) -> dict[str, str]:
     """The file's mission, by its name beside the copies of the file. Raises ConfigError, OSError."""
-    from delfim.outside import read_text
+    from delfim.base.outside import read_text
 
     place = config.mission_place(file, settings) if settings.simulation.mission else None
     return {place.name: read_text(place)} if place else {}
@@ -205,8 +205,8 @@ def _secrets(answers: Mapping[str, str], crew: Mapping[str, str], console_key: s
     import datetime
     from secrets import token_hex
 
-    from delfim.services import credentials
-    from delfim.services.door import hashed
+    from delfim.services.access import credentials
+    from delfim.services.access.door import hashed
 
     boat = answers["name"]
     places = [
@@ -249,9 +249,9 @@ def _flat(tree: Mapping[str, Any], above: str = "") -> list[tuple[str, Any]]:
 
 def _is_fit(text: str, file: str) -> None:
     """Raises ConfigError for a wrong answer, Refused for a boat that strangers could move or write to."""
-    from delfim.outside import parse_toml
-    from delfim.services.doors import doors
-    from delfim.suite import services
+    from delfim.base.outside import parse_toml
+    from delfim.services.access.doors import doors
+    from delfim.services.suite import services
 
     settings = config.read(parse_toml(text), file)
     faults = [door.fault for door in doors(settings, [row.name for row in services(settings)]) if door.fault]

@@ -1,4 +1,4 @@
-"""`delfim image`: shows the boat's image, installs one, confirms it. The slots are services/slots.py; this file finds out
+"""`delfim image`: shows the boat's image, installs one, confirms it. The slots are services/image/slots.py; this file finds out
 whether the boat is under way.
 """
 
@@ -7,10 +7,10 @@ import os
 from pathlib import Path
 
 from delfim import config
+from delfim.base.errors import DelfimError, Refused
 from delfim.commands import vehicle_file
 from delfim.console.link import Link
-from delfim.errors import DelfimError, Refused
-from delfim.services import imagefile, slots
+from delfim.services.image import imagefile, slots
 
 ANSWER_S = 10.0  # for the answer of a vehicle on a busy board
 

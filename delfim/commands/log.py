@@ -15,12 +15,12 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
+from delfim.base.errors import DelfimError
+from delfim.base.frames import Frame
 from delfim.commands import Formatter, shipped
-from delfim.errors import DelfimError
-from delfim.frames import Frame
-from delfim.logging import systemlines, tree
-from delfim.logging.progress import progress, tracked
-from delfim.logging.tree import LogFile, Run, Span
+from delfim.logging.ashore import systemlines, tree
+from delfim.logging.ashore.progress import progress, tracked
+from delfim.logging.ashore.tree import LogFile, Run, Span
 
 STATE_FORMATS = ("csv", "parquet", "gpx", "kml", "mcap", "mat", "soundings")
 BOX_FORMATS = ("log", "asc", "blf", "mf4")
@@ -76,7 +76,7 @@ def _default() -> str:
 
 def _nothing(chosen: Sequence[Run]) -> DelfimError:
     """The refusal for an empty range of time."""
-    from delfim.logging.summary import utc
+    from delfim.logging.ashore.summary import utc
 
     begin_ns, end_ns = min(run.begin_ns for run in chosen), max(run.end_ns for run in chosen)
     return DelfimError(f"nothing was logged in this time; the logs are from {utc(begin_ns)} to {utc(end_ns)} UTC")
@@ -124,14 +124,14 @@ def _cat(asked: argparse.Namespace) -> int:
 def _cat_lines(chosen: Selection, *, events: bool, as_json: bool) -> Iterator[str]:
     """The events, or the frames of the black boxes by time, or the nodes' messages: lines of JSON that begin with the time."""
     if events:
-        from delfim.logging.eventtable import table
+        from delfim.logging.ashore.eventtable import table
 
         told = sorted(tree.events(chosen.files, chosen.span), key=lambda each: each["t_ns"])
         lines_of = map(json.dumps, told) if as_json else table(told)
         yield from (f"{line}\n" for line in (lines_of if told else ()))
         return
     if boxes := chosen.black_box():
-        from delfim.logging.table import lines
+        from delfim.logging.ashore.table import lines
 
         streams = [
             lines([file for file in boxes if file.id == id_], chosen.span) for id_ in sorted({file.id for file in boxes})
@@ -149,7 +149,7 @@ def _cat_lines(chosen: Selection, *, events: bool, as_json: bool) -> Iterator[st
 
 def _cat_state(chosen: Selection, fields: str | None) -> None:
     """Tab-separated, names first."""
-    from delfim.logging.table import table
+    from delfim.logging.ashore.table import table
 
     columns, _ = table(chosen.state(), chosen.span)
     names = fields.split(",") if fields else list(columns)
@@ -161,7 +161,7 @@ def _cat_state(chosen: Selection, fields: str | None) -> None:
 
 
 def _info(asked: argparse.Namespace) -> int:
-    from delfim.logging.summary import summary, text
+    from delfim.logging.ashore.summary import summary, text
 
     chosen = _selection(asked)
     told = summary(chosen.files, chosen.span, _modes())
@@ -175,8 +175,8 @@ def _info(asked: argparse.Namespace) -> int:
 
 
 def _plot(asked: argparse.Namespace) -> int:
-    from delfim.logging import plot
-    from delfim.logging.table import table
+    from delfim.logging.ashore import plot
+    from delfim.logging.ashore.table import table
 
     chosen = _selection(asked)
     columns, schema = table(chosen.state(), chosen.span)
@@ -188,8 +188,8 @@ def _plot(asked: argparse.Namespace) -> int:
 
 
 def _export(asked: argparse.Namespace) -> int:
-    from delfim.logging import canexport, export
-    from delfim.logging.table import table
+    from delfim.logging.ashore import canexport, export
+    from delfim.logging.ashore.table import table
 
     chosen = _selection(asked)
     is_depth = asked.format == "soundings"
@@ -208,12 +208,12 @@ def _export(asked: argparse.Namespace) -> int:
 
 def _replay(asked: argparse.Namespace) -> int:
     if asked.bus:
-        from delfim.simulator.playback import play
+        from delfim.simulator.replay.playback import play
 
         count, late_s = play(_frames(_selection(asked), f"onto {asked.bus}"), asked.bus, asked.speed, asked.only)
         print(f"{count} frames onto {asked.bus}, at most {late_s * 1e3:.1f} ms late")
         return 0
-    from delfim.simulator.rerun import rerun
+    from delfim.simulator.replay.rerun import rerun
 
     chosen = _selection(asked)
     result = rerun(sorted(file for run in chosen.runs for file in run.files), asked.vehicle, chosen.span)
@@ -232,7 +232,7 @@ def _audit(asked: argparse.Namespace) -> int:
 
 
 def _repair(asked: argparse.Namespace) -> int:
-    from delfim.logging.repair import repair
+    from delfim.logging.ashore.repair import repair
 
     asked.all = not asked.run
     chosen = _selection(asked)
@@ -250,7 +250,7 @@ def _repair(asked: argparse.Namespace) -> int:
 
 
 def _fetch(asked: argparse.Namespace) -> int:
-    from delfim.logging.fetch import fetch
+    from delfim.logging.ashore.fetch import fetch
 
     folder = Path(asked.directory)
     if any(word and word.startswith("+") for word in (asked.from_, asked.to)):
@@ -272,7 +272,7 @@ def _fetch(asked: argparse.Namespace) -> int:
 
 def _frames(chosen: Selection, what: str) -> Iterator[tuple[str, Frame]]:
     """Those of the black boxes. Raises DelfimError where there is none."""
-    from delfim.logging.table import frames
+    from delfim.logging.ashore.table import frames
 
     boxes = chosen.black_box()
     if not boxes:
@@ -281,7 +281,7 @@ def _frames(chosen: Selection, what: str) -> Iterator[tuple[str, Frame]]:
 
 
 def _modes() -> dict[int, str]:
-    from delfim.modes import Mode
+    from delfim.base.modes import Mode
 
     return {int(mode): mode.name.lower() for mode in Mode}
 

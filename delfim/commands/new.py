@@ -10,9 +10,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
+from delfim.base.errors import ConfigError, DelfimError, FormatError
+from delfim.base.outside import read_text
 from delfim.commands import PACKAGE
-from delfim.errors import ConfigError, DelfimError, FormatError
-from delfim.outside import read_text
 
 OWN: Final = "own"
 LISBON: Final = "38.6907 -9.2153"
@@ -375,7 +375,7 @@ thrust_n = [{-0.6 * of.thrust_n:.3g}, {of.thrust_n:.3g}]
 
 def _mission_text(name: str, length_m: float, latitude_deg: float, longitude_deg: float) -> str:
     """A rectangle of legs of about fifteen lengths of the boat, ahead of it and to its starboard, as it lies: bow north."""
-    from delfim.geodesy import from_plane, origin
+    from delfim.base.geodesy import from_plane, origin
 
     leg_m = max(15.0 * length_m, 30.0)
     at = origin(math.radians(latitude_deg), math.radians(longitude_deg))

@@ -11,6 +11,6 @@ def options(parser: argparse.ArgumentParser) -> None:
 
 
 def run(asked: argparse.Namespace) -> int:
-    from delfim.suite import outlet
+    from delfim.services.suite import outlet
 
     return outlet(asked.file, asked.set, beat_fd=asked.beat_fd)

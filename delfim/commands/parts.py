@@ -6,8 +6,8 @@ import shutil
 from pathlib import Path
 from typing import Final
 
+from delfim.base.errors import DelfimError
 from delfim.commands import OWN_FILE, PACKAGE, shipped
-from delfim.errors import DelfimError
 
 EXAMPLES: Final = PACKAGE / "etc/parts"
 KINDS: Final = ("mode", "motor", "order", "sensor", "service", "source", "trouble")
@@ -31,7 +31,7 @@ def run(asked: argparse.Namespace) -> int:
 
 
 def _list(_: argparse.Namespace) -> int:
-    from delfim.parts import installed, version_of
+    from delfim.base.parts import installed, version_of
 
     found = installed()
     for name, entries in sorted(found.items()):

@@ -12,6 +12,6 @@ def options(parser: argparse.ArgumentParser) -> None:
 
 
 def run(asked: argparse.Namespace) -> int:
-    from delfim.suite import run
+    from delfim.services.suite import run
 
     return run(asked.file, asked.set, service=asked.service, beat_fd=asked.beat_fd)

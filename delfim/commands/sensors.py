@@ -3,8 +3,8 @@
 import argparse
 import sys
 
+from delfim.base.errors import DelfimError
 from delfim.commands import example_file, seconds, simulated, there
-from delfim.errors import DelfimError
 
 
 def options(parser: argparse.ArgumentParser) -> None:
@@ -28,11 +28,11 @@ def options(parser: argparse.ArgumentParser) -> None:
 
 def run(asked: argparse.Namespace) -> int:
     """Returns 1 where a turn was told with the wrong sign, or not at all."""
-    from delfim.clock import SystemClock
+    from delfim.base.clock import SystemClock
 
     clock = SystemClock()
     if asked.find:
-        from delfim.services.firstcontact import find
+        from delfim.services.listening.firstcontact import find
 
         for line in find(asked.find, clock):
             print(line, flush=True)
@@ -40,9 +40,9 @@ def run(asked: argparse.Namespace) -> int:
     if asked.file is None:
         raise DelfimError("name the vehicle's file, or a port with --find")
     from delfim.config import load
-    from delfim.services.firstcontact import judged, turned
-    from delfim.services.heardtable import table
-    from delfim.services.hearing import listener
+    from delfim.services.listening.firstcontact import judged, turned
+    from delfim.services.listening.heardtable import table
+    from delfim.services.listening.hearing import listener
 
     settings = load(asked.file, there(asked))
     hearing = listener(settings, clock)

@@ -30,13 +30,13 @@ def options(parser: argparse.ArgumentParser) -> None:
 def run(asked: argparse.Namespace) -> int:
     import sys
 
-    from delfim.errors import DelfimError
+    from delfim.base.errors import DelfimError
 
     if sys.platform != "linux":
         raise DelfimError(
             "delfim shore needs Linux (TUN); elsewhere MAVLink goes over the port: delfim console --radio (docs/shore.md)"
         )
-    from delfim.services.shore import run, stations
+    from delfim.services.radio.shore import run, stations
 
     slipd = {
         "device": asked.device,

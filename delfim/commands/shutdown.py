@@ -11,6 +11,6 @@ def options(parser: argparse.ArgumentParser) -> None:
 
 
 def run(asked: argparse.Namespace) -> int:
-    from delfim.suite import shut_down
+    from delfim.services.suite import shut_down
 
     return shut_down(asked.file, asked.set, "reboot" if asked.reboot else "off")

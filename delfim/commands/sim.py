@@ -20,15 +20,15 @@ from pathlib import Path
 from typing import Any
 
 from delfim import config
+from delfim.base.errors import BusError, ConfigError, DelfimError
+from delfim.base.modes import Mode
 from delfim.canproxy.opening import open_can
 from delfim.canproxy.socket import ANYTHING
 from delfim.commands import OWN_FILE, example_file, seconds, shipped
 from delfim.console.onlooker import CTRL_C, START_S, Voyage
-from delfim.errors import BusError, ConfigError, DelfimError
-from delfim.modes import Mode
 from delfim.simulator.berth import BOATS, PAGE, SIMULATED, Berth, berth, settings_of
 from delfim.vehicle.logbook import Logbook
-from delfim.vehicle.mission import Mission, canonical, load_mission
+from delfim.vehicle.plans.mission import Mission, canonical, load_mission
 
 END_S = 10.0  # a program must have ended within this time
 QUIET_S = 0.25  # a bus that was silent for this long is free
@@ -81,7 +81,7 @@ def run(asked: argparse.Namespace) -> int:
 
 def _scenario(asked: argparse.Namespace) -> int:
     from delfim.logging.statelog import columns
-    from delfim.simulator import mixed, searching, trial
+    from delfim.simulator.scenarios import mixed, searching, trial
 
     logged = bool(asked.output)
     overrides = (*asked.set, *(_kept(asked) if logged else ()))
@@ -270,10 +270,10 @@ def _pictures(
 ) -> None:
     """Track of a run, and its latency where time was real, as PNG from the state log."""
     from delfim.console.loggedmissions import sailed
-    from delfim.logging import tree
+    from delfim.logging.ashore import tree
 
     try:
-        from delfim.logging import plot
+        from delfim.logging.ashore import plot
     except ModuleNotFoundError as error:  # on a boat, in its container
         print(f"delfim: no pictures without {error.name}: pip install 'delfim[ground]'", file=sys.stderr)
         return

@@ -11,7 +11,7 @@ def options(parser: argparse.ArgumentParser) -> None:
 
 
 def run(asked: argparse.Namespace) -> int:
-    from delfim.suite import rescue, supervise
+    from delfim.services.suite import rescue, supervise
 
     if not asked.init:
         return supervise(asked.file, asked.set)

@@ -9,7 +9,7 @@ import re
 from dataclasses import dataclass
 from typing import Any, Final
 
-from delfim.modes import Mode
+from delfim.base.modes import Mode
 
 ALARMS_MAX: Final = 100
 GRAVE: Final = 3  # MAVLink's severities up to this one

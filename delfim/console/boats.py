@@ -6,13 +6,13 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import Any, Final, NamedTuple
 
+from delfim.base.modes import Mode
+from delfim.base.numberedorders import NUMBERS, PARAM, NumberedOrder
 from delfim.console.mavlink import mavlink
 from delfim.console.othervessels import VesselsTold
 from delfim.console.reception import Reception
 from delfim.console.wayhome import HeardTrack
 from delfim.console.words import Words
-from delfim.modes import Mode
-from delfim.numberedorders import NUMBERS, PARAM, NumberedOrder
 from delfim.vehicle.mavlink.params import BOAT_NAME
 from delfim.vehicle.mavlink.vesselsout import GUARDED, ORDERED
 

@@ -17,12 +17,12 @@ from functools import partial
 from pathlib import Path
 from typing import Final, NamedTuple, TextIO
 
+from delfim.base.errors import ConfigError, FormatError
+from delfim.base.frames import CAN_ERR, Frame, extended, standard
 from delfim.canproxy.opening import open_can
 from delfim.canproxy.socket import ANYTHING, CanSocket, bus_state
 from delfim.console import busstat
 from delfim.console.framefilter import Filter, Stamps, decoder, long_text, parse_filter, parse_frame
-from delfim.errors import ConfigError, FormatError
-from delfim.frames import CAN_ERR, Frame, extended, standard
 from delfim.logging.candump import format_line, parse_line
 
 LINE_MAX: Final = 200  # characters; a frame has half of them

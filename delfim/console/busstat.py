@@ -10,11 +10,11 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any, Final
 
+from delfim.base.errors import ConfigError
+from delfim.base.frames import CAN_ERR, CAN_IDE, Frame, identifier
 from delfim.canproxy.framebits import frame_bits
 from delfim.canproxy.opening import open_can
 from delfim.canproxy.socket import ANYTHING, CanSocket, bus_state
-from delfim.errors import ConfigError
-from delfim.frames import CAN_ERR, CAN_IDE, Frame, identifier
 
 BITRATE: Final = 1_000_000
 IDENTIFIERS_MAX: Final = 4096  # told apart; beyond, they count for the bus only

@@ -16,7 +16,7 @@ from typing import Any, Final
 
 from aiohttp import web
 
-from delfim.errors import ConfigError
+from delfim.base.errors import ConfigError
 
 WARP_S: Final = 60.0
 ZOOM_MAX: Final = 24

@@ -12,8 +12,9 @@ from typing import Any, get_args, get_origin
 
 import msgspec
 
-from delfim import config, tables
-from delfim.modes import Mode
+from delfim import config
+from delfim.base import tables
+from delfim.base.modes import Mode
 
 LISTS = "thrusters", "simulation.traffic.vessel"  # tables of which there are several
 

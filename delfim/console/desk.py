@@ -10,6 +10,8 @@ from pathlib import Path
 from typing import Any, Final
 
 from delfim import config
+from delfim.base.errors import DelfimError, FormatError, Refused, in_words
+from delfim.base.slices import Sliced
 from delfim.console import said
 from delfim.console.charts import Charts
 from delfim.console.fleet import Fleet
@@ -17,8 +19,6 @@ from delfim.console.forecast import dry_run
 from delfim.console.library import Library
 from delfim.console.replay import TapePlayer
 from delfim.console.verdict import verdict
-from delfim.errors import DelfimError, FormatError, Refused, in_words
-from delfim.slices import Sliced
 
 JOBS_MAX: Final = 4  # files and dry runs under way, of all pages
 CHECKS_MAX: Final = 8  # as many as pages: each asks for the next when it has an answer

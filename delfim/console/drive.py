@@ -12,11 +12,11 @@ import threading
 from collections.abc import Iterator
 from typing import Any, NamedTuple, TextIO, get_args
 
+from delfim.base.errors import DelfimError, FormatError, Refused, in_words
+from delfim.base.modes import Mode
+from delfim.base.outside import parse_toml, read_text
 from delfim.config import EndMode
 from delfim.console.link import Link
-from delfim.errors import DelfimError, FormatError, Refused, in_words
-from delfim.modes import Mode
-from delfim.outside import parse_toml, read_text
 
 ALIVE_S = 1.0
 PROMPT = "delfim> "

@@ -3,11 +3,11 @@
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final
 
+from delfim.base.errors import Refused
 from delfim.console import plan
 from delfim.console.boats import SILENT_S, Boat
 from delfim.console.requests import Answer
 from delfim.console.transfer import ORDER, SAILING, Download, OutgoingItems
-from delfim.errors import Refused
 from delfim.vehicle.mavlink.plans import FENCE, MISSION, Item
 
 READ_AGAIN_S: Final = 10.0  # plans that could not be read

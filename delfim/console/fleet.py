@@ -9,7 +9,8 @@ import math
 from collections.abc import Callable
 from typing import Any, Final
 
-from delfim.clock import Clock
+from delfim.base.clock import Clock
+from delfim.base.errors import Refused
 from delfim.console import plan
 from delfim.console.alarms import is_trouble
 from delfim.console.boats import SILENT_S, Boat
@@ -21,7 +22,6 @@ from delfim.console.profiles import Profiles
 from delfim.console.requests import LIFE_S, Answer, Requests
 from delfim.console.transfer import REFUSED
 from delfim.console.ways import Address, Ways, in_words
-from delfim.errors import Refused
 from delfim.vehicle.mavlink.params import BOAT_NAME, BOAT_RUN, TROUBLES
 
 HEARTBEAT_S: Final = 1.0

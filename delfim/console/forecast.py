@@ -6,17 +6,17 @@ import sys
 from pathlib import Path
 from typing import Any, Final
 
+from delfim.base.errors import DelfimError
 from delfim.console.plan import checked_tables
-from delfim.errors import DelfimError
-from delfim.vehicle.mission import canonical
+from delfim.vehicle.plans.mission import canonical
 
 LIMIT_S: Final = 600.0  # of this computer: two days at sea take it three minutes
 
 
 def dry_run(vehicle: Path, plan: dict[str, Any], start: tuple[float, float] | None) -> dict[str, Any]:
-    """The result of `delfim.simulator.dryrun` for a plan of the page, from the boat's position. Blocks for seconds; never
-    raises for a bad plan."""
-    command = [sys.executable, "-m", "delfim.simulator.dryrun", str(vehicle)]
+    """The result of `delfim.simulator.scenarios.dryrun` for a plan of the page, from the boat's position. Blocks for seconds;
+    never raises for a bad plan."""
+    command = [sys.executable, "-m", "delfim.simulator.scenarios.dryrun", str(vehicle)]
     if start is not None:
         command += ["--set", f"simulation.latitude_deg={start[0]!r}", "--set", f"simulation.longitude_deg={start[1]!r}"]
     try:

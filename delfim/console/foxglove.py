@@ -9,9 +9,9 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Final
 
-from delfim.errors import ConfigError
-from delfim.logging import topics
-from delfim.modes import Mode
+from delfim.base.errors import ConfigError
+from delfim.base.modes import Mode
+from delfim.logging.ashore import topics
 
 if TYPE_CHECKING:
     from foxglove import Channel

@@ -10,8 +10,8 @@ import time
 from collections.abc import Callable
 from typing import Any, Final, NamedTuple
 
-from delfim.errors import DelfimError, FormatError
-from delfim.frames import CAN_ERR, CAN_IDE, CAN_RTR, Frame, identifier, to_can_id
+from delfim.base.errors import DelfimError, FormatError
+from delfim.base.frames import CAN_ERR, CAN_IDE, CAN_RTR, Frame, identifier, to_can_id
 from delfim.logging.candump import parse_line
 
 _ERR, _EFF = 1 << 29, 1 << 31  # linux/can.h

@@ -14,11 +14,11 @@ from typing import Annotated, Any, Final, NamedTuple
 import msgspec
 from PIL import Image, UnidentifiedImageError
 
-from delfim import tables
+from delfim.base import tables
+from delfim.base.errors import ConfigError, DelfimError
+from delfim.base.geodesy import origin
+from delfim.base.outside import read_text
 from delfim.console.projection import GEOGRAPHIC, plane
-from delfim.errors import ConfigError, DelfimError
-from delfim.geodesy import origin
-from delfim.outside import read_text
 
 WORLD_FILES: Final = {".png": ".pgw", ".jpg": ".jgw", ".jpeg": ".jgw", ".tif": ".tfw", ".tiff": ".tfw"}
 MISPLACED: Final = 0.05  # of the points' spread: a control point farther from where the others put it is a slip of the hand

@@ -6,12 +6,12 @@ from pathlib import Path
 from threading import Timer
 from typing import Any, Final
 
+from delfim.base.errors import DelfimError, Refused, in_words
+from delfim.base.outside import read_text
+from delfim.base.slices import Sliced
 from delfim.console.plan import checked_tables, page_of
-from delfim.errors import DelfimError, Refused, in_words
-from delfim.outside import read_text
-from delfim.slices import Sliced
-from delfim.vehicle.mission import canonical, checked
-from delfim.vehicle.missionreader import Reading, gathered
+from delfim.vehicle.plans.mission import canonical, checked
+from delfim.vehicle.plans.missionreader import Reading, gathered
 
 READ_S: Final = 30.0
 

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Self
 
-from delfim.errors import DelfimError, FormatError, Refused
+from delfim.base.errors import DelfimError, FormatError, Refused
 from delfim.vehicle.console import PART
 
 MISSION_S = 60.0  # that the vehicle may look at a mission

@@ -6,12 +6,12 @@ from typing import Any, Final
 
 import msgspec
 
+from delfim.base.errors import DelfimError
+from delfim.base.slices import Sliced
 from delfim.console.plan import page_of, with_digest
-from delfim.errors import DelfimError
-from delfim.slices import Sliced
 from delfim.vehicle import console
-from delfim.vehicle.mission import Mission
-from delfim.vehicle.missionreader import Reading, gathered
+from delfim.vehicle.plans.mission import Mission
+from delfim.vehicle.plans.missionreader import Reading, gathered
 
 EMPTY: Final = Mission(version=1, name="", waypoint=())
 

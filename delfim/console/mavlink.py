@@ -8,8 +8,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Final
 
-from delfim.clock import Clock, SystemClock
-from delfim.errors import ConfigError, FormatError
+from delfim.base.clock import Clock, SystemClock
+from delfim.base.errors import ConfigError, FormatError
 from delfim.vehicle.mavlink import wire
 from delfim.vehicle.mavlink.signing import FrameVerdict, Signing, new_key, read_key, read_stamps, write_stamps
 

@@ -11,10 +11,10 @@ from importlib.util import find_spec
 from typing import Any, Final
 
 from delfim import config
+from delfim.base.errors import DelfimError, Refused
 from delfim.console.drive import line
 from delfim.console.link import Link
-from delfim.errors import DelfimError, Refused
-from delfim.vehicle.mission import Mission, canonical
+from delfim.vehicle.plans.mission import Mission, canonical
 
 START_S: Final = 60.0  # the suite must answer within this time: a busy machine loads it slowly
 CTRL_C, GONE = "ended by Ctrl-C", "the vehicle's program has ended"

@@ -9,10 +9,10 @@ import math
 from collections.abc import Callable, Mapping
 from typing import Any, Final, NamedTuple
 
+from delfim.base.errors import FormatError
+from delfim.base.modes import Mode
+from delfim.base.numberedorders import NumberedOrder
 from delfim.console.mavlink import mavlink
-from delfim.errors import FormatError
-from delfim.modes import Mode
-from delfim.numberedorders import NumberedOrder
 
 REQUEST_CONTROL: Final = 32100  # MAV_CMD_REQUEST_OPERATOR_CONTROL
 OF_PART: Final = "order "  # begins the word for an order of a part

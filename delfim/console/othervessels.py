@@ -8,10 +8,11 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, Final, NamedTuple, Protocol
 
+from delfim.base.geodesy import Origin, from_plane, origin
+from delfim.base.slices import Sliced
+from delfim.base.vessels import VesselFacts, VesselPosition
 from delfim.config import TrafficNear, TrafficTable
 from delfim.console.words import Words
-from delfim.geodesy import Origin, from_plane, origin
-from delfim.slices import Sliced
 from delfim.vehicle.mavlink.aisvessel import facts_of, position_of
 from delfim.vehicle.mavlink.vesselsout import GUARD, NUMBERS
 from delfim.vehicle.mavlink.vesselsout import number as number_of
@@ -24,7 +25,6 @@ from delfim.vehicle.traffic.reckoning import VesselTrack, begun
 from delfim.vehicle.traffic.targets import DISTRESS, kept_s, silence_s
 from delfim.vehicle.traffic.trialways import Caution, RouteAhead
 from delfim.vehicle.traffic.vesselwords import danger_told, vessel_told
-from delfim.vessels import VesselFacts, VesselPosition
 
 MOST: Final = 200  # vessels of one boat, and on the page
 NEWS_S: Final = 12.0  # the boat tells of its order and its guard each second, by radio each five

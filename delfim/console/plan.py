@@ -12,11 +12,12 @@ from typing import Any, Final, TypeVar
 
 import msgspec
 
-from delfim import config, tables
-from delfim.errors import FormatError
+from delfim import config
+from delfim.base import tables
+from delfim.base.errors import FormatError
 from delfim.vehicle.mavlink import plans
 from delfim.vehicle.mavlink.plans import Item
-from delfim.vehicle.mission import CARRIED, Mission, PathPoint, PayloadItem, Waypoint
+from delfim.vehicle.plans.mission import CARRIED, Mission, PathPoint, PayloadItem, Waypoint
 
 LATITUDE_MAX_DEG, LONGITUDE_MAX_DEG = 89.0, 180.0
 Row = TypeVar("Row", Waypoint, PathPoint)

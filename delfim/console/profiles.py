@@ -3,10 +3,10 @@
 from collections.abc import Callable
 from typing import Any, Final, NamedTuple
 
+from delfim.base.errors import FormatError
 from delfim.console.boats import Boat
 from delfim.console.mavlink import mavlink
 from delfim.console.requests import LIFE_S, REPEAT_S, Answer
-from delfim.errors import FormatError
 
 PROFILES: Final = ("lean", "radio", "wifi")  # values of the parameter that chooses
 PROFILE: Final = b"LINK_PROFILE"

@@ -7,7 +7,7 @@ import math
 from collections.abc import Callable
 from typing import Final
 
-from delfim.errors import FormatError
+from delfim.base.errors import FormatError
 
 Plane = tuple[Callable[[float, float], tuple[float, float]], Callable[[float, float], tuple[float, float]]]
 

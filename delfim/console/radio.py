@@ -12,7 +12,7 @@ from typing import Any, Final
 
 import serial
 
-from delfim.errors import ConfigError
+from delfim.base.errors import ConfigError
 
 BAUD: Final = 57_600
 BITS_PER_BYTE: Final = 10  # 8N1

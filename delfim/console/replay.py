@@ -6,13 +6,13 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Final, NoReturn
 
-from delfim.clock import Clock
+from delfim.base.clock import Clock
+from delfim.base.errors import DelfimError, FormatError, Refused, in_words
 from delfim.console.boats import Boat
 from delfim.console.exchange import planned
 from delfim.console.plan import mission_of
 from delfim.console.statetape import States
 from delfim.console.tape import Graphs, Tape, TlogTape, Track
-from delfim.errors import DelfimError, FormatError, Refused, in_words
 from delfim.logging.statelog import read_state
 
 RATE_MAX: Final = 60.0

@@ -7,7 +7,7 @@ import time
 from pathlib import Path
 from typing import Final
 
-from delfim.clock import Clock
+from delfim.base.clock import Clock
 
 STAMP: Final = struct.Struct(">Q")
 FLUSH_S: Final = 1.0

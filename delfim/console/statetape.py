@@ -11,17 +11,17 @@ from typing import Any, Final, NamedTuple
 import msgspec
 
 from delfim import config
+from delfim.base.errors import FormatError
+from delfim.base.modes import PAYLOADS
 from delfim.console.boats import Boat, Measured
 from delfim.console.loggedmissions import logged_missions
 from delfim.console.mavlink import mavlink
 from delfim.console.plan import item_of
 from delfim.console.tape import GRAPHED, LAST_S, Graphs, Missions, Text, Track, between, sample
-from delfim.errors import FormatError
 from delfim.logging.reading import in_order, read_events
 from delfim.logging.statelog import read_state
-from delfim.modes import PAYLOADS
 from delfim.vehicle import thrusters
-from delfim.vehicle.gnss import FIXES
+from delfim.vehicle.navigation.gnss import FIXES
 from delfim.vehicle.sensors import nmea0183, nmea2000
 
 MEASURED: Final = {each.name: each.told.decode() for each in (*nmea0183.VALUES, *nmea2000.VALUES)}  # as the link tells them

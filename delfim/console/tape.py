@@ -11,14 +11,14 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, NamedTuple, Protocol
 
+from delfim.base.errors import FormatError
+from delfim.base.outside import read_file
 from delfim.console.boats import Boat
 from delfim.console.mavlink import COMPONENT, SYSTEM, mavlink
 from delfim.console.othervessels import VesselsTold
 from delfim.console.plan import KINDS, item_in, mission_of
 from delfim.console.session import STAMP
 from delfim.console.words import Words
-from delfim.errors import FormatError
-from delfim.outside import read_file
 from delfim.vehicle.mavlink.ardupilot import WaterDepth
 from delfim.vehicle.mavlink.plans import FENCE, MISSION, RALLY, Item
 

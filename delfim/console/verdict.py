@@ -4,11 +4,12 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, Final
 
-from delfim import config, geodesy
+from delfim import config
+from delfim.base import geodesy
+from delfim.base.slices import Work
 from delfim.console.plan import checked_tables
-from delfim.slices import Work
-from delfim.vehicle.estimate import in_hours, mission_s
 from delfim.vehicle.planning import laid
+from delfim.vehicle.plans.estimate import in_hours, mission_s
 
 NO_FILE: Final = "checked with the usual limits, because no boat's file was given (--vehicle FILE)"
 

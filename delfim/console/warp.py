@@ -9,8 +9,8 @@ from typing import Final
 
 from PIL import Image
 
+from delfim.base.errors import DelfimError
 from delfim.console.georeference import Placed, placed
-from delfim.errors import DelfimError
 
 SIDE_MAX: Final = 4096  # pixels; what every browser can still draw
 CELL: Final = 64  # pixels; inside a cell the map between the planes is taken as bilinear

@@ -5,9 +5,9 @@ where the boat says that its way home ends.
 import math
 from typing import Any, Final
 
+from delfim.base.geodesy import Origin, from_plane, origin, to_plane
 from delfim.config import HomeTable
-from delfim.geodesy import Origin, from_plane, origin, to_plane
-from delfim.vehicle.track import Track
+from delfim.vehicle.plans.track import Track
 
 NEAR_M: Final = 10.0  # the track was heard from its beginning if it passes the end of the way home as near as this
 

@@ -9,8 +9,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, Final
 
+from delfim.base.modes import Mode
 from delfim.console.boats import SILENT_S
-from delfim.modes import Mode
 from delfim.vehicle.mavlink.params import BOAT_RUN
 
 Address = Any  # of a link; hashable

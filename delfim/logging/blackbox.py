@@ -9,10 +9,10 @@ import re
 from collections.abc import Callable, Iterable
 from typing import Final, Protocol
 
-from delfim.clock import Clock
+from delfim.base.clock import Clock
+from delfim.base.errors import BusError
+from delfim.base.frames import CAN_ERR, Frame
 from delfim.config import LogTable as Limits
-from delfim.errors import BusError
-from delfim.frames import CAN_ERR, Frame
 from delfim.logging.candump import format_line
 from delfim.logging.liblog import event_line
 from delfim.logging.openlog import open_log

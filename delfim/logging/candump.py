@@ -10,8 +10,8 @@ Stamps are cut to microseconds. Lines other than CAN 2.0 frames (comments, CAN F
 import re
 from typing import Final
 
-from delfim.errors import FormatError
-from delfim.frames import CAN_ERR, CAN_IDE, CAN_RTR, Frame, extended, from_can_id, standard
+from delfim.base.errors import FormatError
+from delfim.base.frames import CAN_ERR, CAN_IDE, CAN_RTR, Frame, extended, from_can_id, standard
 
 _ERROR: Final = 1 << 29  # CAN_ERR_FLAG
 _LINE: Final = re.compile(

@@ -9,7 +9,7 @@ import zlib
 from collections.abc import Callable
 from typing import Any, Final
 
-from delfim.clock import Clock
+from delfim.base.clock import Clock
 from delfim.logging import guard
 from delfim.logging.liblog import LogSettings, LogStatus
 

@@ -15,7 +15,7 @@ from typing import Final
 with contextlib.suppress(ImportError):  # Windows has none, and no boat
     import fcntl
 
-from delfim.errors import FormatError
+from delfim.base.errors import FormatError
 from delfim.logging.keptwriter import LENGTH, RECORD_MAX, SLOTS, slot, unpacked
 
 PROGRAM: Final = (sys.executable, "-m", "delfim.logging.keptwriter")

@@ -20,7 +20,7 @@ import sys
 import threading
 from typing import Final
 
-from delfim.errors import FormatError
+from delfim.base.errors import FormatError
 
 LENGTH: Final = struct.Struct("=I")
 MAGIC: Final = b"delfim kept"

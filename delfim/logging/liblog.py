@@ -16,7 +16,7 @@ and counts its records, says why, retries about once a second, and recovers when
 import json
 from typing import Literal, NamedTuple, Protocol
 
-from delfim.clock import Clock
+from delfim.base.clock import Clock
 
 Method = Literal["write", "zwrite", "zpipe"]
 WhenFull = Literal["delete-oldest", "stop"]

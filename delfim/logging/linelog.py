@@ -7,16 +7,16 @@ from collections import deque
 from collections.abc import Iterable, Iterator
 from typing import Final, NamedTuple
 
-from delfim.clock import Clock
+from delfim.base.clock import Clock
+from delfim.base.errors import FormatError
+from delfim.base.outside import parse_json
 from delfim.config import LogTable as Limits
-from delfim.errors import FormatError
+from delfim.logging.ashore.tree import LogFile
 from delfim.logging.blackbox import device
 from delfim.logging.liblog import event_line
 from delfim.logging.nodelog import line
 from delfim.logging.openlog import open_log
 from delfim.logging.reading import read_lines
-from delfim.logging.tree import LogFile
-from delfim.outside import parse_json
 
 SUFFIX: Final = ".jsonl"
 WAITING: Final = 1024  # pieces between two calls of `write`

@@ -10,10 +10,10 @@ from typing import Final, Protocol
 
 import msgspec
 
-from delfim.clock import Clock
+from delfim.base.clock import Clock
+from delfim.base.errors import BusError
+from delfim.base.frames import Frame
 from delfim.config import LogTable as Limits
-from delfim.errors import BusError
-from delfim.frames import Frame
 from delfim.logging.liblog import LogStatus, event_line
 from delfim.logging.openlog import open_log
 

@@ -1,6 +1,6 @@
 """Opens a log as the vehicle's file says. Not in liblog: its writers need no vehicle's file."""
 
-from delfim.clock import Clock
+from delfim.base.clock import Clock
 from delfim.config import LogTable as Limits
 from delfim.logging.filelog import FileLog
 from delfim.logging.liblog import Log, LogSettings, Method

@@ -12,7 +12,7 @@ from typing import Final
 with contextlib.suppress(ImportError):  # Windows has none, and no log with a writer
     import fcntl
 
-from delfim.clock import Clock
+from delfim.base.clock import Clock
 from delfim.logging.liblog import LogSettings, LogStatus
 
 PIPE_BYTES: Final = (4 << 20, 1 << 20)  # asked for in this order: the privileged may exceed pipe-max-size, 1 MiB

@@ -15,9 +15,9 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
-from delfim.errors import FormatError
+from delfim.base.errors import FormatError
+from delfim.base.outside import parse_json
 from delfim.logging.reading import in_order, read_log
-from delfim.outside import parse_json
 
 MAGIC: Final = b"DELFIM STATE 1\n"
 CODES: Final = "?bBhHiIqQfd"

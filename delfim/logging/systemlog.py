@@ -23,8 +23,8 @@ from typing import Final
 with suppress(ImportError):  # Windows has none, and no boat whose programs write into it
     import fcntl
 
-from delfim.clock import Clock, SystemClock
-from delfim.errors import one_line
+from delfim.base.clock import Clock, SystemClock
+from delfim.base.errors import one_line
 
 PIPE: Final = "system.pipe"
 RECENT: Final = ("system.jsonl", "system.1.jsonl")  # the last lines, for the page; newest file first

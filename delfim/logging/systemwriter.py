@@ -10,7 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Final
 
-from delfim.clock import Clock
+from delfim.base.clock import Clock
 from delfim.logging.filelog import FileLog
 from delfim.logging.liblog import LogSettings, event_line
 from delfim.logging.systemlog import RECENT, RECENT_BYTES

@@ -16,7 +16,7 @@ import time
 from collections.abc import Iterator
 from typing import Final
 
-from delfim.clock import SystemClock
+from delfim.base.clock import SystemClock
 from delfim.logging.filelog import FLUSH_S, FileLog
 from delfim.logging.liblog import LogSettings, LogStatus
 from delfim.logging.pipelog import LENGTH, NOTE

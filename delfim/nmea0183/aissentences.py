@@ -9,8 +9,8 @@ import math
 from binascii import a2b_base64
 from typing import Final, NamedTuple
 
-from delfim.errors import FormatError
-from delfim.vessels import MMSI_MAX, STATUS_UNKNOWN, Report, VesselFacts, VesselPosition, readable
+from delfim.base.errors import FormatError
+from delfim.base.vessels import MMSI_MAX, STATUS_UNKNOWN, Report, VesselFacts, VesselPosition, readable
 
 KNOT: Final = 1852.0 / 3600.0
 PARTS_MAX: Final = 5  # sentences of a message; the longest here, 5, needs two

@@ -4,8 +4,8 @@ import math
 from typing import Final
 
 from delfim import config
+from delfim.canproxy.dsor.messages import Navigation
 from delfim.fusion import MOVING, SLOW_S, SQRT2, UNSTATED, VARIATION_S, Fusion, Quality, over_ground
-from delfim.messages import Navigation
 from delfim.nmea0183.framing import Sentence
 from delfim.nmea0183.instants import Instants
 from delfim.nmea0183.sentences import (

@@ -4,7 +4,7 @@ from functools import reduce
 from operator import xor
 from typing import Final, NamedTuple
 
-from delfim.errors import FormatError
+from delfim.base.errors import FormatError
 from delfim.nmea0183.sentences import ENCAPSULATED, READERS, Message
 
 LONGEST: Final = 200  # characters; the standard says 82, receivers with many decimals and multiplexers go beyond

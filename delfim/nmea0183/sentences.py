@@ -10,7 +10,7 @@ from collections.abc import Callable
 from datetime import UTC, datetime
 from typing import Final, NamedTuple
 
-from delfim.errors import FormatError
+from delfim.base.errors import FormatError
 from delfim.nmea0183.aissentences import AisPart, part
 
 KNOT: Final = 1852.0 / 3600.0  # m/s
@@ -32,7 +32,9 @@ class Located(NamedTuple):
     day_s: float | None  # time of the UTC day
     latitude_rad: float | None
     longitude_rad: float | None
-    fix: int | None  # as delfim.messages.Navigation.fix, 2 where the sentence does not tell more than that there is one
+    fix: (
+        int | None
+    )  # as delfim.canproxy.dsor.messages.Navigation.fix, 2 where the sentence does not tell more than that there is one
     satellites: int | None = None
     hdop: float | None = None
     utc_ns: int | None = None  # since 1970; RMC alone has the date

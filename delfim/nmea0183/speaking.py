@@ -8,7 +8,7 @@ import math
 from datetime import UTC, datetime
 from typing import Final
 
-from delfim.messages import Navigation
+from delfim.canproxy.dsor.messages import Navigation
 from delfim.nmea0183.framing import framed
 from delfim.nmea0183.sentences import KNOT
 

@@ -3,7 +3,7 @@
 import math
 from typing import Final, NamedTuple
 
-from delfim.errors import FormatError
+from delfim.base.errors import FormatError
 from delfim.nmea0183.proprietary import number
 
 MILE_M: Final = 1852.0

@@ -19,8 +19,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, Final, Protocol
 
 from delfim import config
-from delfim.errors import DelfimError, Refused, did_you_mean
-from delfim.services.stop import opened_driver
+from delfim.base.errors import DelfimError, Refused, did_you_mean
+from delfim.services.supervision.stop import opened_driver
 from delfim.vehicle.actuators import Actuator
 from delfim.vehicle.gate import GateLimits, limited
 from delfim.vehicle.state import Actuation, State

@@ -8,7 +8,7 @@ import struct
 from collections.abc import Sequence
 from typing import Final
 
-from delfim.errors import FormatError
+from delfim.base.errors import FormatError
 
 HEAD: Final = b"\x00\x01\x00\x00"
 _SIZES: Final = {"b": 1, "B": 1, "?": 1, "H": 2, "i": 4, "I": 4, "f": 4, "d": 8}

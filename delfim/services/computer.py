@@ -21,12 +21,12 @@ from typing import Any, Final
 
 import msgspec
 
-from delfim.errors import FormatError
-from delfim.outside import parse_json
-from delfim.services.kernelclock import KernelClock
-from delfim.services.processes import PAGE_BYTES, TICKS_PER_S
-from delfim.services.web.api import Bus, Computer, Disk, Memory, Network, Process, Service, Time
-from delfim.services.web.saidlines import last_lines
+from delfim.base.errors import FormatError
+from delfim.base.outside import parse_json
+from delfim.services.clock.kernelclock import KernelClock
+from delfim.services.page.api import Bus, Computer, Disk, Memory, Network, Process, Service, Time
+from delfim.services.page.saidlines import last_lines
+from delfim.services.supervision.processes import PAGE_BYTES, TICKS_PER_S
 
 PROCESSES: Final = 15  # shown
 LINES: Final = 10  # of the system log

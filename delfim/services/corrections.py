@@ -18,16 +18,16 @@ from typing import Final, Literal
 import msgspec
 
 from delfim import config
-from delfim.clock import Clock
-from delfim.errors import PermanentFailure, in_words
-from delfim.messages import Navigation
+from delfim.base.clock import Clock
+from delfim.base.errors import PermanentFailure, in_words
+from delfim.base.outside import read_credentials
+from delfim.canproxy.dsor.messages import Navigation
+from delfim.lines.rtcm import FRAME_MAX, RtcmFrames, doorstep
 from delfim.nmea0183.speaking import gga
-from delfim.outside import read_credentials
-from delfim.rtcm import FRAME_MAX, RtcmFrames, doorstep
 from delfim.services.ntrip import Caster, CasterRefusal, CasterStream, open_stream
+from delfim.services.page.api import State
 from delfim.services.receiverport import ReceiverPort
 from delfim.services.runtime import Runtime
-from delfim.services.web.api import State
 
 LOOK_S: Final = 1.0
 ANSWER_S: Final = 10.0  # for a connection, and for the caster's answer

@@ -13,12 +13,12 @@ from typing import Any, Final
 import msgspec
 
 from delfim import config
+from delfim.base.clock import Clock
+from delfim.base.errors import PermanentFailure, in_words
 from delfim.broker import DOWN, STATE, UP, BrokerLine, BrokerPlace
-from delfim.clock import Clock
-from delfim.errors import PermanentFailure, in_words
+from delfim.services.page.api import State
 from delfim.services.runtime import Runtime
 from delfim.services.watching import watch
-from delfim.services.web.api import State
 
 DATAGRAMS: Final = 16  # in one call
 DATAGRAM_BYTES: Final = 2048

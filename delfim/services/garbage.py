@@ -4,7 +4,7 @@ import asyncio
 import gc
 from typing import Final
 
-from delfim.clock import Clock
+from delfim.base.clock import Clock
 from delfim.services.window import NavigationWindow
 
 COLLECT_EVERY_S: Final = 0.1  # garbage is looked for so often ...

@@ -14,10 +14,10 @@ from typing import Final, cast
 import msgspec
 
 from delfim import config
+from delfim.base.clock import Clock
+from delfim.base.outside import UNREADABLE
 from delfim.canproxy.cantcp.access import Networks
-from delfim.clock import Clock
-from delfim.outside import UNREADABLE
-from delfim.services.door import Door
+from delfim.services.access.door import Door
 from delfim.vehicle.grex import Guest, proof
 from delfim.vehicle.mavlink.signing import read_key
 from delfim.vehicle.state import State

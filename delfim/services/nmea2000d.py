@@ -13,18 +13,18 @@ from random import Random
 from typing import Final
 
 from delfim import config
+from delfim.base.clock import Clock
+from delfim.base.errors import BusError, FormatError, PermanentFailure, in_words
+from delfim.base.outside import read_text
 from delfim.canproxy.nmea2000.device import FIRST, Device, facts_of
 from delfim.canproxy.nmea2000.parcels import NOBODY, Parcel, frames
 from delfim.canproxy.nmea2000.pgns import ADDRESS_MAX
 from delfim.canproxy.opening import open_bound
 from delfim.canproxy.socket import CanAddress, CanSocket
-from delfim.clock import Clock
-from delfim.errors import BusError, FormatError, PermanentFailure, in_words
-from delfim.outside import read_text
 from delfim.services.nmea2000rows import TOLD, Alerts, Telling, pgns_of
+from delfim.services.page.api import State
 from delfim.services.runtime import Runtime
 from delfim.services.watching import watch
-from delfim.services.web.api import State
 
 TICK_S: Final = 0.02
 REBIND_TICKS: Final = 50

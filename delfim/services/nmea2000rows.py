@@ -5,10 +5,10 @@ from collections.abc import Callable, Iterable, Sequence
 from typing import Final, NamedTuple
 
 from delfim import config
+from delfim.base.geodesy import origin, to_plane
+from delfim.base.parts import Part
 from delfim.canproxy.nmea2000 import ownpgns, parcels, pgns
-from delfim.geodesy import origin, to_plane
-from delfim.parts import Part
-from delfim.services.web.api import State, ThrusterFacts
+from delfim.services.page.api import State, ThrusterFacts
 from delfim.vehicle.troubles import NUMBERS
 
 COURSE_MPS: Final = 0.1  # a slower boat has no course over ground

@@ -12,7 +12,7 @@ from collections.abc import AsyncIterator
 from typing import Final, NamedTuple
 
 from delfim import __version__
-from delfim.errors import DelfimError, one_line
+from delfim.base.errors import DelfimError, one_line
 
 LINE_BYTES: Final = 2048  # of the answer's head
 LINES_MAX: Final = 64  # of it

@@ -16,6 +16,9 @@ from pathlib import Path
 from typing import Final
 
 from delfim import __version__
+from delfim.base.clock import Clock
+from delfim.base.errors import BusError, FormatError
+from delfim.base.outside import parse_json, read_file
 from delfim.canproxy.dronecan.datatypes import (
     ALLOCATION,
     NODE_STATUS,
@@ -30,9 +33,6 @@ from delfim.canproxy.dronecan.nodeservices import Identity, NodeServices
 from delfim.canproxy.dronecan.transfers import SERVICE, STATUS, Publisher, TransferReceiver
 from delfim.canproxy.opening import open_bound
 from delfim.canproxy.socket import CanAddress, CanSocket
-from delfim.clock import Clock
-from delfim.errors import BusError, FormatError
-from delfim.outside import parse_json, read_file
 from delfim.services.runtime import Runtime
 
 REBIND_S: Final = 1.0

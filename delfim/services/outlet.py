@@ -25,8 +25,8 @@ from pathlib import Path
 from typing import Final
 
 from delfim import config
-from delfim.errors import DelfimError, FormatError, in_words
-from delfim.pulses import SILENT_S, PulseAnswer, pack_answer, unpack_command
+from delfim.base.errors import DelfimError, FormatError, in_words
+from delfim.base.pulses import SILENT_S, PulseAnswer, pack_answer, unpack_command
 from delfim.services.pulseports import PulsePort, open_port
 
 TICK_S: Final = 0.1  # at most between two looks at the clock, and between two writes of standing pulses

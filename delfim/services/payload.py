@@ -2,8 +2,8 @@
 
 A service in a process of its own, so that no pipe of theirs burdens the runtime: it watches the vehicle over the command
 socket as a console does. A program that does not read loses lines, one that floods is slowed down and its lines are dropped
-and counted, one that ends is started again after a pause. Each is confined by `delfim.services.confine`. What it orders goes to
-the vehicle, which decides. How to write one: docs/payloads.md.
+and counted, one that ends is started again after a pause. Each is confined by `delfim.services.supervision.confine`. What it
+orders goes to the vehicle, which decides. How to write one: docs/payloads.md.
 """
 
 import asyncio
@@ -19,20 +19,20 @@ from typing import Any, Final, cast
 import msgspec
 
 from delfim import config
-from delfim.clock import Clock
-from delfim.errors import FormatError, PermanentFailure, in_words, one_line
+from delfim.base.clock import Clock
+from delfim.base.errors import FormatError, PermanentFailure, in_words, one_line
 from delfim.logging.liblog import event_line
 from delfim.logging.nodelog import line as log_line
 from delfim.logging.openlog import open_log
-from delfim.services import processes
-from delfim.services.cgroup import ROOT, Limits
-from delfim.services.children import ended
-from delfim.services.confine import ALONE, NETWORK
+from delfim.services.page.api import State
 from delfim.services.payloadorders import OrderLine
 from delfim.services.runtime import Runtime
-from delfim.services.supervisor import EXIT_PERMANENT
+from delfim.services.supervision import processes
+from delfim.services.supervision.cgroup import ROOT, Limits
+from delfim.services.supervision.children import ended
+from delfim.services.supervision.confine import ALONE, NETWORK
+from delfim.services.supervision.supervisor import EXIT_PERMANENT
 from delfim.services.watching import watch
-from delfim.services.web.api import State
 from delfim.vehicle.payloadlines import (
     LINE_BYTES,
     ORDER_BYTES,
@@ -116,7 +116,7 @@ class Payload(asyncio.SubprocessProtocol):
         table, loop = self._table, asyncio.get_running_loop()
         limits = tuple(map(str, (table.memory_max_mb, table.cpu_max, table.processes_max)))
         limits = (*limits, NETWORK if table.network else ALONE)
-        words = (sys.executable, "-m", "delfim.services.confine", self._group, table.user, *limits, *table.command)
+        words = (sys.executable, "-m", "delfim.services.supervision.confine", self._group, table.user, *limits, *table.command)
         self._ended.clear()
         self._silent.clear()
         self._pipes, self._last_words = 2, ""

@@ -12,8 +12,8 @@ from typing import Final, NamedTuple
 
 import msgspec
 
-from delfim.clock import Clock
-from delfim.errors import in_words
+from delfim.base.clock import Clock
+from delfim.base.errors import in_words
 from delfim.vehicle import console
 
 WAITING: Final = 8  # orders of one program that wait for the vehicle

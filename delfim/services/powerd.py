@@ -16,12 +16,10 @@ from math import inf
 from typing import Final
 
 from delfim import config
-from delfim.canproxy.opening import open_can
-from delfim.canproxy.socket import CanAddress
-from delfim.clock import Clock
-from delfim.errors import FormatError
-from delfim.frames import Frame
-from delfim.messages import (
+from delfim.base.clock import Clock
+from delfim.base.errors import FormatError
+from delfim.base.frames import Frame
+from delfim.canproxy.dsor.messages import (
     PROPELLER_PORT,
     PROPELLER_STARBOARD,
     SHUTDOWN,
@@ -36,10 +34,12 @@ from delfim.messages import (
     unpack_shutdown,
     unpack_sysstat,
 )
-from delfim.services import shutdown
+from delfim.canproxy.opening import open_can
+from delfim.canproxy.socket import CanAddress
+from delfim.services.page.api import State
 from delfim.services.runtime import Runtime
+from delfim.services.supervision import shutdown
 from delfim.services.watching import watch
-from delfim.services.web.api import State
 from delfim.vehicle.sensors.sysstat import NAMES
 from delfim.vehicle.troubles import DEAD_V
 

@@ -24,7 +24,7 @@ from dataclasses import dataclass
 from math import inf
 from typing import Any, Final, Protocol
 
-from delfim.clock import Clock
+from delfim.base.clock import Clock
 from delfim.services.window import NavigationWindow
 
 EPOLL_TICK_S: Final = 0.001

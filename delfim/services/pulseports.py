@@ -17,8 +17,8 @@ from pathlib import Path
 from typing import Final, Protocol
 
 from delfim import config
-from delfim.errors import DelfimError
-from delfim.pulses import CHANNELS
+from delfim.base.errors import DelfimError
+from delfim.base.pulses import CHANNELS
 
 # linux/i2c-dev.h, linux/i2c.h
 I2C_SLAVE: Final = 0x0703

@@ -7,8 +7,8 @@ import select
 from collections import deque
 from typing import Final
 
-from delfim.errors import DelfimError
-from delfim.serialline import SOCKETS, open_port, open_socket
+from delfim.base.errors import DelfimError
+from delfim.lines.serialline import SOCKETS, open_port, open_socket
 
 WAITING_BYTES: Final = 4096  # some seconds of corrections; older ones are worth nothing
 READ_BYTES: Final = 4096

@@ -12,15 +12,16 @@ from collections import Counter
 from collections.abc import Callable
 from typing import Any, Final
 
-from delfim import config, geodesy
-from delfim.clock import Clock
-from delfim.errors import FormatError, PermanentFailure, one_line
+from delfim import config
+from delfim.base import geodesy
+from delfim.base.clock import Clock
+from delfim.base.errors import FormatError, PermanentFailure, one_line
 from delfim.services import rosmessages as messages
+from delfim.services.page.api import State
 from delfim.services.roskeys import RosNode, RosType, attachment
 from delfim.services.rossteering import GuestLine, Steering
 from delfim.services.runtime import Runtime
 from delfim.services.watching import watch
-from delfim.services.web.api import State
 
 TICK_S: Final = 0.1
 SLOW_S: Final = 1.0  # between two reports of batteries and troubles

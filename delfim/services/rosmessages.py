@@ -8,10 +8,10 @@ import math
 from collections.abc import Iterable, Iterator
 from typing import Final, NamedTuple
 
-from delfim.geodesy import Origin, to_plane
+from delfim.base.geodesy import Origin, to_plane
 from delfim.services.cdr import CdrReader, CdrWriter
+from delfim.services.page.api import Node, State
 from delfim.services.roskeys import RosType
-from delfim.services.web.api import Node, State
 
 FIX: Final = RosType("sensor_msgs/msg/NavSatFix", "RIHS01_62223ab3fe210a15976021da7afddc9e200dc9ec75231c1b6a557fc598a65404")
 ODOMETRY: Final = RosType("nav_msgs/msg/Odometry", "RIHS01_3cc97dc7fb7502f8714462c526d369e35b603cfc34d946e3f2eda2766dfec6e0")

@@ -11,10 +11,11 @@ from typing import Final, NamedTuple
 
 import msgspec
 
-from delfim import config, geodesy
-from delfim.errors import FormatError, in_words
-from delfim.outside import UNREADABLE
-from delfim.services.web.api import State
+from delfim import config
+from delfim.base import geodesy
+from delfim.base.errors import FormatError, in_words
+from delfim.base.outside import UNREADABLE
+from delfim.services.page.api import State
 from delfim.vehicle.grex import proof
 from delfim.vehicle.mavlink.signing import read_key
 

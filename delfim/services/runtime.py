@@ -22,15 +22,15 @@ from types import ModuleType
 from typing import Final, NamedTuple
 
 from delfim import config
-from delfim.clock import Clock
-from delfim.errors import DelfimError, PermanentFailure, in_words
-from delfim.services.children import LAST_WORD, LEAVES
+from delfim.base.clock import Clock
+from delfim.base.errors import DelfimError, PermanentFailure, in_words
 from delfim.services.garbage import Collector
 from delfim.services.priority import ACCOUNT, Account, NavigationLoop, Practice
-from delfim.services.privileges import asked, real_time, set_privileges
 from delfim.services.servicestatus import ServiceStatus, Stage, status_file
-from delfim.services.supervisor import EXIT_PERMANENT
-from delfim.services.supervisorfile import last_deadman
+from delfim.services.supervision.children import LAST_WORD, LEAVES
+from delfim.services.supervision.privileges import asked, real_time, set_privileges
+from delfim.services.supervision.supervisor import EXIT_PERMANENT
+from delfim.services.supervision.supervisorfile import last_deadman
 from delfim.services.window import NavigationWindow
 
 BEAT_S: Final = 0.1  # the longest time between two beats of a healthy loop

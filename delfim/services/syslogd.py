@@ -9,7 +9,8 @@ import logging
 import os
 from pathlib import Path
 
-from delfim import __version__, tables
+from delfim import __version__
+from delfim.base import tables
 from delfim.logging.openlog import log_settings
 from delfim.logging.systemlog import PIPE, open_pipe
 from delfim.logging.systemwriter import ID, SUFFIX, SystemWriter

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator
 from typing import Protocol
 
 from delfim import config
-from delfim.clock import Clock
+from delfim.base.clock import Clock
 from delfim.nmea0183.speaking import SPEAKERS
 from delfim.vehicle.links import ReadableLine
 from delfim.vehicle.state import State

@@ -12,22 +12,25 @@ from functools import partial
 from pathlib import Path
 from typing import Protocol
 
-from delfim import config, parts
-from delfim.allowance import SECOND_BYTES, Allowance
+from delfim import config
+from delfim.base import parts
+from delfim.base.allowance import SECOND_BYTES, Allowance
+from delfim.base.clock import Clock
+from delfim.base.errors import ConfigError, DelfimError
+from delfim.canproxy.dsor.messages import time_frame
 from delfim.canproxy.opening import open_bound
 from delfim.canproxy.socket import CanAddress, CanSocket
-from delfim.clock import Clock
-from delfim.errors import ConfigError, DelfimError
-from delfim.gpio import Bias, GpioLine, open_gpio
+from delfim.lines.gpio import Bias, GpioLine, open_gpio
+from delfim.lines.networkline import LISTENING, NetworkLine
+from delfim.lines.serialform import Form
+from delfim.lines.serialline import SerialLine
 from delfim.logging.linelog import LineLog
-from delfim.messages import time_frame
-from delfim.networkline import LISTENING, NetworkLine
-from delfim.serialform import Form
-from delfim.serialline import SerialLine
-from delfim.services import kernelclock, powerd, slots
-from delfim.services.clockkeeping import ClockKeeping
+from delfim.services import powerd
+from delfim.services.clock import kernelclock
+from delfim.services.clock.clockkeeping import ClockKeeping
+from delfim.services.clock.kernelclock import KernelClock
 from delfim.services.guestdoor import GuestDoor
-from delfim.services.kernelclock import KernelClock
+from delfim.services.image import slots
 from delfim.services.runtime import Runtime
 from delfim.services.telling import tellers
 from delfim.services.voyagekeeping import VoyageKeeping
@@ -41,7 +44,7 @@ from delfim.vehicle.hands import Hand
 from delfim.vehicle.links import Links, Readable, ReadableLine
 from delfim.vehicle.logbook import Logbook
 from delfim.vehicle.loop import LOCAL, VehicleLoop
-from delfim.vehicle.navigation import Source
+from delfim.vehicle.navigation.fixes import Source
 from delfim.vehicle.rehearsal import Rehearsal
 from delfim.vehicle.reviews import Reviews
 from delfim.vehicle.state import StartConditions, State, StateLog

@@ -5,8 +5,8 @@ import re
 from collections.abc import Mapping
 from typing import Any
 
-from delfim.errors import DelfimError
-from delfim.outside import parse_toml, read_text
+from delfim.base.errors import DelfimError
+from delfim.base.outside import parse_toml, read_text
 
 
 def changed(file: str, changes: Mapping[str, Any]) -> str:

@@ -13,11 +13,11 @@ from pathlib import Path
 from typing import Final
 
 from delfim import config
-from delfim.clock import Clock
-from delfim.errors import ConfigError, FormatError
+from delfim.base.clock import Clock
+from delfim.base.errors import ConfigError, FormatError
+from delfim.base.slices import Sliced
 from delfim.logging.kept import Keeper, newest
 from delfim.logging.keptwriter import VOYAGE
-from delfim.slices import Sliced
 from delfim.vehicle import console, voyage
 from delfim.vehicle.loop import VehicleLoop
 from delfim.vehicle.mavlink.signing import read_key

@@ -7,8 +7,8 @@ from typing import Final
 
 import msgspec
 
-from delfim.errors import in_words
-from delfim.services.web.api import State
+from delfim.base.errors import in_words
+from delfim.services.page.api import State
 
 AGAIN_S: Final = 1.0  # before the vehicle is asked again
 ANSWER_BYTES: Final = 1 << 20  # of the vehicle, at most

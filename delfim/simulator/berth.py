@@ -19,11 +19,12 @@ from typing import Any, Final, NamedTuple
 
 import msgspec
 
-from delfim import config, tables
-from delfim.errors import DelfimError
+from delfim import config
+from delfim.base import tables
+from delfim.base.errors import DelfimError
+from delfim.base.pulses import CHANNELS
 from delfim.logging.blackbox import device
 from delfim.logging.keptwriter import VOYAGE
-from delfim.pulses import CHANNELS
 from delfim.simulator.nodes.talkers import BOARD
 
 SIMULATED: Final = "run/sim"  # the folder of the first one

@@ -16,23 +16,24 @@ from pathlib import Path
 from random import Random
 from typing import Any, Final, NamedTuple
 
-from delfim import config, parts
+from delfim import config
+from delfim.base import parts
+from delfim.base.clock import ManualClock
+from delfim.base.errors import DelfimError, in_words
+from delfim.base.frames import extended, standard
+from delfim.base.parts import OrderRow, Part
+from delfim.base.tables import read_toml
 from delfim.canproxy.socket import CanAddress, CanSocket
-from delfim.clock import ManualClock
-from delfim.errors import DelfimError, in_words
-from delfim.frames import extended, standard
-from delfim.parts import OrderRow, Part
-from delfim.serialform import Form
+from delfim.lines.serialform import Form
 from delfim.simulator.line import LockstepLine
 from delfim.simulator.lockstep import Lockstep
 from delfim.simulator.lockstepbus import LockstepBus
 from delfim.simulator.nodes import nodes_of
-from delfim.tables import read_toml
 from delfim.vehicle import console, foreign
 from delfim.vehicle.actuators import Actuator, open_actuator
 from delfim.vehicle.foreign import SLOW_S, is_sound, triggers
 from delfim.vehicle.links import Links
-from delfim.vehicle.navigation import open_source
+from delfim.vehicle.navigation.fixes import open_source
 from delfim.vehicle.sensors import module
 from delfim.vehicle.state import Actuation, NoLog, State
 from delfim.vehicle.troubles import Inputs, Look

@@ -16,9 +16,9 @@ from typing import Annotated, Any, Final, Self
 import msgspec
 
 from delfim import config
-from delfim.errors import DelfimError
-from delfim.geodesy import origin
-from delfim.outside import UNREADABLE
+from delfim.base.errors import DelfimError
+from delfim.base.geodesy import origin
+from delfim.base.outside import UNREADABLE
 from delfim.simulator.model import Hull, Model, hull_of
 
 DATAGRAMS: Final = 16  # taken at once

@@ -10,9 +10,9 @@ from collections.abc import Collection, Iterable, Sequence
 from random import Random
 from typing import Final, Literal, NamedTuple, get_args
 
-from delfim.clock import Clock
-from delfim.errors import FormatError
-from delfim.frames import Frame
+from delfim.base.clock import Clock
+from delfim.base.errors import FormatError
+from delfim.base.frames import Frame
 from delfim.simulator.model import Bank
 from delfim.simulator.nodes import Nodes
 from delfim.simulator.nodes.measuring import Compass, GnssReceiver

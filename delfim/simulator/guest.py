@@ -12,9 +12,9 @@ from typing import Final, NamedTuple
 
 import msgspec
 
-from delfim import geodesy
-from delfim.errors import FormatError
-from delfim.outside import UNREADABLE
+from delfim.base import geodesy
+from delfim.base.errors import FormatError
+from delfim.base.outside import UNREADABLE
 from delfim.vehicle.grex import proof
 
 _log = logging.getLogger(__name__)

@@ -4,7 +4,8 @@ from typing import Annotated
 
 import msgspec
 
-from delfim import config, tables
+from delfim import config
+from delfim.base import tables
 from delfim.simulator.line import LockstepLine
 from delfim.vehicle.handset.channels import CHANNELS, MIDDLE, STEP_US
 from delfim.vehicle.handset.crsf import CHANNELS as CHANNELS_FRAME

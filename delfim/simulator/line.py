@@ -3,7 +3,7 @@
 from collections import deque
 from typing import Final
 
-from delfim.clock import Clock
+from delfim.base.clock import Clock
 
 PIECES_MAX: Final = 1024  # beyond, the oldest ones are lost
 

@@ -10,11 +10,12 @@ from typing import Final, NamedTuple, Protocol, Self, runtime_checkable
 import msgspec
 
 from delfim import config
+from delfim.base.clock import ManualClock
+from delfim.base.modes import Mode
+from delfim.base.pulses import STATES, PulseAnswer, pack_answer, socket_path, unpack_command
+from delfim.base.slices import Sliced
 from delfim.canproxy.socket import CanAddress, CanSocket
-from delfim.clock import ManualClock
-from delfim.modes import Mode
-from delfim.pulses import STATES, PulseAnswer, pack_answer, socket_path, unpack_command
-from delfim.serialform import Form
+from delfim.lines.serialform import Form
 from delfim.simulator.faults import Breakage, Faults, FaultyLog
 from delfim.simulator.handset import HandsetAt, SimulatedReceiver
 from delfim.simulator.line import LockstepLine
@@ -22,7 +23,6 @@ from delfim.simulator.lockstepbus import LockstepBus
 from delfim.simulator.model import Model
 from delfim.simulator.nodes import nodes_of
 from delfim.simulator.nodes.talkers import port_devices
-from delfim.slices import Sliced
 from delfim.vehicle import console, voyage
 from delfim.vehicle.build import build
 from delfim.vehicle.entrusting import payload_of

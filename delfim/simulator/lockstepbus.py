@@ -9,10 +9,10 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from typing import Final
 
+from delfim.base.clock import Clock
+from delfim.base.errors import BusError, FormatError
+from delfim.base.frames import Frame
 from delfim.canproxy.socket import BATCH, CanAddress, CanSocket, Many, accepts
-from delfim.clock import Clock
-from delfim.errors import BusError, FormatError
-from delfim.frames import Frame
 
 QUEUE_MAX: Final = 1024  # frames that a socket holds; more are dropped and counted, as by the kernel
 _IFINDEX: Final = 1

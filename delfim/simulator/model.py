@@ -12,9 +12,9 @@ from collections.abc import Sequence
 from random import Random
 from typing import Final, Literal, NamedTuple
 
+from delfim.base.geodesy import from_plane, origin
+from delfim.base.parts import OWN_NODES
 from delfim.config import DELFIMX, Sea, ThrusterTable, Vehicle
-from delfim.geodesy import from_plane, origin
-from delfim.parts import OWN_NODES
 from delfim.simulator.propulsor import AMBIENT_C, VOLTAGE_V, W_PER_N, Drive
 from delfim.vehicle.control.hull import full_mps
 

@@ -13,7 +13,7 @@ from typing import Final, Self
 
 import msgspec
 
-from delfim.errors import DelfimError, FormatError, Refused
+from delfim.base.errors import DelfimError, FormatError, Refused
 from delfim.simulator.lockstep import Lockstep
 from delfim.vehicle import console
 from delfim.vehicle.entrusting import PAYLOAD, within

@@ -3,9 +3,9 @@
 import math
 from typing import Final, Literal
 
+from delfim.base.geodesy import wrap
+from delfim.base.parts import OWN_NODES
 from delfim.config import ThrusterTable
-from delfim.geodesy import wrap
-from delfim.parts import OWN_NODES
 from delfim.vehicle.control.thrustcurve import Curve, Law, Points
 
 DriveFault = Literal[

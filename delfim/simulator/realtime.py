@@ -12,11 +12,11 @@ import signal
 from types import FrameType
 
 from delfim import config
+from delfim.base.clock import SystemClock
+from delfim.base.errors import BusError
+from delfim.base.frames import Frame
 from delfim.canproxy.opening import open_can
 from delfim.canproxy.socket import CanSocket
-from delfim.clock import SystemClock
-from delfim.errors import BusError
-from delfim.frames import Frame
 from delfim.simulator.bycommand import NODES, listening, obey, place
 from delfim.simulator.external import ExternalModel
 from delfim.simulator.faults import Faults

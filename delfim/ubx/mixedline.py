@@ -7,7 +7,7 @@ UBX ends.
 import math
 from typing import Final, NamedTuple
 
-from delfim.errors import FormatError
+from delfim.base.errors import FormatError
 from delfim.fusion import SQRT2
 from delfim.nmea0183.combining import UBX
 from delfim.nmea0183.framing import NAMES_MAX, OTHERS, Sentence, Sentences

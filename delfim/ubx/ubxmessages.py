@@ -9,7 +9,7 @@ from collections.abc import Callable
 from datetime import UTC, datetime
 from typing import Final, NamedTuple
 
-from delfim.errors import FormatError
+from delfim.base.errors import FormatError
 
 NAV_DOP, NAV_PVT, NAV_RELPOSNED = 0x0104, 0x0107, 0x013C
 NAMES: Final = {
@@ -34,7 +34,7 @@ class Solution(NamedTuple):
 
     week_ms: int  # GPS time of week
     utc_ns: int | None  # since 1970
-    fix: int  # as delfim.messages.Navigation.fix
+    fix: int  # as delfim.canproxy.dsor.messages.Navigation.fix
     satellites: int
     latitude_rad: float | None
     longitude_rad: float | None

@@ -7,9 +7,9 @@ commands thrust by hand, behind the last gate. Any stop and any mode end it.
 from collections.abc import Sequence
 from typing import Final
 
+from delfim.base.errors import Refused, did_you_mean
+from delfim.base.modes import Mode
 from delfim.config import ThrusterTable
-from delfim.errors import Refused, did_you_mean
-from delfim.modes import Mode
 from delfim.vehicle import console
 from delfim.vehicle.propulsion import Propulsion
 from delfim.vehicle.safe import STOP

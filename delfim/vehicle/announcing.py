@@ -2,8 +2,8 @@
 
 from typing import Final
 
-from delfim.modes import Mode
-from delfim.vehicle.mission import Mission, PayloadItem
+from delfim.base.modes import Mode
+from delfim.vehicle.plans.mission import Mission, PayloadItem
 from delfim.vehicle.state import Announced, State, StateLog
 
 KEPT: Final = 20  # the newest

@@ -4,14 +4,13 @@ from collections.abc import Callable
 from typing import NamedTuple, Protocol, cast
 
 from delfim import config
+from delfim.base.clock import Clock
+from delfim.base.parts import find
 from delfim.canproxy.socket import CanAddress, CanSocket
-from delfim.clock import Clock
-from delfim.parts import find
-from delfim.serialform import Form
+from delfim.lines.serialform import Form
 from delfim.vehicle import sensors
 from delfim.vehicle.actuators import Actuator, open_actuator
 from delfim.vehicle.control.control import MODES
-from delfim.vehicle.estimated import between
 from delfim.vehicle.foreign import GuardedActuator, GuardedSensor, GuardedSource, orders, programs
 from delfim.vehicle.grex import Guest
 from delfim.vehicle.hands import Hand
@@ -19,7 +18,8 @@ from delfim.vehicle.handset import open_handset
 from delfim.vehicle.killswitch import KillSwitch
 from delfim.vehicle.links import Links, LoopInput, ReadableLine
 from delfim.vehicle.loop import VehicleLoop
-from delfim.vehicle.navigation import open_sources
+from delfim.vehicle.navigation.estimated import between
+from delfim.vehicle.navigation.fixes import open_sources
 from delfim.vehicle.pilotline import open_pilot_line
 from delfim.vehicle.propulsion import Propulsion
 from delfim.vehicle.sensors import open_sensors

@@ -6,10 +6,11 @@ The one door uses the same lines: it does not refuse a boat that the page shows 
 from typing import NamedTuple
 
 from delfim import config
-from delfim.modes import Mode
-from delfim.vehicle import gnss, inputhealth
+from delfim.base.modes import Mode
+from delfim.vehicle import inputhealth
 from delfim.vehicle.failsafe import Action, Rules
-from delfim.vehicle.fence import outside
+from delfim.vehicle.navigation import gnss
+from delfim.vehicle.plans.fence import outside
 from delfim.vehicle.sensors import sysstat
 from delfim.vehicle.state import HANDSET, State
 from delfim.vehicle.troubles import Inputs, Trigger, charge, handset_missed, low, outlet_missed, unheard, voltage

@@ -8,7 +8,7 @@ import asyncio
 from collections.abc import Callable
 from typing import Any, cast
 
-from delfim.errors import FormatError
+from delfim.base.errors import FormatError
 from delfim.vehicle import console
 from delfim.vehicle.entrusting import PAYLOAD
 from delfim.vehicle.loop import LOCAL

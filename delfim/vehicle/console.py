@@ -9,12 +9,13 @@ from typing import Annotated, Any, Literal, TypeVar, get_args
 
 import msgspec
 
-from delfim import config, tables
-from delfim.errors import FormatError
-from delfim.outside import UNREADABLE
-from delfim.slices import Work
+from delfim import config
+from delfim.base import tables
+from delfim.base.errors import FormatError
+from delfim.base.outside import UNREADABLE
+from delfim.base.slices import Work
 from delfim.vehicle.grex import SeenVessel
-from delfim.vehicle.mission import Mission as MissionTables
+from delfim.vehicle.plans.mission import Mission as MissionTables
 from delfim.vehicle.voyagestate import VoyageState
 
 Degrees = Annotated[float, msgspec.Meta(ge=-360.0, le=360.0)]

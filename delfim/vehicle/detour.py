@@ -10,12 +10,12 @@ from collections.abc import Iterator, Sequence
 from heapq import heappop, heappush
 from typing import Final, NamedTuple
 
-from delfim.slices import Sliced, Work
-from delfim.vehicle import fence
-from delfim.vehicle.fence import RECEDES_M, Fence
+from delfim.base.slices import Sliced, Work
+from delfim.vehicle.plans import fence
+from delfim.vehicle.plans.fence import RECEDES_M, Fence
+from delfim.vehicle.plans.zones import LOOKS, Point, Zone, clearance_m, cost, least
 from delfim.vehicle.setpoints import too_far
 from delfim.vehicle.state import Motion, Setpoint
-from delfim.vehicle.zones import LOOKS, Point, Zone, clearance_m, cost, least
 
 FAN_RAD: Final = math.radians(60.0)
 FAN: Final = 1.25  # radius of the points around a corner, in room: the way between two of them keeps the room

@@ -10,12 +10,12 @@ from typing import Final, get_args
 import msgspec
 
 from delfim import config
-from delfim.errors import DelfimError, Refused
-from delfim.modes import Mode
+from delfim.base.errors import DelfimError, Refused
+from delfim.base.modes import Mode
 from delfim.vehicle import console, grex
 from delfim.vehicle.helm import Helm
+from delfim.vehicle.plans.underway import SAILS
 from delfim.vehicle.state import State
-from delfim.vehicle.underway import SAILS
 
 PAYLOAD: Final = "payload:"  # begins the name under which a program orders
 RIGHTS: Final[dict[type[console.Command], config.PayloadRight]] = {

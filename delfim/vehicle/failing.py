@@ -5,7 +5,7 @@ as overdue after the same time, whatever is ordered meanwhile. Nothing here is o
 """
 
 from delfim import config
-from delfim.modes import Mode
+from delfim.base.modes import Mode
 from delfim.vehicle.propulsion import Propulsion
 from delfim.vehicle.state import State, StateLog
 from delfim.vehicle.troubles import astray

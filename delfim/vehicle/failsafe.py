@@ -13,7 +13,7 @@ from types import MappingProxyType
 from typing import Final, NamedTuple
 
 from delfim import config
-from delfim.modes import Mode
+from delfim.base.modes import Mode
 from delfim.vehicle.control.control import admit
 from delfim.vehicle.foreign import PartTrigger, seen, triggers
 from delfim.vehicle.state import Notice, Setpoint, State

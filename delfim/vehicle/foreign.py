@@ -16,17 +16,17 @@ from typing import Any, Final, NamedTuple, Self, TypeVar, get_args
 import msgspec
 
 from delfim import config
-from delfim.errors import ConfigError, FormatError, Refused, in_words, one_line
-from delfim.messages import Navigation
-from delfim.modes import Mode
-from delfim.parts import ModeRow, OrderRow, Part, TroubleRow, load
-from delfim.tables import Table, decode
+from delfim.base.errors import ConfigError, FormatError, Refused, in_words, one_line
+from delfim.base.modes import Mode
+from delfim.base.parts import ModeRow, OrderRow, Part, TroubleRow, load
+from delfim.base.tables import Table, decode
+from delfim.canproxy.dsor.messages import Navigation
 from delfim.vehicle import console
 from delfim.vehicle.actuators import Actuator
 from delfim.vehicle.control.control import PartError
 from delfim.vehicle.control.memory import Memory, Settings
 from delfim.vehicle.links import LoopInput
-from delfim.vehicle.navigation import Fix, Source
+from delfim.vehicle.navigation.fixes import Fix, Source
 from delfim.vehicle.state import Actuation, Motion, PartHealth, Reference, Setpoint, State, Wanted
 from delfim.vehicle.troubles import NUMBERS, Look
 

@@ -4,8 +4,8 @@ import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
+from delfim.base.geodesy import wrap
 from delfim.config import ThrusterTable
-from delfim.geodesy import wrap
 from delfim.vehicle.state import Actuation
 
 _new = tuple.__new__  # half the time of Actuation(...)

@@ -13,10 +13,10 @@ from typing import Annotated, cast
 
 import msgspec
 
-from delfim.clock import Clock
-from delfim.outside import UNREADABLE
+from delfim.base.clock import Clock
+from delfim.base.outside import UNREADABLE
+from delfim.base.vessels import VesselFacts, VesselPosition
 from delfim.vehicle.state import Setpoint, State
-from delfim.vessels import VesselFacts, VesselPosition
 
 LINE_BYTES = 1024  # longer input is not a set point
 LINES_A_CALL = 8  # the newest of the lines that came at once; the guest sends two a second

@@ -4,12 +4,13 @@ import math
 from collections.abc import Callable
 from typing import Any, Final
 
-from delfim import config, geodesy
-from delfim.clock import Clock
-from delfim.errors import ConfigError, Refused, did_you_mean
-from delfim.modes import Mode, mode_named
-from delfim.slices import Sliced
-from delfim.vehicle import console, detour, failsafe, fence, kills, setpoints
+from delfim import config
+from delfim.base import geodesy
+from delfim.base.clock import Clock
+from delfim.base.errors import ConfigError, Refused, did_you_mean
+from delfim.base.modes import Mode, mode_named
+from delfim.base.slices import Sliced
+from delfim.vehicle import console, detour, failsafe, kills, setpoints
 from delfim.vehicle.alone import Alone
 from delfim.vehicle.announcing import Announcing
 from delfim.vehicle.checks import Check, checks, refusal
@@ -20,13 +21,14 @@ from delfim.vehicle.control.hull import filled
 from delfim.vehicle.failsafe import Action
 from delfim.vehicle.foreign import GuardedOrder
 from delfim.vehicle.planning import Plans
+from delfim.vehicle.plans import fence
+from delfim.vehicle.plans.track import Track, back
+from delfim.vehicle.plans.underway import SAILS, Paused, UnderWay, under_way
+from delfim.vehicle.plans.zones import Point
 from delfim.vehicle.propulsion import Propulsion
 from delfim.vehicle.safe import STOP
 from delfim.vehicle.state import Reference, Setpoint, State, StateLog, Wanted
-from delfim.vehicle.track import Track, back
 from delfim.vehicle.troubles import Inputs, unstopped
-from delfim.vehicle.underway import SAILS, Paused, UnderWay, under_way
-from delfim.vehicle.zones import Point
 
 PUSHED_S = 1.0  # manual commands at shorter intervals are one push of the joystick
 

@@ -1,6 +1,6 @@
 """The kill: what a switch or an operator does to it. It outlasts its cause, and only an operator ends it."""
 
-from delfim.errors import Refused
+from delfim.base.errors import Refused
 from delfim.vehicle.console import Kill
 from delfim.vehicle.state import Killed
 

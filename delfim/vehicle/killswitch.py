@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from typing import Final
 
 from delfim import config
-from delfim.gpio import GpioLine
+from delfim.lines.gpio import GpioLine
 from delfim.vehicle import console
 from delfim.vehicle.hands import change
 from delfim.vehicle.links import Readable

@@ -6,8 +6,8 @@ from collections.abc import Callable
 from typing import NamedTuple, Protocol
 
 from delfim.canproxy.socket import CanAddress, CanSocket
-from delfim.gpio import Bias, GpioLine
-from delfim.serialform import Form
+from delfim.lines.gpio import Bias, GpioLine
+from delfim.lines.serialform import Form
 from delfim.vehicle.state import State
 
 
@@ -27,7 +27,7 @@ class LoopInput(Protocol):
 
 
 class ReadableLine(Readable, Protocol):
-    """A line, as delfim.serialline and delfim.networkline have it. Nothing here waits or raises."""
+    """A line, as delfim.lines.serialline and delfim.lines.networkline have it. Nothing here waits or raises."""
 
     t_ns: int  # since 1970: when the data of the last `read` came
 

@@ -7,12 +7,13 @@ from typing import Final
 
 import msgspec
 
-from delfim import __version__, config, tables
-from delfim.clock import Clock
+from delfim import __version__, config
+from delfim.base import tables
+from delfim.base.clock import Clock
+from delfim.base.modes import Mode
 from delfim.logging.liblog import event_line
 from delfim.logging.openlog import open_log
 from delfim.logging.statelog import Schema, StateWriter
-from delfim.modes import Mode
 from delfim.vehicle import record
 from delfim.vehicle.console import Alive, Commands, Manual, TellState, Watch
 from delfim.vehicle.entrusting import payload_of

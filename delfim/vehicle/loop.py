@@ -13,9 +13,9 @@ replay in lock step calls them; clock, sockets and log are handed in.
 """
 
 from delfim import config
-from delfim.clock import Clock
-from delfim.errors import DelfimError
-from delfim.modes import Mode
+from delfim.base.clock import Clock
+from delfim.base.errors import DelfimError
+from delfim.base.modes import Mode
 from delfim.vehicle import console, entrusting, failsafe, snapshot, thrusters
 from delfim.vehicle.actuators import Actuator
 from delfim.vehicle.failing import Failing
@@ -23,7 +23,7 @@ from delfim.vehicle.grex import Guest, told
 from delfim.vehicle.helm import Helm
 from delfim.vehicle.latency import Latency
 from delfim.vehicle.links import LoopInput
-from delfim.vehicle.navigation import Fix, Source, take
+from delfim.vehicle.navigation.fixes import Fix, Source, take
 from delfim.vehicle.propulsion import Propulsion
 from delfim.vehicle.returning import RESTART, Returning
 from delfim.vehicle.safe import STOP

@@ -7,8 +7,8 @@ from typing import Final
 
 import msgspec
 
-from delfim.errors import FormatError
-from delfim.outside import UNREADABLE
+from delfim.base.errors import FormatError
+from delfim.base.outside import UNREADABLE
 from delfim.vehicle import console
 from delfim.vehicle.entrusting import RIGHTS
 

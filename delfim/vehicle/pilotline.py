@@ -10,9 +10,9 @@ from typing import Final
 import msgspec
 
 from delfim import config
-from delfim.allowance import PIECE_BYTES
-from delfim.errors import FormatError
-from delfim.modes import Mode
+from delfim.base.allowance import PIECE_BYTES
+from delfim.base.errors import FormatError
+from delfim.base.modes import Mode
 from delfim.nmea0183.proprietary import FieldReader
 from delfim.nmea0183.tracklines import TrackLine, track_line
 from delfim.vehicle.control.guidance import course_to_steer

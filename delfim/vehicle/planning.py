@@ -9,17 +9,19 @@ from typing import NamedTuple
 
 import msgspec
 
-from delfim import config, geodesy
-from delfim.errors import DelfimError, Refused
-from delfim.modes import Mode
-from delfim.slices import Remains, Sliced, Work
-from delfim.vehicle import console, fence, legs, underway
+from delfim import config
+from delfim.base import geodesy
+from delfim.base.errors import DelfimError, Refused
+from delfim.base.modes import Mode
+from delfim.base.slices import Remains, Sliced, Work
+from delfim.vehicle import console
 from delfim.vehicle.control.memory import Settings
 from delfim.vehicle.control.path import piece_of
-from delfim.vehicle.legs import NOTHING, Behind
-from delfim.vehicle.mission import Mission, checked, plan, read_mission
+from delfim.vehicle.plans import fence, legs, underway
+from delfim.vehicle.plans.legs import NOTHING, Behind
+from delfim.vehicle.plans.mission import Mission, checked, plan, read_mission
+from delfim.vehicle.plans.track import Track
 from delfim.vehicle.state import Plan, State, StateLog
-from delfim.vehicle.track import Track
 
 
 class Laid(NamedTuple):

@@ -7,10 +7,10 @@ import math
 from collections.abc import Collection, Sequence
 from operator import call
 
+from delfim.base.errors import Refused
+from delfim.canproxy.dsor.messages import RESET, pack_reset
 from delfim.canproxy.socket import CanSocket
 from delfim.config import ThrusterTable
-from delfim.errors import Refused
-from delfim.messages import RESET, pack_reset
 from delfim.vehicle.actuators import Actuator
 from delfim.vehicle.control.allocation import Allocation, Force, Thruster, thruster
 from delfim.vehicle.gate import GateLimits, limited

@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
 from delfim import config
-from delfim.messages import BatteriesStatus, Node
+from delfim.canproxy.dsor.messages import BatteriesStatus, Node
 from delfim.vehicle import sensors
 from delfim.vehicle.failsafe import bits
 from delfim.vehicle.sensors.sysstat import NAMES

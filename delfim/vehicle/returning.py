@@ -7,14 +7,15 @@ from the state and these commands, so a replay of the log does the same.
 import math
 from typing import Final
 
-from delfim import config, geodesy
-from delfim.errors import DelfimError, Refused
-from delfim.modes import Mode
+from delfim import config
+from delfim.base import geodesy
+from delfim.base.errors import DelfimError, Refused
+from delfim.base.modes import Mode
 from delfim.vehicle import console
 from delfim.vehicle.helm import Helm
-from delfim.vehicle.legs import NOTHING, Behind
+from delfim.vehicle.plans.legs import NOTHING, Behind
+from delfim.vehicle.plans.underway import Paused
 from delfim.vehicle.state import State
-from delfim.vehicle.underway import Paused
 
 RESTART: Final = "restart"  # the operator who gives these commands
 NEAR_M: Final = 100.0  # a boat that sails on is no farther from where it was ...

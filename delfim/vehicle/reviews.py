@@ -8,13 +8,13 @@ from collections.abc import Callable
 from functools import partial
 from typing import NamedTuple, TypeVar
 
-from delfim.errors import DelfimError, Refused
-from delfim.slices import Sliced
+from delfim.base.errors import DelfimError, Refused
+from delfim.base.slices import Sliced
 from delfim.vehicle import console
 from delfim.vehicle.entrusting import forbidden, payload_of, within
 from delfim.vehicle.loop import VehicleLoop
-from delfim.vehicle.mission import Mission
-from delfim.vehicle.missionreader import Reading, gathered
+from delfim.vehicle.plans.mission import Mission
+from delfim.vehicle.plans.missionreader import Reading, gathered
 from delfim.vehicle.returning import RESTART
 
 AGAIN = 3  # times that a review is repeated because the boat's settings changed meanwhile

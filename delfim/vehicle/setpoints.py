@@ -2,14 +2,15 @@
 
 import math
 
-from delfim import config, geodesy
-from delfim.errors import Refused
-from delfim.modes import Mode
+from delfim import config
+from delfim.base import geodesy
+from delfim.base.errors import Refused
+from delfim.base.modes import Mode
 from delfim.vehicle.console import Course, Goto, Heading
 from delfim.vehicle.control.guidance import COURSE_MPS
-from delfim.vehicle.mission import FAR_MAX_M
+from delfim.vehicle.plans.mission import FAR_MAX_M
+from delfim.vehicle.plans.zones import Point
 from delfim.vehicle.state import Motion, Setpoint, State, Waypoint
-from delfim.vehicle.zones import Point
 
 
 def speed(asked_mps: float | None, speeds: config.SpeedTable) -> float:

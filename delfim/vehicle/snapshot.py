@@ -4,8 +4,8 @@ import math
 from dataclasses import asdict
 from typing import Any
 
-from delfim.geodesy import compass, from_plane
-from delfim.messages import Fault, SystemStatus
+from delfim.base.geodesy import compass, from_plane
+from delfim.canproxy.dsor.messages import Fault, SystemStatus
 from delfim.vehicle.state import State
 
 

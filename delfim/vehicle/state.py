@@ -4,13 +4,13 @@ from collections import Counter, deque
 from dataclasses import dataclass, field
 from typing import NamedTuple, Protocol
 
-from delfim.geodesy import Origin
-from delfim.messages import Navigation, SystemStatus
-from delfim.modes import Mode
+from delfim.base.geodesy import Origin
+from delfim.base.modes import Mode
+from delfim.base.vessels import Report
+from delfim.canproxy.dsor.messages import Navigation, SystemStatus
 from delfim.nmea0183.aissentences import AisPart
 from delfim.vehicle.inputhealth import InputHealth
 from delfim.vehicle.target import Traffic
-from delfim.vessels import Report
 
 
 class Actuation(NamedTuple):

@@ -12,11 +12,12 @@ from types import MappingProxyType
 from typing import Final, NamedTuple, Self
 
 from delfim import config
-from delfim.geodesy import wrap
-from delfim.messages import BatteriesStatus, Node
-from delfim.modes import Mode
-from delfim.vehicle import gnss, inputhealth
-from delfim.vehicle.fence import Fence, ahead, left, outside
+from delfim.base.geodesy import wrap
+from delfim.base.modes import Mode
+from delfim.canproxy.dsor.messages import BatteriesStatus, Node
+from delfim.vehicle import inputhealth
+from delfim.vehicle.navigation import gnss
+from delfim.vehicle.plans.fence import Fence, ahead, left, outside
 from delfim.vehicle.sensors import sysstat
 from delfim.vehicle.state import HandsetReport, State
 from delfim.vehicle.target import NEVER_S

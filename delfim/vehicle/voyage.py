@@ -10,10 +10,11 @@ from typing import Final
 
 import msgspec
 
-from delfim import __version__, config, tables
-from delfim.clock import MADE_NS
-from delfim.errors import FormatError
-from delfim.outside import UNREADABLE
+from delfim import __version__, config
+from delfim.base import tables
+from delfim.base.clock import MADE_NS
+from delfim.base.errors import FormatError
+from delfim.base.outside import UNREADABLE
 from delfim.vehicle import console
 from delfim.vehicle.helm import Helm
 from delfim.vehicle.state import State

@@ -4,7 +4,7 @@ from typing import Annotated, Literal
 
 import msgspec
 
-from delfim.modes import mode_named
+from delfim.base.modes import mode_named
 from delfim.vehicle.control.memory import Memory
 from delfim.vehicle.state import Killed, Setpoint, Waypoint
 from delfim.vehicle.target import BESIDE_MAX

@@ -10,7 +10,7 @@ import numpy as np
 
 from delfim import config
 from delfim.audit.evidence import TROUBLES, Evidence, Sent
-from delfim.modes import Mode
+from delfim.base.modes import Mode
 
 VEHICLE = Path(__file__).parents[2] / "etc/delfimx.toml"
 COUNT, STEP_S, START_S = 200, 0.2, 100.0  # of records

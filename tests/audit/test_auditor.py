@@ -8,10 +8,10 @@ import pytest
 
 from delfim.__main__ import main
 from delfim.audit import auditor
+from delfim.base.errors import DelfimError
 from delfim.campaign import runplan, sailing
-from delfim.errors import DelfimError
-from delfim.logging import tree
-from delfim.simulator import trial
+from delfim.logging.ashore import tree
+from delfim.simulator.scenarios import trial
 from tests.logging.sailing import sailed
 
 ROOT = Path(__file__).parents[2]

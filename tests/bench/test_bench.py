@@ -12,7 +12,7 @@ from bench import critical_path, fleet, liblog
 from bench.__main__ import main
 from bench.critical_path import LABELS, LONG_CYCLES, MOTORS, Plan, Slice
 from bench.report import PERCENTILES, STAGES, Cycle, over_budget
-from delfim.errors import DelfimError
+from delfim.base.errors import DelfimError
 from tests.services.mosquitto import needs_mosquitto
 
 pytestmark = pytest.mark.long

@@ -12,14 +12,9 @@ from pathlib import Path
 import pytest
 
 from bench.critical_path import build
+from delfim.base.frames import Frame
 from delfim.canproxy.canloop import group_of
-from delfim.canproxy.dsor.protocol import Message, message_filter, segments
-from delfim.canproxy.dsor.receiver import Receiver
-from delfim.canproxy.opening import open_can
-from delfim.canproxy.socket import CanAddress
-from delfim.frames import Frame
-from delfim.logging.statelog import columns
-from delfim.messages import (
+from delfim.canproxy.dsor.messages import (
     BATTERIES_PORT,
     NAVIGATION,
     NAVIGATION_ID,
@@ -33,6 +28,11 @@ from delfim.messages import (
     unpack_navigation,
     unpack_sysstat,
 )
+from delfim.canproxy.dsor.protocol import Message, message_filter, segments
+from delfim.canproxy.dsor.receiver import Receiver
+from delfim.canproxy.opening import open_can
+from delfim.canproxy.socket import CanAddress
+from delfim.logging.statelog import columns
 
 FIELDS = ("utc", "latitude", "longitude", "north_speed", "east_speed", "heading", "yaw_rate", "roll", "pitch")
 FIELDS += ("fix", "satellites", "hdop", "counter")

@@ -13,7 +13,7 @@ import pytest
 
 from bench import encounters, record
 from delfim.campaign.rulecheck import Instant
-from delfim.simulator.encounters import Encounter, Ship, drawn
+from delfim.simulator.scenarios.encounters import Encounter, Ship, drawn
 
 ROOT = Path(__file__).parents[2]
 HEAD_ON = Ship(north_m=1500.0, east_m=0.0, course_deg=180.0, speed_mps=1.5, length_m=20.0, kind="head-on", tcpa_s=500.0)

@@ -12,11 +12,11 @@ from bench.__main__ import main
 from bench.floods import KINDS, PAYLOAD, payload
 from bench.onlooker import Onlooker, paths_us
 from bench.sides import RADIO
+from delfim.base.errors import DelfimError
+from delfim.canproxy.dsor.messages import BATTERIES_COMMAND, NAVIGATION_ID, NAVIGATION_PRIORITY, Node
 from delfim.canproxy.dsor.protocol import Message, segments
 from delfim.canproxy.opening import open_can
 from delfim.canproxy.socket import CanAddress, CanSocket
-from delfim.errors import DelfimError
-from delfim.messages import BATTERIES_COMMAND, NAVIGATION_ID, NAVIGATION_PRIORITY, Node
 
 pytestmark = pytest.mark.long
 

@@ -15,8 +15,8 @@ from bench.__main__ import main
 from bench.critical_path import running
 from bench.soak import LOGS_WRITTEN, Sample, busiest, grown, oldest_log
 from delfim import config
-from delfim.services import ftpd
-from delfim.services.door import hashed
+from delfim.services.access.door import hashed
+from delfim.services.files import ftpd
 from tests.services.boat import served, vehicle_file
 
 VEHICLE = str(Path(__file__).parents[2] / "etc" / "delfimx.toml")

@@ -17,9 +17,9 @@ from pathlib import Path
 import pytest
 
 from delfim.__main__ import main
+from delfim.base.errors import DelfimError
 from delfim.campaign import conduct, findings, sailing, store, workers
 from delfim.campaign.runplan import read
-from delfim.errors import DelfimError
 from tests.campaign.test_runplan import written
 
 DELFIM = (sys.executable, "-m", "delfim", "campaign")

@@ -2,13 +2,14 @@
 
 import msgspec
 
-from delfim import config, tables
+from delfim import config
+from delfim.base import tables
+from delfim.base.outside import parse_toml
 from delfim.campaign import findings, pairtable, sailing
 from delfim.campaign.runplan import read
 from delfim.campaign.store import Store
-from delfim.outside import parse_toml
-from delfim.simulator.pairs import ALL, PAIRS, possible
-from delfim.simulator.searching import searching
+from delfim.simulator.scenarios.pairs import ALL, PAIRS, possible
+from delfim.simulator.scenarios.searching import searching
 from tests.campaign.test_runplan import ETC, written
 
 

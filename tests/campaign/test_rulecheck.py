@@ -10,8 +10,8 @@ import pytest
 
 from delfim import config
 from delfim.campaign.rulecheck import Instant, RuleTape, alterations
-from delfim.simulator.encounters import START_S
 from delfim.simulator.lockstep import Lockstep
+from delfim.simulator.scenarios.encounters import START_S
 from delfim.vehicle.state import NoLog
 
 OWN_MPS = 1.5

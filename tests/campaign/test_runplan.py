@@ -6,10 +6,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from delfim import config, tables
+from delfim import config
+from delfim.base import tables
+from delfim.base.errors import ConfigError
 from delfim.campaign import findings
 from delfim.campaign.runplan import Draw, Plan, Seeds, laid, read
-from delfim.errors import ConfigError
 
 ETC = Path(__file__).parents[2] / "etc"
 HEAD = f'version = 1\nname = "test"\nvehicle = "{ETC}/delfimx.toml"\n'

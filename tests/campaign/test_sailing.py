@@ -4,11 +4,11 @@ import itertools
 
 import pytest
 
+from delfim.base.errors import DelfimError
 from delfim.campaign import sailing
 from delfim.campaign.measures import MEASURES, Sailed
 from delfim.campaign.runplan import Batch, read
-from delfim.errors import DelfimError
-from delfim.simulator.trial import Event
+from delfim.simulator.scenarios.trial import Event
 from tests.campaign.test_runplan import ETC, written
 
 

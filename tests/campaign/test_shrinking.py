@@ -7,13 +7,13 @@ from pathlib import Path
 import pytest
 
 from delfim.__main__ import main
+from delfim.base.errors import DelfimError
 from delfim.campaign import conduct, report, shrinking
 from delfim.campaign.runplan import Plan, read
 from delfim.campaign.sailing import Drawn, drawn_run
 from delfim.campaign.store import Store
-from delfim.errors import DelfimError
-from delfim.simulator.trial import run_file
-from delfim.simulator.watch import Onlooker
+from delfim.simulator.scenarios.trial import run_file
+from delfim.simulator.scenarios.watch import Onlooker
 from tests.campaign.test_runplan import written
 
 SEED = 4  # its scenario has several faults and orders

@@ -6,8 +6,8 @@ from typing import Any, cast
 
 import pytest
 
+from delfim.base.modes import Mode
 from delfim.campaign.steertape import Deviation, SteerTape
-from delfim.modes import Mode
 from delfim.simulator.lockstep import Lockstep
 from delfim.vehicle.control.path import APPROACH
 from delfim.vehicle.state import Arc, Line, Plan, Reference, Setpoint, State, Waypoint

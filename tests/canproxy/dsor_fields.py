@@ -2,9 +2,9 @@
 
 from typing import NamedTuple
 
+from delfim.base.errors import FormatError
+from delfim.base.frames import CAN_ERR, CAN_IDE, CAN_RTR
 from delfim.canproxy.dsor.protocol import Kind
-from delfim.errors import FormatError
-from delfim.frames import CAN_ERR, CAN_IDE, CAN_RTR
 
 
 class Fields(NamedTuple):

@@ -1,7 +1,7 @@
 """The PGN of an arbitration field, for tests."""
 
-from delfim.errors import FormatError
-from delfim.frames import CAN_IDE
+from delfim.base.errors import FormatError
+from delfim.base.frames import CAN_IDE
 
 BROADCAST = 255
 

@@ -10,12 +10,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from nmea2000.decoder import NMEA2000Decoder
 
+from delfim.base.errors import FormatError
+from delfim.base.vessels import VesselFacts, VesselPosition
 from delfim.canproxy.nmea2000 import ais
 from delfim.canproxy.nmea2000.ais import decode
 from delfim.canproxy.nmea2000.fastpacket import FastPacket
-from delfim.errors import FormatError
 from delfim.simulator.nodes import aisframes
-from delfim.vessels import VesselFacts, VesselPosition
 from tests.canproxy.pgn_of import pgn_of
 from tests.canproxy.test_recordings import BUSY, RAYMARINE, recording
 

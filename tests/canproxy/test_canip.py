@@ -15,13 +15,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from delfim import config
+from delfim.base.errors import ConfigError, DelfimError, FormatError, PermanentFailure
+from delfim.base.frames import CAN_ERR, CAN_RTR, Frame
 from delfim.canproxy.canudp import UDP_MAX, WAITING_MAX, CanIp, checksum, open_tun, parsed, rebuilt
 from delfim.canproxy.dsor.endpoint import Endpoint
 from delfim.canproxy.dsor.protocol import BROADCAST, Message
 from delfim.canproxy.opening import open_can
 from delfim.canproxy.socket import ANYTHING
-from delfim.errors import ConfigError, DelfimError, FormatError, PermanentFailure
-from delfim.frames import CAN_ERR, CAN_RTR, Frame
 
 BUS = "canloop:canip"
 FIRST, SECOND = "192.168.1.2", "192.168.1.3"

@@ -11,12 +11,12 @@ import time
 
 import pytest
 
+from delfim.base.errors import BusError
+from delfim.base.frames import CAN_RTR, extended, standard
 from delfim.canproxy import mmsg
 from delfim.canproxy.canloop import CanLoop, group_of, open_canloop, stable_index
 from delfim.canproxy.opening import open_can
 from delfim.canproxy.socket import ANYTHING, CanAddress, CanSocket
-from delfim.errors import BusError
-from delfim.frames import CAN_RTR, extended, standard
 
 _numbers = itertools.count()
 
@@ -24,7 +24,7 @@ ECHO = """
 import sys
 from delfim.canproxy.opening import open_can
 from delfim.canproxy.socket import ANYTHING, CanAddress
-from delfim.frames import standard
+from delfim.base.frames import standard
 bus = open_can(sys.argv[1])
 bus.bind(CanAddress(standard(0x100), standard(0xFF)))
 bus.sendto(b"ready", CanAddress(standard(1)))

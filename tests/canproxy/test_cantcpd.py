@@ -23,6 +23,9 @@ import pytest
 
 from delfim import config
 from delfim.__main__ import main
+from delfim.base.clock import SystemClock
+from delfim.base.errors import BusError
+from delfim.base.frames import CAN_RTR, Frame, extended, standard
 from delfim.canproxy.canloop import open_canloop
 from delfim.canproxy.cantcp import client as client_file
 from delfim.canproxy.cantcp.access import Access
@@ -30,13 +33,7 @@ from delfim.canproxy.cantcp.bcm import JOBS_MAX
 from delfim.canproxy.cantcp.beacon import DATAGRAM_BYTES, announce, datagram
 from delfim.canproxy.cantcp.client import ADDRESSES_MAX, Client
 from delfim.canproxy.cantcp.server import CanServer, bus_name
-from delfim.canproxy.dsor.protocol import Message, segments
-from delfim.canproxy.opening import open_can
-from delfim.canproxy.socket import ANYTHING, CanAddress, CanSocket
-from delfim.clock import SystemClock
-from delfim.errors import BusError
-from delfim.frames import CAN_RTR, Frame, extended, standard
-from delfim.messages import (
+from delfim.canproxy.dsor.messages import (
     BATTERIES_PORT,
     BATTERIES_STARBOARD,
     NAVIGATION_ID,
@@ -50,6 +47,9 @@ from delfim.messages import (
     sysstat_arb,
     time_frame,
 )
+from delfim.canproxy.dsor.protocol import Message, segments
+from delfim.canproxy.opening import open_can
+from delfim.canproxy.socket import ANYTHING, CanAddress, CanSocket
 
 T = TypeVar("T")
 ROOT = Path(__file__).parents[2]

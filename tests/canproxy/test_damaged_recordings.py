@@ -8,10 +8,10 @@ from typing import NamedTuple
 import pytest
 
 from delfim import config
+from delfim.base.clock import ManualClock
+from delfim.base.frames import CAN_ERR, CAN_RTR, Frame
+from delfim.canproxy.dsor.messages import Navigation
 from delfim.canproxy.nmea2000.source import Nmea2000Source
-from delfim.clock import ManualClock
-from delfim.frames import CAN_ERR, CAN_RTR, Frame
-from delfim.messages import Navigation
 from delfim.simulator.lockstepbus import LockstepBus
 from delfim.vehicle.sensors.nmea2000 import Nmea2000Instruments
 from delfim.vehicle.state import State

@@ -8,10 +8,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from delfim import messages
-from delfim.errors import FormatError
-from delfim.frames import CAN_IDE, identifier
-from delfim.messages import BatteriesStatus, Fault, Node, PropellerStatus, Status
+from delfim.base.errors import FormatError
+from delfim.base.frames import CAN_IDE, identifier
+from delfim.canproxy.dsor import messages
+from delfim.canproxy.dsor.messages import BatteriesStatus, Fault, Node, PropellerStatus, Status
 
 DBC: Any = cantools.database.load_file(Path(__file__).parents[2] / "etc" / "delfimx.dbc")
 SIDES = ("Starboard", "Port")

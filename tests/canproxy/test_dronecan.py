@@ -12,6 +12,8 @@ from dronecan import transport, uavcan
 from hypothesis import given
 from hypothesis import strategies as st
 
+from delfim.base.errors import FormatError
+from delfim.base.frames import CAN_ERR, CAN_IDE, CAN_RTR, Frame, extended, standard
 from delfim.canproxy.dronecan import datatypes as types
 from delfim.canproxy.dronecan.datatypes import (
     ALLOCATION,
@@ -44,8 +46,6 @@ from delfim.canproxy.dronecan.fields import DataType, WireField, pack, unpack
 from delfim.canproxy.dronecan.nodenumbers import FOLLOW_UP_S, SILENT_S, Allocator
 from delfim.canproxy.dronecan.transfers import COMMAND, SENSOR, STATUS, Publisher, Transfer, TransferReceiver, checksum
 from delfim.canproxy.socket import accepts
-from delfim.errors import FormatError
-from delfim.frames import CAN_ERR, CAN_IDE, CAN_RTR, Frame, extended, standard
 
 EQ = uavcan.equipment
 MESSAGE = uavcan.protocol.NodeStatus.kind

@@ -14,13 +14,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from delfim.base.clock import ManualClock
+from delfim.base.errors import FormatError, Refused
+from delfim.base.frames import CAN_ERR, Frame, extended, standard
+from delfim.canproxy.dsor.messages import Node, sysstat_arb
 from delfim.canproxy.dsor.protocol import Ack, Kind, Message, Outcome, ack_filter, dsor_arb, message_filter, segments
 from delfim.canproxy.dsor.receiver import Receiver
 from delfim.canproxy.dsor.sender import MessageSender
-from delfim.clock import ManualClock
-from delfim.errors import FormatError, Refused
-from delfim.frames import CAN_ERR, Frame, extended, standard
-from delfim.messages import Node, sysstat_arb
 from tests.canproxy.dsor_fields import dsor_fields
 
 NAVIGATION = Message(0x20, Node.NAVIGATION, Node.BROADCAST, 1, bytes(range(32)))

@@ -17,6 +17,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from bench.dsor import Rates, exchange
+from delfim.base.errors import BusError, FormatError, Refused
+from delfim.base.frames import Frame
 from delfim.canproxy.dsor import sockets as dsor_sockets
 from delfim.canproxy.dsor.endpoint import (
     ANY_ID,
@@ -33,8 +35,6 @@ from delfim.canproxy.dsor.protocol import BROADCAST, Kind, Message, Outcome, dso
 from delfim.canproxy.dsor.sockets import DsorSocket, DsorTransport, open_dsor
 from delfim.canproxy.opening import open_can
 from delfim.canproxy.socket import ANYTHING, CanAddress, CanSocket, accepts
-from delfim.errors import BusError, FormatError, Refused
-from delfim.frames import Frame
 from tests.canproxy.dsor_fields import dsor_fields
 
 BUS = "canloop:dsorsocket"

@@ -12,17 +12,17 @@ from hypothesis import strategies as st
 from nmea2000.decoder import NMEA2000Decoder
 
 from delfim import config
+from delfim.base.clock import ManualClock
+from delfim.base.errors import ConfigError, FormatError
+from delfim.base.frames import Frame, extended
+from delfim.base.tables import decode as decode_table
 from delfim.canproxy.nmea2000 import instruments, ownpgns
 from delfim.canproxy.nmea2000.device import device_name
 from delfim.canproxy.nmea2000.fastpacket import FastPacket
 from delfim.canproxy.nmea2000.instruments import FAST, KELVIN, MESSAGES, Battery, BatteryCharge, decode
 from delfim.canproxy.socket import accepts
-from delfim.clock import ManualClock
-from delfim.errors import ConfigError, FormatError
-from delfim.frames import Frame, extended
 from delfim.simulator.lockstep import Lockstep
 from delfim.simulator.lockstepbus import LockstepBus
-from delfim.tables import decode as decode_table
 from delfim.vehicle.record import fields, values
 from delfim.vehicle.sensors.nmea2000 import FILTERS, VALUES, Nmea2000Instruments
 from delfim.vehicle.state import NoLog, State

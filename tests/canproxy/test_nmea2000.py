@@ -10,6 +10,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from delfim.base.errors import FormatError
+from delfim.base.frames import CAN_ERR, Frame, extended, standard
+from delfim.canproxy.dsor.messages import Navigation
 from delfim.canproxy.nmea2000 import pgns
 from delfim.canproxy.nmea2000.fastpacket import FastPacket
 from delfim.canproxy.nmea2000.pgns import (
@@ -28,10 +31,7 @@ from delfim.canproxy.nmea2000.pgns import (
 from delfim.canproxy.nmea2000.source import Nmea2000Source
 from delfim.canproxy.socket import CanAddress, accepts
 from delfim.config import Nmea2000
-from delfim.errors import FormatError
-from delfim.frames import CAN_ERR, Frame, extended, standard
 from delfim.fusion import VARIATION_S
-from delfim.messages import Navigation
 from tests.canproxy.pgn_of import pgn_of
 
 STALE_S = 1.0

@@ -12,6 +12,7 @@ from nmea2000 import _canboat as canboat
 from nmea2000.decoder import NMEA2000Decoder
 
 from delfim import config
+from delfim.base.frames import Frame, extended, identifier, standard
 from delfim.canproxy.nmea2000.device import AGAIN_S, ANSWERS, FIRST, ROLL_CALL_S, Device, DeviceFacts, device_name, facts_of
 from delfim.canproxy.nmea2000.parcels import (
     CLAIM,
@@ -26,7 +27,6 @@ from delfim.canproxy.nmea2000.parcels import (
     frames,
 )
 from delfim.canproxy.socket import CanAddress, accepts
-from delfim.frames import Frame, extended, identifier, standard
 
 STEP_S = 0.01
 SENT = (127250, 129025)

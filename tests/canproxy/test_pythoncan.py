@@ -13,13 +13,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from delfim.base.errors import BusError, FormatError
+from delfim.base.frames import CAN_ERR, CAN_IDE, extended, standard
 from delfim.canproxy.adapter import from_message, to_message
 from delfim.canproxy.canloop import open_canloop
 from delfim.canproxy.opening import open_can
 from delfim.canproxy.pythoncan import CanloopBus, addresses
 from delfim.canproxy.socket import ANYTHING, CanAddress, accepts
-from delfim.errors import BusError, FormatError
-from delfim.frames import CAN_ERR, CAN_IDE, extended, standard
 
 _numbers = itertools.count()
 

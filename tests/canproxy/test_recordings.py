@@ -17,6 +17,8 @@ from typing import Any, NamedTuple
 import pytest
 from nmea2000.decoder import NMEA2000Decoder
 
+from delfim.base.frames import Frame, extended
+from delfim.canproxy.dsor.messages import Navigation
 from delfim.canproxy.nmea2000 import pgns
 from delfim.canproxy.nmea2000.device import Device, DeviceFacts
 from delfim.canproxy.nmea2000.fastpacket import FastPacket
@@ -24,9 +26,7 @@ from delfim.canproxy.nmea2000.pgns import decode
 from delfim.canproxy.nmea2000.source import Nmea2000Source
 from delfim.canproxy.socket import CanAddress, accepts
 from delfim.config import Nmea2000
-from delfim.frames import Frame, extended
 from delfim.fusion import SLOW_S
-from delfim.messages import Navigation
 from tests.canproxy.pgn_of import pgn_of
 
 RECORDINGS = Path(__file__).parents[1] / "data/nmea2000"

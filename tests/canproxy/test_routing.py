@@ -14,14 +14,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from delfim import config
+from delfim.base.clock import ManualClock
+from delfim.base.errors import BusError, ConfigError
+from delfim.base.frames import CAN_RTR, Frame, extended, standard
 from delfim.canproxy.dsor.endpoint import CanPort, CanSegm
 from delfim.canproxy.dsor.protocol import BROADCAST, Kind, dsor_arb
 from delfim.canproxy.dsor.routing import FRAMES_A_CALL, Router
 from delfim.canproxy.dsor.sockets import DsorSocket, open_dsor
 from delfim.canproxy.socket import ANYTHING
-from delfim.clock import ManualClock
-from delfim.errors import BusError, ConfigError
-from delfim.frames import CAN_RTR, Frame, extended, standard
 from delfim.simulator.lockstepbus import LockstepBus
 
 ROOT = Path(__file__).parents[2]

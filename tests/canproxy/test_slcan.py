@@ -9,12 +9,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from delfim.base.frames import Frame, extended, standard
 from delfim.canproxy.canloop import open_canloop
 from delfim.canproxy.cantcp import slcan
 from delfim.canproxy.cantcp.slcan import DONE, REFUSED, SlcanSession
 from delfim.canproxy.socket import ANYTHING, CanAddress, CanSocket
 from delfim.canproxy.socketcand import Close, Enter, Open, Reply, Transmit
-from delfim.frames import Frame, extended, standard
 from tests.canproxy.test_cantcpd import TIMEOUT_S, Served, raw
 
 ARBS = st.one_of(st.integers(0, 0x7FF).map(standard), st.integers(0, 0x1FFFFFFF).map(extended))

@@ -13,12 +13,12 @@ import pytest
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
+from delfim.base.errors import BusError, FormatError
+from delfim.base.frames import CAN_ANY, CAN_ERR, CAN_ID, CAN_IDE, CAN_RTR, Frame, extended, standard, to_can_id
 from delfim.canproxy.canloop import CanLoop
 from delfim.canproxy.opening import open_can
 from delfim.canproxy.socket import ANYTHING, BATCH, BusState, CanAddress, CanSocket, accepts, bus_state
 from delfim.canproxy.socketcan import SocketCan, kernel_filters
-from delfim.errors import BusError, FormatError
-from delfim.frames import CAN_ANY, CAN_ERR, CAN_ID, CAN_IDE, CAN_RTR, Frame, extended, standard, to_can_id
 
 INTERFACES = ["canloop", "canloop without kernel filter"]
 INTERFACES += [name for _, name in socket.if_nameindex() if name == "vcan0"]

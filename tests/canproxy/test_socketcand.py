@@ -7,6 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from delfim.base.errors import FormatError
+from delfim.base.frames import Frame, extended, standard
 from delfim.canproxy import socketcand
 from delfim.canproxy.cantcp import bcm
 from delfim.canproxy.cantcp.bcm import JOBS_MAX, Cycles, Subscription
@@ -29,8 +31,6 @@ from delfim.canproxy.socketcand import (
     raw_text,
     send_text,
 )
-from delfim.errors import FormatError
-from delfim.frames import Frame, extended, standard
 
 frames = st.builds(
     Frame,

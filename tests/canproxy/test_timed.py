@@ -16,14 +16,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from delfim.base.clock import MADE_NS, ManualClock, SystemClock
+from delfim.base.errors import BusError
+from delfim.base.frames import Frame, standard
 from delfim.canproxy import timekeeping
+from delfim.canproxy.dsor.messages import TIME, TIME_FRAME, time_frame
 from delfim.canproxy.opening import open_can
 from delfim.canproxy.socket import CanAddress, CanSocket
 from delfim.canproxy.timekeeping import REDUNDANT_DELAY_S, SecondTimer, Timekeeper, TimeService
-from delfim.clock import MADE_NS, ManualClock, SystemClock
-from delfim.errors import BusError
-from delfim.frames import Frame, standard
-from delfim.messages import TIME, TIME_FRAME, time_frame
 
 ROOT = Path(__file__).parents[2]
 BUS = "canloop:timed"

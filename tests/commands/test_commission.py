@@ -11,10 +11,10 @@ import pytest
 
 from delfim import config
 from delfim.__main__ import main
-from delfim.services.door import matches
-from delfim.services.doors import Entrance, doors
+from delfim.services.access.door import matches
+from delfim.services.access.doors import Entrance, doors
+from delfim.services.suite import services
 from delfim.services.vehiclefile import changed
-from delfim.suite import services
 from delfim.vehicle.mavlink.signing import read_key
 
 ROOT = Path(__file__).parents[2]

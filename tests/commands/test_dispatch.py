@@ -67,7 +67,7 @@ def test_a_boat_loads_its_own_command_alone():
     look = "import sys; from delfim.__main__ import parsed; parsed(['run', 'boat.toml']); print(*sys.modules)"
     loaded = subprocess.run([sys.executable, "-c", look], capture_output=True, text=True, check=True, cwd=ROOT).stdout.split()
     ours = {name for name in loaded if name.startswith("delfim.")}
-    assert ours == {"delfim.commands", "delfim.errors", "delfim.__main__", "delfim.commands.run"}
+    assert ours == {"delfim.base", "delfim.commands", "delfim.base.errors", "delfim.__main__", "delfim.commands.run"}
 
 
 def test_a_question_that_nobody_answers_ends_in_a_line():

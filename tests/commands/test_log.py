@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 
 from delfim.__main__ import main
-from delfim.logging import tree
-from delfim.logging.tree import files
+from delfim.logging.ashore import tree
+from delfim.logging.ashore.tree import files
 from tests.logging.sailing import sailed
 
 

@@ -11,7 +11,7 @@ from delfim.__main__ import main
 from delfim.commands.new import MOTORS, SENSORS, _shipped
 from delfim.simulator.lockstep import Lockstep
 from delfim.vehicle.console import LoadMission, Play
-from delfim.vehicle.mission import load_mission
+from delfim.vehicle.plans.mission import load_mission
 from delfim.vehicle.state import NoLog
 
 

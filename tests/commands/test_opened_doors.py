@@ -18,8 +18,8 @@ import pytest
 from delfim import config
 from delfim.__main__ import main
 from delfim.commands.new import MOTORS, SENSORS
-from delfim.services.doors import doors
-from delfim.suite import services
+from delfim.services.access.doors import doors
+from delfim.services.suite import services
 from tests.guest.ashore import alone
 
 ROOT = Path(__file__).parents[2]

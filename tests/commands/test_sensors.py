@@ -15,11 +15,11 @@ from pathlib import Path
 import pytest
 
 from delfim import config
-from delfim.clock import SystemClock
+from delfim.base.clock import SystemClock
 from delfim.nmea0183.framing import framed
-from delfim.services.firstcontact import Turned, judged, named, user_of
-from delfim.services.heardtable import table
-from delfim.services.hearing import Opened, Running, SensorsTold, listener
+from delfim.services.listening.firstcontact import Turned, judged, named, user_of
+from delfim.services.listening.heardtable import table
+from delfim.services.listening.hearing import Opened, Running, SensorsTold, listener
 
 ROOT = Path(__file__).parents[2]
 GGA = "GPGGA,1200{:02d}.00,3841.4420,N,00912.9180,W,4,12,0.7,0.0,M,,M,,"

@@ -14,9 +14,9 @@ from collections.abc import AsyncIterator, Callable, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple, cast
 
-from delfim import messages
+from delfim.base.errors import DelfimError
+from delfim.canproxy.dsor import messages
 from delfim.console.link import Link
-from delfim.errors import DelfimError
 from delfim.logging.candump import parse_line
 from delfim.logging.reading import in_order, read_log
 from delfim.vehicle.mavlink import wire

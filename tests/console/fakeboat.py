@@ -11,7 +11,7 @@ from typing import Any
 
 from pymavlink.dialects.v20 import development as mavlink
 
-from delfim.clock import ManualClock
+from delfim.base.clock import ManualClock
 
 PORTS = mavlink.MAV_COMP_ID_AUTOPILOT1
 

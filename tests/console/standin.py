@@ -10,10 +10,10 @@ from typing import Any, TypeAlias
 import msgspec
 from aiohttp import WSMsgType, web
 
+from delfim.base.errors import FormatError
+from delfim.base.modes import Mode
 from delfim.console import said
 from delfim.console.orders import OFFERED, order, row_of
-from delfim.errors import FormatError
-from delfim.modes import Mode
 
 PAGE = Path(__file__).parents[2] / "delfim" / "console" / "page"
 MODES = {mode: mode.name.lower() for mode in Mode}

@@ -9,10 +9,10 @@ from typing import Any
 import pytest
 
 from delfim import config
+from delfim.base.geodesy import origin, to_plane
+from delfim.base.modes import Mode
 from delfim.console.fleet import Fleet
 from delfim.console.othervessels import around
-from delfim.geodesy import origin, to_plane
-from delfim.modes import Mode
 from delfim.simulator.faults import fault
 from delfim.simulator.lockstep import Lockstep
 from delfim.vehicle import console
@@ -121,7 +121,7 @@ def test_the_page_shows_it_too(sail: Sail) -> None:
             for each in gateway.vessels:
                 each["boats"] = [near | {"boat": 1} for near in each["boats"]]
             await gateway.look()
-            await shown(page, gateway, f"delfim.vessels().length === {len(seen['vessels'])}")
+            await shown(page, gateway, f"delfim.base.vessels().length === {len(seen['vessels'])}")
             await shown(page, gateway, f"{said}.test(document.querySelector('#traffic').textContent)")
 
     sail(story)

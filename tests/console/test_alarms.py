@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
-from delfim.clock import ManualClock
+from delfim.base.clock import ManualClock
 from delfim.console.alarms import ALARMS_MAX, Alarms, cause, is_trouble
 from delfim.console.session import Session
 from delfim.console.watchlog import HEADER, KEPT_MAX, WatchLine, WatchLog, table

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
+from delfim.base.eventloop import new_event_loop
 from delfim.commands import GROUPS, LINUX
-from delfim.eventloop import new_event_loop
 
 ROOT = Path(__file__).parents[2]
 IMPORT = """import importlib, sys
@@ -52,7 +52,7 @@ def there(folder: Path, *words: str) -> "subprocess.CompletedProcess[str]":
 
 def test_the_desks_part_is_imported_without_what_only_linux_has() -> None:
     names = sorted(path.stem for path in (ROOT / "delfim/console").glob("[!_]*.py"))
-    modules = [f"delfim.console.{name}" for name in names] + ["delfim.simulator.lockstep", "delfim.simulator.rerun"]
+    modules = [f"delfim.console.{name}" for name in names] + ["delfim.simulator.lockstep", "delfim.simulator.replay.rerun"]
     modules += [f"delfim.logging.{name}" for name in READERS] + [f"delfim.commands.{name}" for name in COMMANDS]
     child = there(ROOT, "-c", IMPORT, *modules)
     assert child.returncode == 0, child.stderr

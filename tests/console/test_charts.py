@@ -16,11 +16,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from PIL import Image, TiffImagePlugin
 
+from delfim.base.errors import ConfigError, FormatError
 from delfim.console.charts import Charts
 from delfim.console.georeference import placed
 from delfim.console.projection import plane
 from delfim.console.warp import warp
-from delfim.errors import ConfigError, FormatError
 
 RED, BLUE = (255, 0, 0), (0, 0, 255)
 HARBOUR = (38.69, -9.21)

@@ -15,8 +15,8 @@ from typing import Any, NamedTuple
 import pytest
 
 from delfim import config
+from delfim.base.modes import Mode
 from delfim.console.orders import ORDERS
-from delfim.modes import Mode
 from delfim.vehicle.mavlink import wire
 from tests.console.chain import PATIENCE_S, VEHICLE, Boat, Sea, afternoon, ordered, select, shown_mode
 from tests.console.pads import plug, unplug

@@ -9,18 +9,18 @@ from typing import Any
 import pytest
 
 from delfim import config
+from delfim.base.errors import Refused
+from delfim.base.geodesy import from_plane
+from delfim.base.modes import Mode
 from delfim.console import plan
 from delfim.console.fleet import Fleet
 from delfim.console.library import Library
 from delfim.console.mavlink import Key, keygen
-from delfim.errors import Refused
-from delfim.geodesy import from_plane
-from delfim.modes import Mode
 from delfim.vehicle import console
 from delfim.vehicle.mavlink.signing import Signing
 from delfim.vehicle.mavlink.station import Station
 from delfim.vehicle.mavlink.wire import Speaker
-from delfim.vehicle.mission import Mission, PayloadItem, Waypoint
+from delfim.vehicle.plans.mission import Mission, PayloadItem, Waypoint
 from tests.console.fakeboat import Radio
 
 HOME = ("127.0.0.1", 14550)

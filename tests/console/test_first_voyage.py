@@ -13,8 +13,8 @@ from pathlib import Path
 
 import pytest
 
+from delfim.base.errors import Refused
 from delfim.console.link import Link
-from delfim.errors import Refused
 from tests.console.chain import Boat, Gateway, Radio, afloat
 from tests.services.browser import Page, shrink, tab
 

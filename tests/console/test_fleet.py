@@ -8,12 +8,12 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
-from delfim.clock import ManualClock
+from delfim.base.clock import ManualClock
+from delfim.base.errors import ConfigError, FormatError, Refused
+from delfim.base.modes import Mode
 from delfim.console import plan, transfer
 from delfim.console.fleet import ASKS, Fleet
 from delfim.console.mavlink import Key, keygen
-from delfim.errors import ConfigError, FormatError, Refused
-from delfim.modes import Mode
 from delfim.vehicle.mavlink import plans, wire
 from delfim.vehicle.mavlink.signing import Signing
 from tests.console.fakeboat import FakeBoat, Radio

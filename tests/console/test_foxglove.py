@@ -11,10 +11,10 @@ from typing import Any
 import aiohttp
 import pytest
 
+from delfim.base.errors import ConfigError
 from delfim.console import foxglove
 from delfim.console.foxglove import FoxgloveView
-from delfim.errors import ConfigError
-from delfim.logging import topics
+from delfim.logging.ashore import topics
 from tests.console.test_gateway import let_in, opened
 from tests.console.test_othervessels import vessel
 

@@ -19,14 +19,14 @@ import pytest
 from PIL import Image
 from pymavlink.dialects.v20 import common as mavlink
 
-from delfim.clock import Clock, ManualClock, SystemClock, WakefulClock
+from delfim.base.clock import Clock, ManualClock, SystemClock, WakefulClock
+from delfim.base.errors import ConfigError
 from delfim.console import browser
 from delfim.console.admission import kept_token, own_number
 from delfim.console.boats import MEASURED_MAX, Boat
 from delfim.console.gateway import PAGES_MAX, Gateway
 from delfim.console.replay import open_tapes
 from delfim.console.serving import serve
-from delfim.errors import ConfigError
 from delfim.vehicle.mavlink import ardupilot, wire
 from tests.console.fakeboat import FakeBoat
 

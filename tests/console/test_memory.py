@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from delfim.clock import ManualClock
+from delfim.base.clock import ManualClock
 from delfim.console.boats import TRACK_MAX
 from delfim.console.gateway import Gateway
 from delfim.console.mavlink import mavlink

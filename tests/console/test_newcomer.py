@@ -15,7 +15,7 @@ import pytest
 from PIL import Image
 from pymavlink.dialects.v20 import common as mavlink
 
-from delfim.clock import ManualClock, SystemClock
+from delfim.base.clock import ManualClock, SystemClock
 from delfim.console.fleet import Fleet
 from delfim.console.gateway import Gateway
 from delfim.console.replay import open_tapes

@@ -12,15 +12,15 @@ from PIL import Image
 from pymavlink.dialects.v20 import common as mavlink
 
 from delfim import config
-from delfim.clock import ManualClock
+from delfim.base.clock import ManualClock
+from delfim.base.errors import DelfimError
+from delfim.base.outside import TEXT_BYTES
+from delfim.base.slices import Sliced
 from delfim.console.fleet import Fleet
 from delfim.console.forecast import dry_run
 from delfim.console.replay import open_tapes
 from delfim.console.session import Session
 from delfim.console.verdict import NO_FILE, verdict
-from delfim.errors import DelfimError
-from delfim.outside import TEXT_BYTES
-from delfim.slices import Sliced
 from tests.console.fakeboat import FakeBoat
 from tests.console.scenes import choose
 from tests.console.test_gateway import opened

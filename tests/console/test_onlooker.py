@@ -8,10 +8,10 @@ from typing import Any
 import pytest
 
 from delfim import config
+from delfim.base.errors import Refused
 from delfim.console import onlooker
 from delfim.console.onlooker import Voyage
-from delfim.errors import Refused
-from delfim.vehicle.mission import Mission, load_mission
+from delfim.vehicle.plans.mission import Mission, load_mission
 
 FILE = Path(__file__).parents[2] / "etc/delfimx.toml"
 

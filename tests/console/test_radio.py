@@ -15,11 +15,11 @@ import serial
 from hypothesis import given
 from hypothesis import strategies as st
 
-from delfim.clock import ManualClock, SystemClock
+from delfim.base.clock import ManualClock, SystemClock
+from delfim.base.errors import ConfigError
 from delfim.console.fleet import BOATS_MAX, Fleet
 from delfim.console.mavlink import Codec, mavlink
 from delfim.console.radio import READ_BYTES, radio
-from delfim.errors import ConfigError
 from tests.console.fakeboat import FakeBoat
 
 

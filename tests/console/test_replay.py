@@ -12,7 +12,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from delfim import config
-from delfim.clock import Clock, ManualClock
+from delfim.base.clock import Clock, ManualClock
+from delfim.base.errors import DelfimError, FormatError, Refused
+from delfim.base.geodesy import origin, to_plane
 from delfim.console.fleet import Fleet
 from delfim.console.mavlink import mavlink
 from delfim.console.othervessels import around
@@ -20,8 +22,6 @@ from delfim.console.replay import TapePlayer, open_tapes
 from delfim.console.session import PENDING_BYTES, Session
 from delfim.console.statetape import States
 from delfim.console.tape import Text, TlogTape
-from delfim.errors import DelfimError, FormatError, Refused
-from delfim.geodesy import origin, to_plane
 from delfim.simulator.lockstep import Lockstep
 from delfim.vehicle import console
 from delfim.vehicle.logbook import Logbook

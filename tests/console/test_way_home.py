@@ -7,11 +7,11 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import development as mavlink
 
+from delfim.base.errors import Refused
+from delfim.base.geodesy import from_plane, origin, to_plane
 from delfim.config import HomeTable
 from delfim.console.wayhome import HeardTrack
-from delfim.errors import Refused
-from delfim.geodesy import from_plane, origin, to_plane
-from delfim.vehicle.track import Track
+from delfim.vehicle.plans.track import Track
 from tests.console.test_fleet import Sea
 
 AT = origin(math.radians(38.69), math.radians(-9.215))

@@ -11,7 +11,7 @@ from statistics import median
 
 from matplotlib.figure import Figure
 
-from delfim.logging.plot import INK
+from delfim.logging.ashore.plot import INK
 from tests.guest.test_guest_slip import sailed
 
 ROWS = (("idle_ms", "nothing else", "#5b9a68"), ("loaded_ms", "beside a download", "#d1495b"))

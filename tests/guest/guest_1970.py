@@ -20,9 +20,9 @@ from typing import Any
 from bench import critical_path
 from bench.critical_path import running, until
 from bench.soak import TIMEOUT_S, Boat, Visitors
+from delfim.base.errors import DelfimError
 from delfim.console.link import Link
-from delfim.errors import DelfimError
-from delfim.logging import tree
+from delfim.logging.ashore import tree
 from delfim.logging.reading import read_log
 from delfim.logging.statelog import columns
 

@@ -13,13 +13,13 @@ from pathlib import Path
 
 import pytest
 
+from delfim.base.errors import BusError
+from delfim.base.frames import CAN_IDE, extended, standard
 from delfim.canproxy.dsor.endpoint import CanPort, CanSegm
 from delfim.canproxy.dsor.sockets import open_dsor
 from delfim.canproxy.opening import open_can
 from delfim.canproxy.socket import ANYTHING, CanAddress, CanSocket
 from delfim.canproxy.socketcan import restart
-from delfim.errors import BusError
-from delfim.frames import CAN_IDE, extended, standard
 
 sys.path.append(str(Path(__file__).parents[1] / "canproxy"))
 from test_socket import *  # noqa: F403  (what is true of canloop is true of vcan0)

@@ -17,7 +17,7 @@ from bench import critical_path, soak
 from bench.critical_path import until
 from bench.soak import Boat, Visitors
 from delfim.console.link import Link
-from delfim.logging import tree
+from delfim.logging.ashore import tree
 from delfim.logging.statelog import columns
 
 DAY_S = 86_400.0

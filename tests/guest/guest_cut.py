@@ -7,9 +7,9 @@ import sys
 import time
 from pathlib import Path
 
+from delfim.base.errors import DelfimError
+from delfim.canproxy.dsor.messages import Node
 from delfim.console.link import Link
-from delfim.errors import DelfimError
-from delfim.messages import Node
 
 LOG = Path("/mnt/log")
 FOLDER = os.environ["FOLDER"]
@@ -27,7 +27,7 @@ import logging, time
 from delfim.canproxy.dsor.protocol import BROADCAST, Message, segments
 from delfim.canproxy.opening import open_can
 from delfim.logging.systemlog import begin
-from delfim.messages import LOG_ID, Node
+from delfim.canproxy.dsor.messages import LOG_ID, Node
 begin("/run/delfim", "talker", {})
 with open_can("vcan0") as bus:
     number = 0

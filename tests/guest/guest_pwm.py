@@ -11,7 +11,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from delfim.pulses import pack_command, socket_path, unpack_answer
+from delfim.base.pulses import pack_command, socket_path, unpack_answer
 
 FOLDER, BUS, CHIP = os.environ["FOLDER"], "/dev/i2c-0", 0x40
 ROWS = ", ".join(

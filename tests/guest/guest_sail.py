@@ -12,10 +12,10 @@ import sys
 import time
 from pathlib import Path
 
-from delfim import messages
+from delfim.base.errors import DelfimError
+from delfim.base.frames import identifier
+from delfim.canproxy.dsor import messages
 from delfim.console.link import Link
-from delfim.errors import DelfimError
-from delfim.frames import identifier
 
 FOLDER = Path(os.environ["FOLDER"])
 VEHICLE = "etc/delfimx.toml"

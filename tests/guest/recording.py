@@ -2,10 +2,11 @@
 
 from pathlib import Path
 
-from delfim import config, messages
-from delfim.frames import Frame
+from delfim import config
+from delfim.base.frames import Frame
+from delfim.canproxy.dsor import messages
+from delfim.canproxy.dsor.messages import BatteriesCommand, PropellerCommand
 from delfim.logging.candump import format_line
-from delfim.messages import BatteriesCommand, PropellerCommand
 from delfim.simulator.nodes import nodes_of
 
 

@@ -15,8 +15,8 @@ from typing import NamedTuple
 import can
 import pytest
 
-from delfim.messages import ShutdownAcknowledge, ShutdownStage, pack_shutdown_acknowledge
-from delfim.services.door import hashed
+from delfim.canproxy.dsor.messages import ShutdownAcknowledge, ShutdownStage, pack_shutdown_acknowledge
+from delfim.services.access.door import hashed
 from tests.guest import boat_image
 from tests.guest.ashore import BOAT, disk, network, started
 from tests.guest.pc import PATH, Pc

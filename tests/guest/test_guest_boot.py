@@ -10,10 +10,10 @@ from pathlib import Path
 
 import pytest
 
-from delfim import messages
-from delfim.frames import Frame
+from delfim.base.frames import Frame
+from delfim.canproxy.dsor import messages
+from delfim.canproxy.dsor.messages import ShutdownStage
 from delfim.logging.candump import parse_line
-from delfim.messages import ShutdownStage
 from tests.guest.harness import PATH, ROOT, Guest, GuestError, guest, missing
 from tests.guest.recording import record
 
@@ -174,7 +174,7 @@ def test_a_second_mount_is_unmounted_and_what_only_reads_does_not_matter(boat: B
 
 LIMITED = """
 import subprocess, sys
-from delfim.services.cgroup import Limits
+from delfim.services.supervision.cgroup import Limits
 limits = Limits(32 << 20, 0.5)
 eats = "import sys; sys.stdin.readline(); x = [bytearray(1 << 20) for _ in range(64)]; print('fits')"
 child = subprocess.Popen([sys.executable, "-c", eats], stdin=subprocess.PIPE, text=True)
@@ -192,12 +192,12 @@ def test_the_kernel_keeps_the_limits(can_guest: Guest) -> None:
 
 CONFINED = """
 import os, subprocess, sys
-from delfim.services import processes
-from delfim.services.cgroup import Limits
+from delfim.services.supervision import processes
+from delfim.services.supervision.cgroup import Limits
 
 def carried(name, words):
     limits = ["nobody", "32", "0.5", "8", "alone"]
-    command = [sys.executable, "-m", "delfim.services.confine", name, *limits, "/bin/sh", "-c", words]
+    command = [sys.executable, "-m", "delfim.services.supervision.confine", name, *limits, "/bin/sh", "-c", words]
     return subprocess.Popen(command, stdout=subprocess.PIPE, start_new_session=True)
 
 eater = carried("payload-eater", "tail /dev/zero; echo alive")

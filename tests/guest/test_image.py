@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from delfim.services import imagefile, slots
-from delfim.services.slots import Environment
+from delfim.services.image import imagefile, slots
+from delfim.services.image.slots import Environment
 from tests.guest import boat_image
 from tests.guest.pc import PATH, Pc, make_disk, pc
 

@@ -13,14 +13,14 @@ from pathlib import Path
 import can
 import pytest
 
+from delfim.base.modes import Mode
+from delfim.logging.ashore.repair import repair
+from delfim.logging.ashore.tree import LogFile, files
 from delfim.logging.candump import parse_line
 from delfim.logging.kept import newest
 from delfim.logging.keptwriter import VOYAGE
 from delfim.logging.reading import read_log
-from delfim.logging.repair import repair
 from delfim.logging.statelog import columns, read_state
-from delfim.logging.tree import LogFile, files
-from delfim.modes import Mode
 from tests.guest.harness import PATH, guest, missing
 
 pytestmark = pytest.mark.long

@@ -12,8 +12,8 @@ from typing import NamedTuple
 
 import pytest
 
-from delfim.logging.repair import repair
-from delfim.logging.tree import files
+from delfim.logging.ashore.repair import repair
+from delfim.logging.ashore.tree import files
 from tests.guest.harness import PATH, guest, missing
 from tests.guest.test_power_cut import LOST_S, kept, last_s, opens, tool
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from delfim.clock import ManualClock
+from delfim.base.clock import ManualClock
 from delfim.logging.filelog import FileLog
 from delfim.logging.liblog import LogSettings
 from delfim.logging.pipelog import PipeLog

@@ -5,13 +5,13 @@ from pathlib import Path
 import pytest
 
 from delfim import config
+from delfim.base.clock import ManualClock
 from delfim.canproxy.socket import ANYTHING
-from delfim.clock import ManualClock
 from delfim.logging import blackbox, linelog
+from delfim.logging.ashore.tree import LogFile, files
 from delfim.logging.blackbox import BlackBox
 from delfim.logging.linelog import LineLog
 from delfim.logging.openlog import open_log
-from delfim.logging.tree import LogFile, files
 from delfim.simulator.line import LockstepLine
 from delfim.simulator.lockstep import Lockstep
 from delfim.vehicle import console

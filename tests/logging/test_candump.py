@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from delfim.errors import FormatError
-from delfim.frames import CAN_ERR, CAN_IDE, Frame, extended, from_can_id, standard
+from delfim.base.errors import FormatError
+from delfim.base.frames import CAN_ERR, CAN_IDE, Frame, extended, from_can_id, standard
 from delfim.logging.candump import format_line, parse_line
 
 T_NS = 1_262_304_000_000_123_000

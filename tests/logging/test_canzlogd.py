@@ -10,11 +10,11 @@ from types import SimpleNamespace
 import can
 import pytest
 
+from delfim.base.errors import BusError
+from delfim.base.frames import CAN_ERR, CAN_IDE, Frame, extended, standard
 from delfim.canproxy.opening import open_can
 from delfim.canproxy.socket import ANYTHING, CanSocket, bus_state
 from delfim.config import LogTable
-from delfim.errors import BusError
-from delfim.frames import CAN_ERR, CAN_IDE, Frame, extended, standard
 from delfim.logging import blackbox
 from delfim.logging.blackbox import FRAMES_A_CALL, BlackBox
 from delfim.logging.candump import format_line, parse_line

@@ -12,12 +12,12 @@ import mcap.reader
 import numpy as np
 import pytest
 
-from delfim.errors import DelfimError
-from delfim.frames import CAN_ERR, CAN_IDE, Frame, extended, standard
-from delfim.logging import canexport, export, tree
+from delfim.base.errors import DelfimError
+from delfim.base.frames import CAN_ERR, CAN_IDE, Frame, extended, standard
+from delfim.logging.ashore import canexport, export, tree
+from delfim.logging.ashore.table import table
 from delfim.logging.candump import format_line
 from delfim.logging.reading import read_events
-from delfim.logging.table import table
 from delfim.vehicle import console
 from tests.logging.sailing import Day, logged, sailed
 

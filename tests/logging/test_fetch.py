@@ -6,10 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from delfim.errors import DelfimError
-from delfim.logging import fetch
-from delfim.logging.fetch import ATTEMPTS, RemoteFile, opener, transfer, wanted
-from delfim.logging.tree import ALWAYS, Span
+from delfim.base.errors import DelfimError
+from delfim.logging.ashore import fetch
+from delfim.logging.ashore.fetch import ATTEMPTS, RemoteFile, opener, transfer, wanted
+from delfim.logging.ashore.tree import ALWAYS, Span
 
 T0_NS = 1_262_338_200_000_000_000  # 2010-01-01 09:30:00
 

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from delfim.errors import DelfimError
-from delfim.logging.fetch import fetch
-from delfim.logging.tree import ALWAYS
+from delfim.base.errors import DelfimError
+from delfim.logging.ashore.fetch import fetch
+from delfim.logging.ashore.tree import ALWAYS
 from tests.logging.test_fetch import FILES, T0_NS, arrived
 
 SERVER = """

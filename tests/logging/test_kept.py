@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from delfim.errors import FormatError
+from delfim.base.errors import FormatError
 from delfim.logging import keptwriter
 from delfim.logging.kept import Keeper, newest
 from delfim.logging.keptwriter import NewestRecord, keep, packed, slot, store, unpacked

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from delfim import config
-from delfim.clock import ManualClock
+from delfim.base.clock import ManualClock
 from delfim.logging import filelog, guard, liblog
 from delfim.logging.liblog import LogStatus
 from delfim.logging.openlog import open_log

@@ -10,17 +10,17 @@ from pathlib import Path
 
 import pytest
 
+from delfim.base.errors import BusError
+from delfim.base.frames import Frame
+from delfim.canproxy.dsor.messages import LOG_ID, NAVIGATION_ID, Node
 from delfim.canproxy.dsor.protocol import Message, segments
 from delfim.canproxy.dsor.receiver import Receiver
 from delfim.canproxy.opening import open_can
 from delfim.config import LogTable
-from delfim.errors import BusError
-from delfim.frames import Frame
 from delfim.logging import nodelog
 from delfim.logging.nodelog import LogMessages, line
 from delfim.logging.openlog import open_log
 from delfim.logging.reading import read_log
-from delfim.messages import LOG_ID, NAVIGATION_ID, Node
 from tests.logging.conftest import files
 
 T0 = 1_262_304_000_000_000_000

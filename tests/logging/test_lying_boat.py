@@ -11,11 +11,12 @@ from threading import Thread
 import pytest
 
 from delfim.__main__ import main
-from delfim.errors import DelfimError
-from delfim.logging import fetch, reading
-from delfim.logging.fetch import RemoteFile, transfer, wanted
-from delfim.logging.repair import condition
-from delfim.logging.tree import ALWAYS
+from delfim.base.errors import DelfimError
+from delfim.logging import reading
+from delfim.logging.ashore import fetch
+from delfim.logging.ashore.fetch import RemoteFile, transfer, wanted
+from delfim.logging.ashore.repair import condition
+from delfim.logging.ashore.tree import ALWAYS
 
 DAY = "20100101"
 FACTS = "type=file;size=5;modify=20100101093000; "

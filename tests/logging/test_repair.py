@@ -12,10 +12,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from delfim.logging.ashore.repair import mended, pieces, repair
+from delfim.logging.ashore.tree import files
 from delfim.logging.reading import read_log
-from delfim.logging.repair import mended, pieces, repair
 from delfim.logging.statelog import Schema, read_state
-from delfim.logging.tree import files
 
 SCHEMA = Schema([("n", "I", "", "number"), ("x", "d", "m", "place")])
 

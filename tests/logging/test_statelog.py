@@ -10,7 +10,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from delfim.errors import FormatError
+from delfim.base.errors import FormatError
 from delfim.logging import statelog
 from delfim.logging.statelog import Schema, StateWriter, columns, read_state
 from delfim.vehicle import record

@@ -11,8 +11,9 @@ from pathlib import Path
 
 import pytest
 
-from delfim.clock import ManualClock
-from delfim.logging import systemlines, systemlog, tree
+from delfim.base.clock import ManualClock
+from delfim.logging import systemlog
+from delfim.logging.ashore import systemlines, tree
 from delfim.logging.liblog import LogSettings
 from delfim.logging.systemlog import BURST, RATE_HZ, RECENT, RECENT_BYTES, SystemHandler, open_pipe, recent
 from delfim.logging.systemwriter import WAITING_BYTES, SystemWriter

@@ -9,9 +9,9 @@ from types import SimpleNamespace
 import pytest
 
 from bench import liblog
-from delfim.errors import DelfimError, FormatError
-from delfim.logging import tree
-from delfim.logging.tree import Span
+from delfim.base.errors import DelfimError, FormatError
+from delfim.logging.ashore import tree
+from delfim.logging.ashore.tree import Span
 
 T0 = 1_262_338_200  # 2010-01-01 09:30:00
 NOW_NS = (T0 + 86_400) * 1_000_000_000

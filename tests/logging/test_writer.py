@@ -184,7 +184,7 @@ def test_what_a_dead_parent_had_put_is_written(tmp_path):
     program = f"""
 import os, signal
 from delfim import config
-from delfim.clock import SystemClock
+from delfim.base.clock import SystemClock
 from delfim.logging.openlog import open_log
 log = open_log(config.LogTable(directory={str(tmp_path / "log")!r}, free_bytes_min=0), "gps", ".log", "zpipe", SystemClock())
 for number in range(500):

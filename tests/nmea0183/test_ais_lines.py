@@ -5,13 +5,14 @@ from typing import Any
 
 import pytest
 
-from delfim import config, geodesy
-from delfim.clock import ManualClock
+from delfim import config
+from delfim.base import geodesy
+from delfim.base.clock import ManualClock
 from delfim.nmea0183.framing import framed
 from delfim.simulator.line import LockstepLine
 from delfim.vehicle import sensors
 from delfim.vehicle.links import Links
-from delfim.vehicle.navigation import open_sources
+from delfim.vehicle.navigation.fixes import open_sources
 from delfim.vehicle.state import HEARD_MANY, HEARD_MAX, State
 from delfim.vehicle.traffic.lookout import TrafficLookout
 

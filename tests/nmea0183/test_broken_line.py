@@ -11,10 +11,10 @@ from pathlib import Path
 import pytest
 
 from delfim import config
-from delfim.allowance import Allowance
-from delfim.clock import ManualClock
+from delfim.base.allowance import Allowance
+from delfim.base.clock import ManualClock
+from delfim.lines.serialline import SerialLine
 from delfim.nmea0183.framing import framed
-from delfim.serialline import SerialLine
 from delfim.vehicle.links import Links
 from delfim.vehicle.sources.nmea0183 import GARBLED_S, Nmea0183Navigation, opened
 

@@ -6,8 +6,8 @@ from itertools import pairwise
 import pytest
 
 from delfim import config
+from delfim.canproxy.dsor.messages import Navigation
 from delfim.fusion import SLOW_S, VARIATION_S
-from delfim.messages import Navigation
 from delfim.nmea0183.combining import TALKERS_MAX, Combined
 from delfim.nmea0183.framing import Sentences, framed
 from delfim.nmea0183.sentences import KNOT

@@ -8,24 +8,24 @@ from random import Random
 
 import pytest
 
-from delfim.allowance import PIECE_BYTES, Allowance
+from delfim.base.allowance import PIECE_BYTES, Allowance
+from delfim.canproxy.dsor.messages import Navigation
 from delfim.canproxy.socket import ANYTHING
+from delfim.lines.serialline import SerialLine
 from delfim.logging import blackbox, linelog
 from delfim.logging.blackbox import BlackBox
 from delfim.logging.linelog import LineLog, pieces
 from delfim.logging.openlog import open_log
-from delfim.messages import Navigation
 from delfim.nmea0183.speaking import gga, hdt, rmc
-from delfim.serialline import SerialLine
 from delfim.simulator.lockstepbus import LockstepBus
-from delfim.simulator.rerun import rerun
+from delfim.simulator.replay.rerun import rerun
 from delfim.vehicle import console
 from delfim.vehicle.actuators.dsor import Propellers
-from delfim.vehicle.estimated import between
 from delfim.vehicle.grex import Guest
 from delfim.vehicle.links import Links
 from delfim.vehicle.loop import VehicleLoop
-from delfim.vehicle.navigation import open_sources
+from delfim.vehicle.navigation.estimated import between
+from delfim.vehicle.navigation.fixes import open_sources
 from delfim.vehicle.propulsion import Propulsion
 from delfim.vehicle.state import State
 from tests.logging.sailing import Day, logged

@@ -11,8 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pynmeagps import NMEAReader
 
+from delfim.canproxy.dsor.messages import Navigation
 from delfim.config import SPOKEN_BYTES
-from delfim.messages import Navigation
 from delfim.nmea0183.framing import LONGEST, NAMES_MAX, Sentences, framed
 from delfim.nmea0183.sentences import (
     KNOT,

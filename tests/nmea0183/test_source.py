@@ -5,12 +5,12 @@ import os
 import pytest
 
 from delfim import config
-from delfim.clock import ManualClock
+from delfim.base.clock import ManualClock
 from delfim.nmea0183.framing import framed
 from delfim.simulator.line import LockstepLine
 from delfim.vehicle import sensors
 from delfim.vehicle.links import Links
-from delfim.vehicle.navigation import open_sources, take
+from delfim.vehicle.navigation.fixes import open_sources, take
 from delfim.vehicle.sources.nmea0183 import GREETING, WATCH
 from delfim.vehicle.state import State
 

@@ -7,8 +7,8 @@ import tempfile
 from pathlib import Path
 from typing import Final
 
-from delfim.logging.tree import files
-from delfim.simulator.rerun import RerunResult, rerun
+from delfim.logging.ashore.tree import files
+from delfim.simulator.replay.rerun import RerunResult, rerun
 from delfim.vehicle import console
 from tests.logging.sailing import MISSION, Day
 from tests.oracles.keeping import KEPT

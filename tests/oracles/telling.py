@@ -8,18 +8,18 @@ from typing import Any, Final, get_args
 import msgspec
 
 from delfim import config
+from delfim.base.clock import ManualClock
+from delfim.base.frames import Frame, identifier
+from delfim.base.geodesy import origin
+from delfim.base.modes import Mode
+from delfim.canproxy.dsor.messages import BatteriesStatus, Fault, GpsStatus, Navigation, Node, PropellerStatus, Status
 from delfim.canproxy.nmea2000.device import FIRST
-from delfim.clock import ManualClock
-from delfim.frames import Frame, identifier
-from delfim.geodesy import origin
+from delfim.lines.serialform import Form
 from delfim.logging.liblog import LogStatus
-from delfim.messages import BatteriesStatus, Fault, GpsStatus, Navigation, Node, PropellerStatus, Status
-from delfim.modes import Mode
 from delfim.nmea0183.speaking import SPEAKERS
-from delfim.serialform import Form
 from delfim.services.nmea2000d import BoatDevice
-from delfim.services.web import api
-from delfim.services.web.metrics import metrics
+from delfim.services.page import api
+from delfim.services.page.metrics import metrics
 from delfim.simulator.line import LockstepLine
 from delfim.simulator.lockstepbus import LockstepBus
 from delfim.vehicle import console

@@ -21,7 +21,7 @@ from operator import itemgetter
 from typing import Any, Final, NamedTuple
 
 from delfim import config
-from delfim.clock import ManualClock
+from delfim.base.clock import ManualClock
 from delfim.simulator.lockstep import Lockstep
 from delfim.vehicle import record
 from delfim.vehicle.state import State

@@ -8,13 +8,13 @@ from typing import Any, Final, NamedTuple
 import msgspec
 
 from delfim import config
-from delfim.clock import ManualClock
-from delfim.simulator.encounters import staged_of
+from delfim.base.clock import ManualClock
 from delfim.simulator.lockstep import Lockstep
-from delfim.simulator.mixed import mixed, mixed_mission, place_of
-from delfim.simulator.scenario import Scenario, load_scenario, mission_of, settings_of
-from delfim.simulator.trial import sail
-from delfim.simulator.watch import TruePlace
+from delfim.simulator.scenarios.encounters import staged_of
+from delfim.simulator.scenarios.mixed import mixed, mixed_mission, place_of
+from delfim.simulator.scenarios.scenario import Scenario, load_scenario, mission_of, settings_of
+from delfim.simulator.scenarios.trial import sail
+from delfim.simulator.scenarios.watch import TruePlace
 from tests.oracles.traces import Layout, Tape, Trace
 
 ROOT: Final = Path(__file__).parents[2]

@@ -10,10 +10,10 @@ from typing import Final
 import msgspec
 
 from delfim import config
+from delfim.base.clock import ManualClock
+from delfim.base.frames import Frame
 from delfim.canproxy.socket import ANYTHING, CanAddress, CanSocket
-from delfim.clock import ManualClock
-from delfim.frames import Frame
-from delfim.serialform import Form
+from delfim.lines.serialform import Form
 from delfim.simulator.line import LockstepLine
 from delfim.simulator.lockstep import Lockstep
 from delfim.simulator.lockstepbus import LockstepBus

@@ -14,10 +14,10 @@ from typing import Any
 
 import pytest
 
+from delfim.base.errors import DelfimError
 from delfim.console.link import Link
-from delfim.errors import DelfimError
-from delfim.logging.table import table
-from delfim.logging.tree import files
+from delfim.logging.ashore.table import table
+from delfim.logging.ashore.tree import files
 from tests.afloat import running
 from tests.parts.laboratory import ROOT, installed
 

@@ -7,14 +7,14 @@ from pathlib import Path
 import pytest
 
 from delfim import config
-from delfim.errors import ConfigError, DelfimError, PermanentFailure
-from delfim.messages import Navigation
-from delfim.services.stop import PropellerStop
+from delfim.base.errors import ConfigError, DelfimError, PermanentFailure
+from delfim.canproxy.dsor.messages import Navigation
+from delfim.services.supervision.stop import PropellerStop
 from delfim.simulator.line import LockstepLine
 from delfim.simulator.lockstep import Lockstep
 from delfim.vehicle import console
 from delfim.vehicle.foreign import BROKEN_S, GuardedActuator, GuardedSensor, GuardedSource, breaking_off
-from delfim.vehicle.navigation import Fix
+from delfim.vehicle.navigation.fixes import Fix
 from delfim.vehicle.state import Actuation, NoLog, State
 from tests.parts.laboratory import ROOT, installed, laboratory
 
@@ -217,9 +217,9 @@ def test_the_dead_man_stops_the_others_where_a_driver_is_broken(laboratory, tmp_
     settings = config.load(ROOT / "etc/delfimx.toml", (*ABOARD, f'can.interface="{bus}"'))
     stop = PropellerStop(settings)
     assert ("made on a Friday" in caplog.text) is ("Friday" in broken), "the log says at once what would not be stopped"
+    from delfim.canproxy.dsor.messages import PROPELLER_PORT
     from delfim.canproxy.opening import open_can
     from delfim.canproxy.socket import CanAddress
-    from delfim.messages import PROPELLER_PORT
 
     with open_can(bus) as ear:
         ear.bind(CanAddress(PROPELLER_PORT))

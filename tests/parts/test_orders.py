@@ -7,11 +7,11 @@ from pathlib import Path
 import pytest
 
 from delfim import config
+from delfim.base.errors import ConfigError, FormatError
+from delfim.base.numberedorders import NumberedOrder
 from delfim.console.describe import describe
 from delfim.console.drive import command
 from delfim.console.fleet import Fleet
-from delfim.errors import ConfigError, FormatError
-from delfim.numberedorders import NumberedOrder
 from delfim.simulator.lockstep import Lockstep
 from delfim.vehicle import console
 from delfim.vehicle.foreign import breaking_off

@@ -6,13 +6,14 @@ import sys
 
 import pytest
 
-from delfim import config, parts
+from delfim import config
+from delfim.base import parts
+from delfim.base.errors import ConfigError
+from delfim.base.frames import standard
 from delfim.canproxy.socket import CanAddress
 from delfim.console.describe import describe
-from delfim.errors import ConfigError
-from delfim.frames import standard
+from delfim.services.suite import services
 from delfim.simulator.lockstep import Lockstep
-from delfim.suite import services
 from delfim.vehicle.state import NoLog
 from tests.parts.laboratory import ROOT, installed, known, laboratory
 

@@ -9,7 +9,7 @@ from types import SimpleNamespace
 from typing import Any
 
 from delfim import config
-from delfim.clock import SystemClock
+from delfim.base.clock import SystemClock
 from delfim.services.runtime import Runtime
 from delfim.vehicle.command import CommandServer
 

@@ -9,7 +9,7 @@ from itertools import chain, count, repeat
 from math import inf
 from signal import SIGCHLD, SIGKILL, SIGTERM, Signals
 
-from delfim.services.children import STACKS_SIGNAL
+from delfim.services.supervision.children import STACKS_SIGNAL
 
 FIRST_S = 100.0  # on its clock
 LOOKS = 30_000  # at the clock, in the longest story

@@ -15,7 +15,7 @@ import time
 from functools import partial
 from pathlib import Path
 
-from delfim.services import children, supervisor
+from delfim.services.supervision import children, supervisor
 
 
 def note(record: str, name: str, word: str) -> None:

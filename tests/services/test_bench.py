@@ -18,10 +18,10 @@ from typing import Self
 import pytest
 
 from delfim import config
+from delfim.base.errors import DelfimError
 from delfim.canproxy.opening import open_can
 from delfim.canproxy.socket import ANYTHING, CanSocket
 from delfim.console.link import Link
-from delfim.errors import DelfimError
 from delfim.services.bench import HELD_S, DeadMan, Trial, runs
 from delfim.vehicle.gate import GateLimits
 from tests.afloat import running

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from delfim.services import buses
+from delfim.services.can import buses
 
 IP = """#!/bin/sh
 echo "$*" >>"$0.said"

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from delfim.services import cgroup
-from delfim.services.cgroup import Limits
+from delfim.services.supervision import cgroup
+from delfim.services.supervision.cgroup import Limits
 
 
 @pytest.fixture

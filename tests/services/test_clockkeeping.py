@@ -5,16 +5,16 @@ from collections import deque
 
 import pytest
 
+from delfim.base.clock import MADE_NS, ManualClock
+from delfim.base.errors import BusError
+from delfim.base.frames import Frame, standard
+from delfim.base.modes import Mode
+from delfim.canproxy.dsor.messages import TIME, TIME_FRAME, Navigation, time_frame
 from delfim.canproxy.nmea2000.pgns import GnssPosition, PositionRapid, SystemTime, encode
 from delfim.canproxy.nmea2000.source import Nmea2000Source
-from delfim.clock import MADE_NS, ManualClock
 from delfim.config import Nmea2000
-from delfim.errors import BusError
-from delfim.frames import Frame, standard
-from delfim.messages import TIME, TIME_FRAME, Navigation, time_frame
-from delfim.modes import Mode
-from delfim.services.clockkeeping import OURS, ClockKeeping
-from delfim.vehicle.clockkeeper import ENOUGH
+from delfim.services.clock.clockkeeper import ENOUGH
+from delfim.services.clock.clockkeeping import OURS, ClockKeeping
 from delfim.vehicle.state import State
 
 START_NS = MADE_NS + 300 * 86_400_000_000_000  # UTC at monotonic zero

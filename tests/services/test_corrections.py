@@ -15,9 +15,9 @@ from typing import Any
 import pytest
 
 from delfim import config
-from delfim.clock import SystemClock
-from delfim.errors import ConfigError, PermanentFailure
-from delfim.rtcm import doorstep, framed
+from delfim.base.clock import SystemClock
+from delfim.base.errors import ConfigError, PermanentFailure
+from delfim.lines.rtcm import doorstep, framed
 from delfim.services import corrections
 from delfim.services.priority import Account
 from delfim.services.receiverport import WAITING_BYTES, ReceiverPort

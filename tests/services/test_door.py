@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from delfim.errors import FormatError
-from delfim.services.door import Door, Patience, bulk, hashed, matches
+from delfim.base.errors import FormatError
+from delfim.services.access.door import Door, Patience, bulk, hashed, matches
 
 
 def test_connections_are_counted_and_forgotten():

@@ -5,9 +5,9 @@ from typing import Any
 import pytest
 
 from delfim import config
-from delfim.services.door import hashed
-from delfim.services.doors import EVERY, SERVICES, doors, unheard
-from delfim.tables import decode
+from delfim.base.tables import decode
+from delfim.services.access.door import hashed
+from delfim.services.access.doors import EVERY, SERVICES, doors, unheard
 
 KEY, LAN, ALL = "/etc/delfim/key", "192.168.5.10:80", "0.0.0.0/0"
 NO_KEY, STEER = f"{EVERY}, for there is no key", "be the guest computer, which steers in mode grex"

@@ -9,8 +9,8 @@ from pathlib import Path
 import asyncssh
 
 from delfim import config
-from delfim.services import ftpd, sshd
-from delfim.services.door import hashed
+from delfim.services.access.door import hashed
+from delfim.services.files import ftpd, sshd
 from delfim.services.runtime import Runtime
 from tests.logging.test_fetch import T0_NS, arrived, gz
 from tests.services.boat import served, vehicle_file

@@ -17,16 +17,16 @@ import aiomqtt
 import pytest
 
 from delfim import config
+from delfim.base.clock import ManualClock, SystemClock
+from delfim.base.errors import ConfigError, PermanentFailure
 from delfim.broker import STALE_S, BrokerLine, BrokerPlace
-from delfim.clock import ManualClock, SystemClock
 from delfim.console.fleet import Fleet
 from delfim.console.mavlink import Key
 from delfim.console.serving import broker_line
-from delfim.errors import ConfigError, PermanentFailure
-from delfim.services.doors import doors
+from delfim.services.access.doors import doors
 from delfim.services.fleetd import FleetMember, serve
-from delfim.services.web.api import State
-from delfim.suite import services
+from delfim.services.page.api import State
+from delfim.services.suite import services
 from delfim.vehicle.mavlink.signing import new_key
 from tests.console.fakeboat import FakeBoat
 from tests.services.caster import free_port
@@ -395,7 +395,7 @@ def test_the_file_is_refused_with_a_reason(text: str, words: str, tmp_path: Path
 def loaded_by_delfimx(modules: set[str]) -> set[str]:
     """Those of these modules that the services of DelfimX load."""
     program = (
-        "import sys; from delfim import config, suite; settings = config.load('etc/delfimx.toml');"
+        "import sys; from delfim import config; from delfim.services import suite; settings = config.load('etc/delfimx.toml');"
         "[row.loaded() for row in suite.services(settings)]; print(*sys.modules)"
     )
     ended = subprocess.run((sys.executable, "-c", program), capture_output=True, text=True, cwd=ROOT, check=True)
@@ -403,7 +403,7 @@ def loaded_by_delfimx(modules: set[str]) -> set[str]:
 
 
 def test_a_boat_that_has_no_broker_loads_nothing_of_it() -> None:
-    assert loaded_by_delfimx({"delfim.suite"}), "it tells what is loaded"
+    assert loaded_by_delfimx({"delfim.services.suite"}), "it tells what is loaded"
     assert loaded_by_delfimx({"aiomqtt", "paho", "delfim.broker", "delfim.services.fleetd"}) == set()
 
 

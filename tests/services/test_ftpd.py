@@ -18,10 +18,11 @@ from typing import Any
 import pytest
 
 from delfim import config
-from delfim.errors import PermanentFailure
+from delfim.base.errors import PermanentFailure
 from delfim.logging import guard
-from delfim.services import door, ftpd, ftpdata, uploads
-from delfim.services.door import hashed
+from delfim.services.access import door
+from delfim.services.access.door import hashed
+from delfim.services.files import ftpd, ftpdata, uploads
 from tests.services.boat import served, vehicle_file
 
 CONTENT = bytes(range(256)) * 2000

@@ -6,7 +6,7 @@ from typing import cast
 
 import pytest
 
-from delfim.clock import ManualClock
+from delfim.base.clock import ManualClock
 from delfim.services.garbage import COLLECT_AGAIN_S, COLLECT_EVERY_S, Collector
 from delfim.services.window import NavigationWindow
 

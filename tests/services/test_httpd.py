@@ -21,10 +21,10 @@ import msgspec
 import pytest
 
 from delfim import config
-from delfim.clock import SystemClock
-from delfim.services import door, httpd
+from delfim.base.clock import SystemClock
+from delfim.services.access import door
+from delfim.services.page import api, board, httpd, page
 from delfim.services.runtime import Runtime
-from delfim.services.web import api, board, page
 from tests.services.boat import STATE, served, vehicle, vehicle_file
 from tests.services.browser import PROGRAM, tab
 

@@ -18,7 +18,7 @@ import asyncio
 import socket
 from contextvars import copy_context
 
-from delfim.clock import ManualClock
+from delfim.base.clock import ManualClock
 from delfim.services.priority import ACCOUNT, Account, NavigationLoop
 from delfim.services.window import NavigationWindow
 

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from delfim.errors import DelfimError
-from delfim.services.jail import Jail
+from delfim.base.errors import DelfimError
+from delfim.services.files.jail import Jail
 
 
 @pytest.fixture

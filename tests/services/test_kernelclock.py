@@ -7,9 +7,17 @@ from pathlib import Path
 
 import pytest
 
-from delfim.clock import MADE_NS
-from delfim.services import kernelclock
-from delfim.services.kernelclock import KernelClock, Timex, battery_ns, keeper, left_alone, set_from_battery, write_battery
+from delfim.base.clock import MADE_NS
+from delfim.services.clock import kernelclock
+from delfim.services.clock.kernelclock import (
+    KernelClock,
+    Timex,
+    battery_ns,
+    keeper,
+    left_alone,
+    set_from_battery,
+    write_battery,
+)
 
 DAY_NS = 86_400_000_000_000
 NOW_NS = MADE_NS + 40 * DAY_NS + 3_723_600_000_000  # 2026-02-10 01:02:03.6

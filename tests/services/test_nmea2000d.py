@@ -16,17 +16,17 @@ import pytest
 from nmea2000.decoder import NMEA2000Decoder
 
 from delfim import config
+from delfim.base.errors import BusError
+from delfim.base.frames import Frame, identifier
+from delfim.base.geodesy import origin
+from delfim.base.modes import Mode
+from delfim.canproxy.dsor.messages import BatteriesStatus, Fault, Navigation, Status
 from delfim.canproxy.nmea2000.device import FIRST
 from delfim.canproxy.nmea2000.parcels import CLAIM, REQUEST, Parcel, frames
-from delfim.errors import BusError
-from delfim.frames import Frame, identifier
-from delfim.geodesy import origin
-from delfim.messages import BatteriesStatus, Fault, Navigation, Status
-from delfim.modes import Mode
 from delfim.services.nmea2000d import FULL, OLD_S, WAITING, BoatDevice, Memory
 from delfim.services.nmea2000rows import TOLD, pgns_of
+from delfim.services.page.api import State as ToldState
 from delfim.services.runtime import LoadedService, Runtime
-from delfim.services.web.api import State as ToldState
 from delfim.vehicle import thrusters
 from delfim.vehicle.snapshot import snapshot
 from delfim.vehicle.state import Actuation, Motion, Notice, Reference, State, ThrusterReport
@@ -402,7 +402,7 @@ def test_the_address_is_kept_for_tomorrow(tmp_path, caplog):
 
 
 def test_it_does_not_run_in_the_runtime(tmp_path):
-    from delfim.clock import SystemClock
+    from delfim.base.clock import SystemClock
     from delfim.services import nmea2000d
 
     its = msgspec.structs.replace(settings("heading"), runtime=config.RuntimeTable(run_directory=str(tmp_path)))

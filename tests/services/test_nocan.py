@@ -11,7 +11,7 @@ pytestmark = pytest.mark.skipif(os.getuid() != 0, reason="only root may filter s
 BEFORE = f"""
 import ctypes, errno, os, socket, subprocess, sys, threading
 sys.path.insert(0, {str(Path(__file__).parents[2])!r})
-from delfim.services.nocan import forbid_can
+from delfim.services.supervision.nocan import forbid_can
 
 def refused():
     "How each kind of CAN socket is answered."
@@ -62,7 +62,7 @@ def test_there_is_no_way_round_by_other_numbers() -> None:
     """io_uring, x86-64's second set of system calls, and the first argument's upper half, which the kernel overlooks."""
     tried("""
 forbid_can()
-from delfim.services.nocan import MACHINES
+from delfim.services.supervision.nocan import MACHINES
 libc = ctypes.CDLL(None, use_errno=True)
 _, number, _ = MACHINES[os.uname().machine]
 for call in (
@@ -86,7 +86,7 @@ except OSError as error:
 
 def test_the_shell_of_another_user_has_none() -> None:
     tried("""
-from delfim.services.sshd import _become
+from delfim.services.files.sshd import _become
 _become("nobody", "/nowhere", can=False)
 assert refused() == {"EACCES"}
 """)

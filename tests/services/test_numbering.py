@@ -8,13 +8,13 @@ from dronecan import transport, uavcan
 from dronecan.app.node_monitor import NodeMonitor
 from dronecan.node import Node
 
+from delfim.base.clock import SystemClock
+from delfim.base.frames import Frame, extended
 from delfim.canproxy.dronecan.datatypes import ALLOCATION, NODE_STATUS, decode, node_status
 from delfim.canproxy.dronecan.nodeservices import ANSWERS_PER_S, GET_NODE_INFO, RESTART_NODE, Identity, NodeServices
 from delfim.canproxy.dronecan.transfers import STATUS, Publisher, TransferReceiver, checksum
 from delfim.canproxy.opening import open_can
 from delfim.canproxy.socket import ANYTHING
-from delfim.clock import SystemClock
-from delfim.frames import Frame, extended
 from delfim.services.numbering import Numbering, identity, keep, known_numbers
 from tests.esc_pair import Bus
 

@@ -17,8 +17,8 @@ from typing import Any
 import pytest
 
 from delfim import config
-from delfim.errors import DelfimError, FormatError
-from delfim.pulses import (
+from delfim.base.errors import DelfimError, FormatError
+from delfim.base.pulses import (
     CHANNELS,
     SILENT_S,
     WORDS,

@@ -9,10 +9,10 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from delfim import config
-from delfim.services.web import api, document, figures, page
-from delfim.services.web.metrics import metrics
-from delfim.services.web.page import SECTIONS, PageView, head, mood
-from delfim.services.web.wording import size, span
+from delfim.services.page import api, document, figures, page
+from delfim.services.page.metrics import metrics
+from delfim.services.page.page import SECTIONS, PageView, head, mood
+from delfim.services.page.wording import size, span
 from tests.services.boat import STATE
 
 FILE = config.Vehicle(boat=config.BoatTable(name="Test"))

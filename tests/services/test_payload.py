@@ -22,10 +22,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from delfim import config
-from delfim.clock import SystemClock
-from delfim.errors import ConfigError
-from delfim.services import payload, processes, watching
+from delfim.base.clock import SystemClock
+from delfim.base.errors import ConfigError
+from delfim.services import payload, watching
 from delfim.services.runtime import LoadedService, Runtime
+from delfim.services.supervision import processes
 from delfim.vehicle.payloadlines import LINE_BYTES, VALUES, ActionTold, BoundedLines, VoyageTold, lines, values
 from tests.afloat import running
 from tests.services.boat import STATE, served, vehicle, vehicle_file

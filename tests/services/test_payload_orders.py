@@ -10,8 +10,8 @@ from typing import Any
 import pytest
 
 from delfim import config
-from delfim.clock import ManualClock
-from delfim.modes import Mode
+from delfim.base.clock import ManualClock
+from delfim.base.modes import Mode
 from delfim.services import payload, payloadorders
 from delfim.services.payloadorders import OrderLine
 from delfim.simulator.lockstep import Lockstep

@@ -13,8 +13,8 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from delfim.services.packetqueue import IPTOS_LOWDELAY, QUEUE_MAX
-from delfim.services.polling import (
+from delfim.services.radio.packetqueue import IPTOS_LOWDELAY, QUEUE_MAX
+from delfim.services.radio.polling import (
     ANSWER,
     AWAY_S,
     DONE,
@@ -27,7 +27,7 @@ from delfim.services.polling import (
     opened,
     sealed,
 )
-from delfim.services.slip import PACKET_MAX, Deframer
+from delfim.services.radio.slip import PACKET_MAX, Deframer
 
 BYTES_PER_S: Final = 10_000.0  # 100 kbit/s, 8N1
 DELAY_S: Final = 0.01  # through both radios

@@ -11,15 +11,17 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from delfim import config, messages
+from delfim import config
+from delfim.base.clock import ManualClock, SystemClock
+from delfim.base.frames import CAN_ERR, CAN_IDE, CAN_RTR, Frame
+from delfim.canproxy.dsor import messages
+from delfim.canproxy.dsor.messages import BatteriesStatus, Fault, Node, PropellerCommand, Shutdown, ShutdownStage, Status
 from delfim.canproxy.opening import open_can
 from delfim.canproxy.socket import CanAddress
-from delfim.clock import ManualClock, SystemClock
-from delfim.frames import CAN_ERR, CAN_IDE, CAN_RTR, Frame
-from delfim.messages import BatteriesStatus, Fault, Node, PropellerCommand, Shutdown, ShutdownStage, Status
-from delfim.services import powerd, shutdown
+from delfim.services import powerd
 from delfim.services.powerd import EV_KEY, INPUT_EVENT, KEY_POWER, Button, Powerd
 from delfim.services.runtime import LoadedService, Runtime
+from delfim.services.supervision import shutdown
 
 OFF = Frame(messages.SHUTDOWN, messages.pack_shutdown(Shutdown(False)))
 REBOOT = Frame(messages.SHUTDOWN, messages.pack_shutdown(Shutdown(True)))

@@ -13,15 +13,16 @@ import msgspec
 import pytest
 
 from delfim import config
+from delfim.base.clock import ManualClock, SystemClock
+from delfim.canproxy.dsor.messages import BatteriesStatus, Fault, Status
 from delfim.canproxy.nmea2000 import instruments
 from delfim.canproxy.opening import open_bound
 from delfim.canproxy.socket import ANYTHING, CanAddress, CanSocket
-from delfim.clock import ManualClock, SystemClock
-from delfim.messages import BatteriesStatus, Fault, Status
-from delfim.services import powerd, shutdown
+from delfim.services import powerd
+from delfim.services.page.api import State as ToldState
 from delfim.services.powerd import FRESH_S, Powerd, is_told_by_vehicle
 from delfim.services.runtime import LoadedService, Runtime
-from delfim.services.web.api import State as ToldState
+from delfim.services.supervision import shutdown
 from delfim.vehicle import thrusters
 from delfim.vehicle.actuators import open_actuator
 from delfim.vehicle.command import CommandServer

@@ -13,7 +13,7 @@ from math import inf
 
 import pytest
 
-from delfim.clock import Clock, ManualClock, SystemClock
+from delfim.base.clock import Clock, ManualClock, SystemClock
 from delfim.services.priority import (
     ACCOUNT,
     Account,

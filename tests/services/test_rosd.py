@@ -12,16 +12,17 @@ from typing import Any
 import msgspec
 import pytest
 
-from delfim import config, geodesy
-from delfim.clock import SystemClock
-from delfim.errors import ConfigError, FormatError, PermanentFailure
+from delfim import config
+from delfim.base import geodesy
+from delfim.base.clock import SystemClock
+from delfim.base.errors import ConfigError, FormatError, PermanentFailure
 from delfim.services import rosd, roskeys, rosmessages
+from delfim.services.access.doors import doors
 from delfim.services.cdr import HEAD, CdrReader, CdrWriter
-from delfim.services.doors import doors
 from delfim.services.guestdoor import GuestDoor
+from delfim.services.page.api import State
 from delfim.services.rossteering import GOAL_S, TURN_MAX_RAD, TWIST_S, Steering
-from delfim.services.web.api import State
-from delfim.suite import services
+from delfim.services.suite import services
 from delfim.vehicle.grex import Guest, HeadingReference, reference
 from delfim.vehicle.mavlink.signing import new_key
 from tests.services.boat import STATE, served, vehicle, vehicle_file

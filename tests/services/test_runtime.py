@@ -17,12 +17,12 @@ from pathlib import Path
 import pytest
 
 from delfim import config
-from delfim.clock import Clock, ManualClock, SystemClock
-from delfim.errors import BusError, PermanentFailure
+from delfim.base.clock import Clock, ManualClock, SystemClock
+from delfim.base.errors import BusError, PermanentFailure
 from delfim.services import runtime as module
-from delfim.services.children import LAST_WORD, LEAVES
 from delfim.services.runtime import LoadedService, Runtime
-from delfim.services.supervisor import EXIT_PERMANENT
+from delfim.services.supervision.children import LAST_WORD, LEAVES
+from delfim.services.supervision.supervisor import EXIT_PERMANENT
 
 SETTINGS = config.Vehicle(
     boat=config.BoatTable(name="Test"), supervisor=config.SupervisorTable(deadman_s=0.4, backoff_s=0.01, backoff_max_s=0.04)

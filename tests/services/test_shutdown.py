@@ -11,8 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from delfim.services import shutdown
-from delfim.services.shutdown import User, devices, last_act, mounts, request, users
+from delfim.services.supervision import shutdown
+from delfim.services.supervision.shutdown import User, devices, last_act, mounts, request, users
 
 HOLD = """
 import mmap, os, signal, sys

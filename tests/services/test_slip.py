@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from delfim.services.slip import PACKET_MAX, Deframer, framed
-from delfim.services.vj import COMPRESSED, SLOTS, UNCOMPRESSED, Compressor, Decompressor, checksum
+from delfim.services.radio.slip import PACKET_MAX, Deframer, framed
+from delfim.services.radio.vj import COMPRESSED, SLOTS, UNCOMPRESSED, Compressor, Decompressor, checksum
 
 
 @given(st.lists(st.binary(min_size=1, max_size=300), max_size=10), st.integers(1, 7))

@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 from delfim import config
-from delfim.clock import ManualClock
-from delfim.services.slipd import SerialRadio, carrier_source
+from delfim.base.clock import ManualClock
+from delfim.services.radio.slipd import SerialRadio, carrier_source
 
 
 class FakeLine:

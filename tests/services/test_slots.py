@@ -15,9 +15,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from delfim import config
-from delfim.errors import DelfimError, FormatError, Refused
-from delfim.services import imagefile, slots
-from delfim.services.slots import Environment, Slots
+from delfim.base.errors import DelfimError, FormatError, Refused
+from delfim.services.image import imagefile, slots
+from delfim.services.image.slots import Environment, Slots
 
 
 class Yard:

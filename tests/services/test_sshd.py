@@ -17,9 +17,10 @@ import asyncssh
 import pytest
 
 from delfim import config
-from delfim.errors import PermanentFailure
+from delfim.base.errors import PermanentFailure
 from delfim.logging import guard
-from delfim.services import door, sshd, sshfiles, sshprograms, uploads
+from delfim.services.access import door
+from delfim.services.files import sshd, sshfiles, sshprograms, uploads
 from tests.services.boat import served, vehicle_file
 
 pytestmark = pytest.mark.skipif(not shutil.which("ssh") or not shutil.which("sftp"), reason="needs the OpenSSH client")
@@ -502,7 +503,7 @@ def test_commands_are_those_of_the_configured_user(tmp_path, keys):
     program = f"""
 import os, sys
 sys.path.insert(0, {str(Path(__file__).parents[2])!r})
-from delfim.services.sshd import _become
+from delfim.services.files.sshd import _become
 _become("nobody", {str(tmp_path)!r}, can=True)
 assert os.getuid() == os.geteuid() != 0 and 0 not in os.getgroups()
 try:

@@ -8,12 +8,12 @@ from typing import Any
 import pytest
 
 from delfim import config
+from delfim.base.errors import DelfimError
+from delfim.canproxy.dsor.messages import SHUTDOWN_ACKNOWLEDGE, ShutdownAcknowledge, ShutdownStage, pack_shutdown_acknowledge
 from delfim.canproxy.socket import CanAddress
-from delfim.errors import DelfimError
-from delfim.messages import SHUTDOWN_ACKNOWLEDGE, ShutdownAcknowledge, ShutdownStage, pack_shutdown_acknowledge
-from delfim.services import stop, watchdog
-from delfim.services.stop import CutOff, PropellerStop, opened_driver
-from delfim.services.watchdog import Watchdog
+from delfim.services.supervision import stop, watchdog
+from delfim.services.supervision.stop import CutOff, PropellerStop, opened_driver
+from delfim.services.supervision.watchdog import Watchdog
 
 
 class Ends:

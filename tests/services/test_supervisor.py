@@ -16,9 +16,9 @@ from typing import Any, NamedTuple
 
 import pytest
 
-from delfim.clock import ManualClock
-from delfim.services import children, shutdown, supervisor
-from delfim.services.supervisor import EXIT_PERMANENT
+from delfim.base.clock import ManualClock
+from delfim.services.supervision import children, shutdown, supervisor
+from delfim.services.supervision.supervisor import EXIT_PERMANENT
 
 PROGRAM = [sys.executable, str(Path(__file__).with_name("program.py"))]
 DEADMAN_S = 0.5
@@ -243,12 +243,12 @@ def test_where_a_program_stood_is_the_innermost_of_its_main_thread() -> None:
   File "/usr/lib/python3.11/concurrent/futures/thread.py", line 81 in _worker
 
 Current thread 0x00007f02 [main] (most recent call first):
-  File "/srv/delfim/vehicle/track.py", line 12 in crossing
+  File "/srv/delfim/vehicle/plans/track.py", line 12 in crossing
   File "/srv/delfim/vehicle/loop.py", line 34 in <genexpr>
   File "<frozen runpy>", line 88 in _run_code
   File "/srv/delfim/__main__.py", line 1 in <module>
 """
-    innermost = ("crossing (vehicle/track.py:12)", "<genexpr> (vehicle/loop.py:34)", "_run_code (<frozen runpy>:88)")
+    innermost = ("crossing (plans/track.py:12)", "<genexpr> (vehicle/loop.py:34)", "_run_code (<frozen runpy>:88)")
     assert children.stood(stacks) == "it stood in " + ", called by ".join(innermost)
     assert children.stood("") == children.stood("....") == children.stood(stacks[:40]) == ""
 

@@ -11,9 +11,9 @@ from typing import Any
 
 import pytest
 
-from delfim.services import children, supervisor
-from delfim.services.cgroup import Limits
-from delfim.services.children import Supervised
+from delfim.services.supervision import children, supervisor
+from delfim.services.supervision.cgroup import Limits
+from delfim.services.supervision.children import Supervised
 from tests.services.played_kernel import DUMP, FIRST_S, Kernel, Played
 
 PROGRAMS = {

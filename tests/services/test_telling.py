@@ -3,7 +3,7 @@
 from types import SimpleNamespace
 
 from delfim import config
-from delfim.messages import Navigation
+from delfim.canproxy.dsor.messages import Navigation
 from delfim.services.telling import Teller
 from delfim.vehicle.state import State
 

@@ -12,12 +12,12 @@ from pathlib import Path
 import pytest
 
 from delfim import config
-from delfim.errors import DelfimError
+from delfim.base.errors import DelfimError
 from delfim.logging import guard
-from delfim.services import httpd
-from delfim.services.threads import worked
-from delfim.services.uploads import LOOK_BYTES, PART, NoRoom, Uploads
-from delfim.services.web import files as webfiles
+from delfim.services.files.threads import worked
+from delfim.services.files.uploads import LOOK_BYTES, PART, NoRoom, Uploads
+from delfim.services.page import files as webfiles
+from delfim.services.page import httpd
 from tests.services.boat import served, vehicle_file
 from tests.services.test_ftpd import CONTENT, Files, run
 

@@ -9,9 +9,9 @@ from typing import NamedTuple
 import pytest
 
 from delfim import config
-from delfim.errors import DelfimError
+from delfim.base.errors import DelfimError
 from delfim.logging import guard
-from delfim.services.uploads import NoRoom, Uploads
+from delfim.services.files.uploads import NoRoom, Uploads
 
 BLOCK = 4096
 DISK_BYTES, DISK_INODES = 6_000_000, 100

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from delfim import config
-from delfim.errors import DelfimError
+from delfim.base.errors import DelfimError
 from delfim.simulator.berth import berth, folders, settings_of
 
 VEHICLE = config.load(Path(__file__).parents[2] / "etc/delfimx.toml")

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from delfim import config
-from delfim.modes import Mode
+from delfim.base.modes import Mode
 from delfim.simulator.berth import Berth, settings_of
 from delfim.simulator.faults import fault
 from delfim.simulator.lockstep import Lockstep

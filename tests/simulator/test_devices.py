@@ -7,11 +7,12 @@ from typing import get_args
 
 import pytest
 
-from delfim import config, geodesy
+from delfim import config
+from delfim.base import geodesy
+from delfim.base.clock import ManualClock
+from delfim.base.errors import ConfigError
+from delfim.base.modes import Mode
 from delfim.canproxy.nmea2000.pgns import NorthReference, VesselHeading, encode
-from delfim.clock import ManualClock
-from delfim.errors import ConfigError
-from delfim.modes import Mode
 from delfim.simulator.lockstep import Lockstep
 from delfim.simulator.nodes.devices import COMPASS, NAMES, RECEIVER, Devices
 from delfim.vehicle import console

@@ -7,9 +7,9 @@ import pytest
 
 from delfim import config
 from delfim.console import forecast
-from delfim.simulator import dryrun
-from delfim.vehicle.estimate import in_hours, mission_s
-from delfim.vehicle.mission import read_mission
+from delfim.simulator.scenarios import dryrun
+from delfim.vehicle.plans.estimate import in_hours, mission_s
+from delfim.vehicle.plans.mission import read_mission
 
 SETTINGS = config.load(Path(__file__).parents[2] / "etc/delfimx.toml")
 DEG_M = 111_111.0

@@ -6,11 +6,11 @@ from pathlib import Path
 
 import pytest
 
-from delfim.errors import ConfigError
-from delfim.simulator import trial
-from delfim.simulator.encounters import Encounter, drawn, kind_of, staged_of
+from delfim.base.errors import ConfigError
 from delfim.simulator.nodes.shipping import axes_m, nearness
-from delfim.simulator.scenario import Scenario, load_scenario
+from delfim.simulator.scenarios import trial
+from delfim.simulator.scenarios.encounters import Encounter, drawn, kind_of, staged_of
+from delfim.simulator.scenarios.scenario import Scenario, load_scenario
 
 ROOT = Path(__file__).parents[2]
 VEHICLE = ROOT / "etc/delfimx.toml"

@@ -16,7 +16,7 @@ import msgspec
 import pytest
 
 from delfim import config
-from delfim.errors import DelfimError
+from delfim.base.errors import DelfimError
 from delfim.simulator.external import ANSWER_S, ExternalModel, SteppedModel
 from delfim.simulator.model import Hull
 from delfim.simulator.nodes import nodes_of

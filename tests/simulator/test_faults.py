@@ -11,13 +11,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from delfim import config, messages
+from delfim import config
+from delfim.base.clock import ManualClock
+from delfim.base.errors import DelfimError, FormatError, Refused
+from delfim.base.frames import Frame
+from delfim.base.modes import Mode
+from delfim.canproxy.dsor import messages
+from delfim.canproxy.dsor.messages import Navigation, Node, Status
 from delfim.canproxy.dsor.receiver import Receiver
-from delfim.clock import ManualClock
-from delfim.errors import DelfimError, FormatError, Refused
-from delfim.frames import Frame
-from delfim.messages import Navigation, Node, Status
-from delfim.modes import Mode
 from delfim.simulator import bycommand
 from delfim.simulator.faults import (
     ABOARD,

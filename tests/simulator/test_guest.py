@@ -10,11 +10,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from delfim import geodesy
-from delfim.clock import ManualClock
-from delfim.errors import FormatError
-from delfim.messages import Navigation
-from delfim.modes import Mode
+from delfim.base import geodesy
+from delfim.base.clock import ManualClock
+from delfim.base.errors import FormatError
+from delfim.base.modes import Mode
+from delfim.canproxy.dsor.messages import Navigation
 from delfim.simulator.guest import Asked, Circle, Heard, Script, Zigzag, guest, heard, reference, written
 from delfim.vehicle.grex import Guest
 from delfim.vehicle.grex import reference as read_reference

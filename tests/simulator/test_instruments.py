@@ -15,11 +15,11 @@ import pynmea2
 import pytest
 
 from delfim import config
-from delfim.clock import SystemClock
-from delfim.errors import ConfigError, FormatError
-from delfim.modes import Mode
-from delfim.networkline import NetworkLine
-from delfim.serialline import SerialLine
+from delfim.base.clock import SystemClock
+from delfim.base.errors import ConfigError, FormatError
+from delfim.base.modes import Mode
+from delfim.lines.networkline import NetworkLine
+from delfim.lines.serialline import SerialLine
 from delfim.simulator.berth import berth, settings_of
 from delfim.simulator.faults import fault
 from delfim.simulator.instrumentlines import InstrumentLines

@@ -6,14 +6,15 @@ from pathlib import Path
 
 import pytest
 
-from delfim import config, geodesy
-from delfim.clock import ManualClock
-from delfim.modes import Mode
+from delfim import config
+from delfim.base import geodesy
+from delfim.base.clock import ManualClock
+from delfim.base.modes import Mode
+from delfim.base.slices import Sliced
 from delfim.simulator.lockstep import Lockstep
-from delfim.slices import Sliced
 from delfim.vehicle import console, record
-from delfim.vehicle.fence import stopping_m
-from delfim.vehicle.mission import load_mission, plan
+from delfim.vehicle.plans.fence import stopping_m
+from delfim.vehicle.plans.mission import load_mission, plan
 from delfim.vehicle.state import State
 
 ROOT = Path(__file__).parents[2]

@@ -4,10 +4,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from delfim.base.clock import ManualClock
+from delfim.base.errors import BusError, FormatError
+from delfim.base.frames import CAN_ERR, CAN_IDE, CAN_RTR, Frame, extended, standard
 from delfim.canproxy.socket import ANYTHING, BATCH, CanAddress, CanSocket
-from delfim.clock import ManualClock
-from delfim.errors import BusError, FormatError
-from delfim.frames import CAN_ERR, CAN_IDE, CAN_RTR, Frame, extended, standard
 from delfim.simulator.lockstepbus import LockstepBus
 
 words = st.integers(0, 0xFFFFFFFF)

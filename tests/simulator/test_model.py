@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from delfim.base.geodesy import to_plane
 from delfim.config import BoatTable, Sea, Steer, ThrusterTable, Vehicle, load
-from delfim.geodesy import to_plane
 from delfim.simulator.model import Hull, Model, hull_of
 
 CALM = Sea()

@@ -10,6 +10,8 @@ import msgspec
 import pytest
 
 from delfim import config
+from delfim.base.frames import Frame, extended
+from delfim.base.modes import Mode
 from delfim.canproxy.dronecan.datatypes import (
     ARMING_STATUS,
     ESC_STATUS,
@@ -26,8 +28,6 @@ from delfim.canproxy.dronecan.fields import DataType
 from delfim.canproxy.dronecan.transfers import COMMAND, Publisher, TransferReceiver
 from delfim.canproxy.opening import open_can
 from delfim.canproxy.socket import ANYTHING, CanAddress
-from delfim.frames import Frame, extended
-from delfim.modes import Mode
 from delfim.simulator.berth import Berth, settings_of
 from delfim.simulator.faults import fault
 from delfim.simulator.lockstep import Lockstep

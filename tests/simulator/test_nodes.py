@@ -9,11 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from delfim import config
-from delfim.canproxy.dsor.protocol import Message
-from delfim.canproxy.dsor.receiver import Receiver
-from delfim.canproxy.socket import accepts
-from delfim.frames import Frame, extended
-from delfim.messages import (
+from delfim.base.frames import Frame, extended
+from delfim.canproxy.dsor.messages import (
     BATTERIES_PORT,
     BATTERIES_STARBOARD,
     GPS_SYSSTAT_ID,
@@ -40,6 +37,9 @@ from delfim.messages import (
     unpack_navigation,
     unpack_sysstat,
 )
+from delfim.canproxy.dsor.protocol import Message
+from delfim.canproxy.dsor.receiver import Receiver
+from delfim.canproxy.socket import accepts
 from delfim.simulator.nodes import Nodes, nodes_of
 
 COMMANDS = nodes_of(config.Vehicle(boat=config.BoatTable(name="test")), 1).hears

@@ -7,13 +7,13 @@ from pathlib import Path
 
 import pytest
 
-from delfim.errors import DelfimError
-from delfim.modes import Mode
+from delfim.base.errors import DelfimError
+from delfim.base.modes import Mode
 from delfim.simulator import payloadprogram
 from delfim.simulator.payloadprogram import PayloadProgram
-from delfim.simulator.rerun import rerun
+from delfim.simulator.replay.rerun import rerun
 from delfim.vehicle import console
-from delfim.vehicle.mission import Mission, Waypoint
+from delfim.vehicle.plans.mission import Mission, Waypoint
 from tests.logging.sailing import Day, logged
 
 UPHILL = Path(__file__).parents[2] / "etc/payloads/uphill.py"

@@ -2,10 +2,10 @@
 
 import pytest
 
+from delfim.base.frames import CAN_ERR, CAN_IDE, Frame, extended, standard
 from delfim.canproxy.opening import open_can
 from delfim.canproxy.socket import ANYTHING
-from delfim.frames import CAN_ERR, CAN_IDE, Frame, extended, standard
-from delfim.simulator.playback import play
+from delfim.simulator.replay.playback import play
 
 BUS = "canloop:playback-test"
 T0 = 1_262_304_000_000_000_000

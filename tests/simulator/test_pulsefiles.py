@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from delfim import config
-from delfim.errors import DelfimError
+from delfim.base.errors import DelfimError
 from delfim.simulator.berth import Berth, settings_of
 from delfim.simulator.lockstep import Lockstep
 from delfim.simulator.nodes import pulsefiles

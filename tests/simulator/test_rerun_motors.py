@@ -5,10 +5,10 @@ from pathlib import Path
 
 import pytest
 
-from delfim.errors import DelfimError
-from delfim.logging.table import frames, table
+from delfim.base.errors import DelfimError
+from delfim.logging.ashore.table import frames, table
 from delfim.simulator.faults import fault
-from delfim.simulator.rerun import rerun
+from delfim.simulator.replay.rerun import rerun
 from delfim.vehicle import console
 from tests.logging.sailing import Day, logged, sailed
 from tests.simulator.test_rerun import copied

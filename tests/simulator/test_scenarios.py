@@ -10,12 +10,12 @@ import pytest
 
 from delfim import config
 from delfim.audit import auditor
-from delfim.errors import ConfigError
-from delfim.simulator import mixed, scenario, trial
-from delfim.simulator.chased import chased
+from delfim.base.errors import ConfigError
 from delfim.simulator.faults import KINDS
 from delfim.simulator.lockstep import Lockstep
-from delfim.simulator.watch import Onlooker
+from delfim.simulator.scenarios import mixed, scenario, trial
+from delfim.simulator.scenarios.chased import chased
+from delfim.simulator.scenarios.watch import Onlooker
 from delfim.vehicle.state import NoLog
 from delfim.vehicle.troubles import Trigger
 

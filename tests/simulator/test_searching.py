@@ -5,12 +5,12 @@ from pathlib import Path
 import pytest
 
 from delfim import config
-from delfim.simulator import pairs
-from delfim.simulator.mixed import mixed_mission, sail_mixed
-from delfim.simulator.pairs import ALL, IMPOSSIBLE, PAIRS, THINGS, PairTape
-from delfim.simulator.scenario import settings_of
-from delfim.simulator.searching import AIMS, searching
-from delfim.simulator.trial import sail
+from delfim.simulator.scenarios import pairs
+from delfim.simulator.scenarios.mixed import mixed_mission, sail_mixed
+from delfim.simulator.scenarios.pairs import ALL, IMPOSSIBLE, PAIRS, THINGS, PairTape
+from delfim.simulator.scenarios.scenario import settings_of
+from delfim.simulator.scenarios.searching import AIMS, searching
+from delfim.simulator.scenarios.trial import sail
 from delfim.vehicle.console import KINDS
 
 ETC = Path(__file__).parents[2] / "etc"

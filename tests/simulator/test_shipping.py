@@ -9,10 +9,11 @@ from typing import Any
 import pytest
 
 from delfim import config
+from delfim.base.clock import ManualClock
+from delfim.base.geodesy import to_plane, wrap
+from delfim.base.vessels import VesselFacts, VesselPosition
 from delfim.canproxy.nmea2000 import ais
 from delfim.canproxy.nmea2000.fastpacket import FastPacket
-from delfim.clock import ManualClock
-from delfim.geodesy import to_plane, wrap
 from delfim.simulator.lockstep import Lockstep
 from delfim.simulator.model import Hull, Model
 from delfim.simulator.nodes import nodes_of
@@ -20,7 +21,6 @@ from delfim.simulator.nodes.aisframes import facts, framed, position
 from delfim.simulator.nodes.aivdm import facts_said, position_said
 from delfim.simulator.nodes.shipping import Shipping, axes_m, nearness
 from delfim.vehicle.state import NoLog
-from delfim.vessels import VesselFacts, VesselPosition
 
 STEP_S = 0.2
 Heard = list[tuple[float, VesselPosition | VesselFacts]]

@@ -5,12 +5,12 @@ from types import SimpleNamespace
 from typing import cast
 
 from delfim import config
-from delfim.geodesy import origin
-from delfim.simulator import watch
+from delfim.base.geodesy import origin
 from delfim.simulator.lockstep import Lockstep
-from delfim.simulator.watch import TruePlace
-from delfim.vehicle.fence import Fence
-from delfim.vehicle.zones import Zone, circle, clearance_m, polygon
+from delfim.simulator.scenarios import watch
+from delfim.simulator.scenarios.watch import TruePlace
+from delfim.vehicle.plans.fence import Fence
+from delfim.vehicle.plans.zones import Zone, circle, clearance_m, polygon
 
 HERE = origin(0.67, -0.16)
 ZONES = (

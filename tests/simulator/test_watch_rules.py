@@ -7,11 +7,11 @@ from typing import Any
 import pytest
 
 from delfim import config
-from delfim.modes import Mode
+from delfim.base.modes import Mode
 from delfim.simulator.invariants import thrustspec
-from delfim.simulator.mixed import mixed_mission, place_of
-from delfim.simulator.scenario import FaultAt, Scenario, settings_of
-from delfim.simulator.trial import sail
+from delfim.simulator.scenarios.mixed import mixed_mission, place_of
+from delfim.simulator.scenarios.scenario import FaultAt, Scenario, settings_of
+from delfim.simulator.scenarios.trial import sail
 from delfim.vehicle import console, failing, failsafe, helm, loop, propulsion, record, setpoints, snapshot, troubles
 from delfim.vehicle.actuators.dsor import Propellers
 from delfim.vehicle.control import goto, guidance, heading, hold, hull, play

@@ -6,7 +6,7 @@ import msgspec
 import pytest
 
 from delfim import config
-from delfim.vehicle.navigation import take
+from delfim.vehicle.navigation.fixes import take
 from tests.nmea0183.test_source import Boat
 from tests.ubx.receiver import pvt, relposned
 

@@ -9,18 +9,18 @@ from typing import Any, NamedTuple, cast
 
 import msgspec
 
+from delfim.base.geodesy import Origin, origin, wrap
+from delfim.base.modes import Mode
+from delfim.base.slices import Sliced
 from delfim.canproxy.socket import CanSocket
 from delfim.config import Sea, Vehicle, load
-from delfim.geodesy import Origin, origin, wrap
-from delfim.modes import Mode
 from delfim.simulator.model import WATER, Hull, Model, hull_of
-from delfim.slices import Sliced
 from delfim.vehicle.control.control import admit, control, enter, lacking, settings_of
 from delfim.vehicle.control.path import APPROACH, nearest
-from delfim.vehicle.mission import load_mission, plan
+from delfim.vehicle.plans.mission import load_mission, plan
+from delfim.vehicle.plans.track import Track
 from delfim.vehicle.propulsion import Propulsion
 from delfim.vehicle.state import Actuation, Arc, Line, Motion, Plan, Reference, Setpoint, State, Waypoint
-from delfim.vehicle.track import Track
 
 DELFIMX, FLOAT = load("etc/delfimx.toml"), load("etc/boats/float.toml")
 SETTINGS = settings_of(DELFIMX)

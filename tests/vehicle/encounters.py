@@ -8,8 +8,8 @@ from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
 
-from delfim.geodesy import wrap
-from delfim.vehicle.fence import Fence
+from delfim.base.geodesy import wrap
+from delfim.vehicle.plans.fence import Fence
 from delfim.vehicle.target import Target
 from delfim.vehicle.traffic.encounter import Own
 from delfim.vehicle.traffic.keepclear import Memory, decide

@@ -12,9 +12,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from delfim import config, geodesy
+from delfim import config
+from delfim.base import geodesy
 from delfim.simulator.model import Hull, Model
-from delfim.vehicle.estimator import Estimate, Estimator
+from delfim.vehicle.navigation.estimator import Estimate, Estimator
 
 SEA = config.Sea(current_mps=0.5, current_to_deg=60.0, wind_mps=6.0, wind_from_deg=200.0)
 PLACE = geodesy.origin(0.67, -0.16)
@@ -176,7 +177,7 @@ def draw(output: Path, seeds: int) -> None:
     """The picture: NEES over time, the mean of all seeds, and the histogram of NIS; and the table."""
     from matplotlib.figure import Figure
 
-    from delfim.logging.plot import BOAT, INK, LINE, WATER
+    from delfim.logging.ashore.plot import BOAT, INK, LINE, WATER
 
     tapes = [tape(seed) for seed in range(seeds)]
     for name, sensors in ABOARD.items():

@@ -8,7 +8,7 @@ import msgspec
 import pytest
 
 from delfim import config
-from delfim.modes import Mode
+from delfim.base.modes import Mode
 from delfim.simulator.faults import fault
 from delfim.simulator.lockstep import Lockstep
 from delfim.vehicle import console

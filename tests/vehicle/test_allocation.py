@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from bench.allocation import BOATS, EIGHT, FOUR, measured
-from delfim.geodesy import wrap
+from delfim.base.geodesy import wrap
 from delfim.vehicle.control import allocation
 from delfim.vehicle.control.allocation import WEIGHTS, Allocation, Pivot, Thruster
 from delfim.vehicle.control.thrustcurve import Law

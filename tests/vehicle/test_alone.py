@@ -7,11 +7,11 @@ from pathlib import Path
 import pytest
 
 from delfim import config
-from delfim.errors import FormatError
-from delfim.modes import Mode
+from delfim.base.errors import FormatError
+from delfim.base.modes import Mode
 from delfim.simulator.faults import fault
 from delfim.simulator.lockstep import Lockstep
-from delfim.simulator.rerun import rerun
+from delfim.simulator.replay.rerun import rerun
 from delfim.vehicle import console
 from delfim.vehicle.alone import KEPT_S
 from delfim.vehicle.state import HANDSET, NoLog

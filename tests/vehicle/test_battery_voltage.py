@@ -6,8 +6,8 @@ import msgspec
 import pytest
 
 from delfim import config
-from delfim.messages import BatteriesStatus, Fault, Status
-from delfim.modes import Mode
+from delfim.base.modes import Mode
+from delfim.canproxy.dsor.messages import BatteriesStatus, Fault, Status
 from delfim.vehicle import console
 from delfim.vehicle.failsafe import NO_TROUBLE, Action, Rules
 from delfim.vehicle.failsafe import failsafe as judged

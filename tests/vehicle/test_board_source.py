@@ -8,15 +8,15 @@ from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from delfim import config
-from delfim.clock import ManualClock
-from delfim.messages import Navigation
-from delfim.modes import Mode
+from delfim.base.clock import ManualClock
+from delfim.base.modes import Mode
+from delfim.canproxy.dsor.messages import Navigation
 from delfim.simulator.line import LockstepLine
 from delfim.simulator.lockstep import Lockstep
 from delfim.vehicle import console
 from delfim.vehicle.build import build
 from delfim.vehicle.links import Links
-from delfim.vehicle.navigation import open_sources, take
+from delfim.vehicle.navigation.fixes import open_sources, take
 from delfim.vehicle.sources.mavlink_front_seat import FIXES
 from delfim.vehicle.state import NoLog, State
 

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from delfim.clock import MADE_NS
-from delfim.vehicle.clockkeeper import (
+from delfim.base.clock import MADE_NS
+from delfim.services.clock.clockkeeper import (
     AGREE_S,
     DRIFT,
     ENOUGH,

@@ -12,10 +12,10 @@ from collections.abc import Callable
 
 import pytest
 
+from delfim.base.errors import DelfimError, FormatError, Refused
+from delfim.base.modes import Mode
 from delfim.console.drive import command, line
 from delfim.console.link import Link
-from delfim.errors import DelfimError, FormatError, Refused
-from delfim.modes import Mode
 from delfim.vehicle import console
 from delfim.vehicle.command import LINE_BYTES, CommandServer
 from delfim.vehicle.reviews import Reviews

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from delfim.errors import FormatError
+from delfim.base.errors import FormatError
 from delfim.vehicle import console, helm
 
 

@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from delfim.base.geodesy import wrap
+from delfim.base.modes import Mode
 from delfim.config import Sea, load
-from delfim.geodesy import wrap
-from delfim.modes import Mode
 from delfim.simulator.model import Model, hull_of
 from delfim.vehicle.control.allocation import Allocation, thruster
 from delfim.vehicle.control.autopilot import clamp, entered, steer

@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from delfim.base.modes import Mode
 from delfim.canproxy.socket import CanSocket
-from delfim.modes import Mode
 from delfim.vehicle.control.control import MODES, Memory, Settings, admit, control, enter, first
 from delfim.vehicle.propulsion import Propulsion
 from delfim.vehicle.safe import STOP

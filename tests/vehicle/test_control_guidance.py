@@ -5,9 +5,9 @@ from itertools import pairwise
 
 import pytest
 
+from delfim.base.geodesy import wrap
+from delfim.base.modes import Mode
 from delfim.config import Sea
-from delfim.geodesy import wrap
-from delfim.modes import Mode
 from delfim.vehicle.control.control import admit, control, enter, first
 from delfim.vehicle.control.guidance import along
 from delfim.vehicle.control.path import APPROACH

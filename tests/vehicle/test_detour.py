@@ -6,15 +6,16 @@ from pathlib import Path
 
 import pytest
 
-from delfim import config, geodesy
-from delfim.modes import Mode
+from delfim import config
+from delfim.base import geodesy
+from delfim.base.modes import Mode
+from delfim.base.slices import Sliced
 from delfim.simulator.lockstep import Lockstep
-from delfim.slices import Sliced
 from delfim.vehicle import console, detour
 from delfim.vehicle.detour import way_round
-from delfim.vehicle.fence import Fence
+from delfim.vehicle.plans.fence import Fence
+from delfim.vehicle.plans.zones import Point, Zone, circle, clearance_m, least, polygon
 from delfim.vehicle.state import NoLog
-from delfim.vehicle.zones import Point, Zone, circle, clearance_m, least, polygon
 
 VEHICLE = Path(__file__).parents[2] / "etc/delfimx.toml"
 ROOM_M = 6.0

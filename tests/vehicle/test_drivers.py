@@ -13,10 +13,10 @@ import pytest
 from pymavlink.dialects.v20 import development as dialect
 
 from delfim import config
+from delfim.base.frames import extended
+from delfim.base.pulses import PulseAnswer, pack_answer, unpack_command
 from delfim.canproxy.opening import open_bound
 from delfim.canproxy.socket import ANYTHING, CanAddress, CanSocket
-from delfim.frames import extended
-from delfim.pulses import PulseAnswer, pack_answer, unpack_command
 from delfim.services.outlet import Guard
 from delfim.vehicle.actuators import Actuator, open_actuator
 from delfim.vehicle.links import Links

@@ -8,6 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from delfim import config
+from delfim.base.clock import ManualClock
+from delfim.base.errors import BusError
+from delfim.base.frames import Frame, extended
 from delfim.canproxy.dronecan.datatypes import (
     ARMING_STATUS,
     ARRAY_COMMAND,
@@ -20,10 +23,7 @@ from delfim.canproxy.dronecan.datatypes import (
 from delfim.canproxy.dronecan.fields import DataType, pack, unpack
 from delfim.canproxy.dronecan.transfers import Publisher, TransferReceiver
 from delfim.canproxy.socket import ANYTHING
-from delfim.clock import ManualClock
 from delfim.config import Dronecan, Steer, ThrusterTable
-from delfim.errors import BusError
-from delfim.frames import Frame, extended
 from delfim.simulator.lockstepbus import LockstepBus
 from delfim.vehicle.actuators import open_actuator
 from delfim.vehicle.actuators.dronecan import ARMING_S, TWINS_S, ZERO_S

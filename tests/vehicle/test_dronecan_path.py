@@ -2,12 +2,12 @@
 
 import pytest
 
+from delfim.base.frames import Frame
+from delfim.base.modes import Mode
 from delfim.canproxy.dronecan.datatypes import ESC_STATUS
 from delfim.canproxy.dronecan.fields import pack
 from delfim.canproxy.dronecan.transfers import STATUS, Publisher
 from delfim.config import ThrusterTable
-from delfim.frames import Frame
-from delfim.modes import Mode
 from delfim.vehicle import console
 from delfim.vehicle.rehearsal import Rehearsal
 

@@ -12,17 +12,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from delfim import config
+from delfim.base.clock import ManualClock
+from delfim.base.errors import BusError
+from delfim.base.frames import CAN_ERR, CAN_RTR, Frame, extended
+from delfim.base.modes import Mode
+from delfim.canproxy.dsor.messages import BatteriesStatus, Fault, Navigation, Status
 from delfim.canproxy.socket import ANYTHING
-from delfim.clock import ManualClock
-from delfim.errors import BusError
-from delfim.frames import CAN_ERR, CAN_RTR, Frame, extended
-from delfim.messages import BatteriesStatus, Fault, Navigation, Status
-from delfim.modes import Mode
 from delfim.simulator.lockstepbus import LockstepBus
 from delfim.vehicle.build import build
-from delfim.vehicle.compass import Tilt
 from delfim.vehicle.inputhealth import KINDS
 from delfim.vehicle.links import Links
+from delfim.vehicle.navigation.compass import Tilt
 from delfim.vehicle.sensors.dronecan import open_sensor
 from delfim.vehicle.sources.dronecan import FLAT_S, DronecanNavigation, open_source
 from delfim.vehicle.state import NoLog, State

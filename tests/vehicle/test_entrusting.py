@@ -7,13 +7,13 @@ from types import SimpleNamespace
 import pytest
 
 from delfim import config
-from delfim.errors import ConfigError
-from delfim.modes import PAYLOADS, Mode
+from delfim.base.errors import ConfigError
+from delfim.base.modes import PAYLOADS, Mode
+from delfim.base.tables import decode
 from delfim.simulator.lockstep import Lockstep
-from delfim.tables import decode
 from delfim.vehicle import console
 from delfim.vehicle.command import CommandServer
-from delfim.vehicle.mission import Mission, Waypoint
+from delfim.vehicle.plans.mission import Mission, Waypoint
 from delfim.vehicle.reviews import Reviews
 from delfim.vehicle.state import HANDSET, NoLog
 from tests.vehicle.mavlink_console import newest, texts

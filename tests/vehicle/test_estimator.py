@@ -6,9 +6,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from delfim import config, geodesy
+from delfim import config
+from delfim.base import geodesy
 from delfim.vehicle import inputhealth
-from delfim.vehicle.estimator import Estimate, Estimator
+from delfim.vehicle.navigation.estimator import Estimate, Estimator
 from tests.vehicle.estimator_trial import ABOARD, PLACE, bounds, figures, tape, trial
 
 LIMITS = config.NavigationTable(sources=("nmea2000",))

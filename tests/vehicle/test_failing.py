@@ -6,8 +6,8 @@ import msgspec
 import pytest
 
 from delfim import config
+from delfim.base.modes import Mode
 from delfim.canproxy.socket import CanSocket
-from delfim.modes import Mode
 from delfim.vehicle.failing import Failing
 from delfim.vehicle.failsafe import NO_TROUBLE, Action, Rules, Verdict, failsafe
 from delfim.vehicle.propulsion import Propulsion

@@ -8,11 +8,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from delfim import config
-from delfim.messages import BatteriesStatus, Fault, GpsStatus, Navigation, PropellerStatus, Status
-from delfim.modes import Mode
+from delfim.base.modes import Mode
+from delfim.canproxy.dsor.messages import BatteriesStatus, Fault, GpsStatus, Navigation, PropellerStatus, Status
 from delfim.vehicle.failsafe import NO_TROUBLE, Action, Episode, Rules, Verdict, bits, fallback, news, overruled
 from delfim.vehicle.failsafe import failsafe as look
-from delfim.vehicle.fence import Fence, polygon
+from delfim.vehicle.plans.fence import Fence, polygon
 from delfim.vehicle.state import (
     Actuation,
     HandsetReport,

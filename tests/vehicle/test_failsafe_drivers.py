@@ -13,16 +13,17 @@ from typing import Final, NamedTuple, Protocol, get_args
 import msgspec
 import pytest
 
-from delfim import config, messages
+from delfim import config
+from delfim.base.frames import Frame
+from delfim.base.modes import Mode
+from delfim.base.pulses import unpack_command
 from delfim.canproxy.dronecan.datatypes import ARMING_STATUS, ESC_STATUS, RAW_COMMAND
 from delfim.canproxy.dronecan.fields import pack, unpack
 from delfim.canproxy.dronecan.transfers import Publisher, TransferReceiver
+from delfim.canproxy.dsor import messages
+from delfim.canproxy.dsor.messages import unpack_propeller_command
 from delfim.canproxy.socket import ANYTHING, CanSocket
-from delfim.frames import Frame
-from delfim.messages import unpack_propeller_command
-from delfim.modes import Mode
 from delfim.nmea0183.framing import framed
-from delfim.pulses import unpack_command
 from delfim.simulator.lockstepbus import LockstepBus
 from delfim.vehicle.actuators import Actuator, open_actuator
 from delfim.vehicle.actuators.dsor import Propellers

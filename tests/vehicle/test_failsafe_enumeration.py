@@ -12,19 +12,21 @@ from typing import Literal, NamedTuple
 
 import pytest
 
-from delfim import config, messages
+from delfim import config
+from delfim.base.clock import ManualClock
+from delfim.base.modes import Mode
+from delfim.base.slices import Sliced
+from delfim.canproxy.dsor import messages
+from delfim.canproxy.dsor.messages import BatteriesStatus, Fault, GpsStatus, Navigation, PropellerStatus, Status
 from delfim.canproxy.socket import ANYTHING, CanSocket
-from delfim.clock import ManualClock
-from delfim.messages import BatteriesStatus, Fault, GpsStatus, Navigation, PropellerStatus, Status
-from delfim.modes import Mode
 from delfim.simulator.lockstepbus import LockstepBus
-from delfim.slices import Sliced
-from delfim.vehicle import console, fence
+from delfim.vehicle import console
 from delfim.vehicle.actuators import Actuator
 from delfim.vehicle.actuators.dsor import Propellers
 from delfim.vehicle.grex import Guest
 from delfim.vehicle.loop import VehicleLoop
-from delfim.vehicle.navigation import Fix
+from delfim.vehicle.navigation.fixes import Fix
+from delfim.vehicle.plans import fence
 from delfim.vehicle.propulsion import Propulsion
 from delfim.vehicle.state import Actuation, HandsetReport, Line, NoLog, Plan, State, ThrusterReport, Waypoint
 from delfim.vehicle.target import Danger, Traffic

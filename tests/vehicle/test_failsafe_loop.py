@@ -5,10 +5,11 @@ from pathlib import Path
 
 import pytest
 
-from delfim import config, messages
-from delfim.frames import Frame
-from delfim.messages import Fault, Node, PropellerStatus, Status
-from delfim.modes import Mode
+from delfim import config
+from delfim.base.frames import Frame
+from delfim.base.modes import Mode
+from delfim.canproxy.dsor import messages
+from delfim.canproxy.dsor.messages import Fault, Node, PropellerStatus, Status
 from delfim.simulator.faults import fault
 from delfim.simulator.lockstep import Lockstep
 from delfim.vehicle import console, failing, troubles
@@ -100,8 +101,8 @@ def test_a_message_that_comes_again_is_not_news(boat):
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, 1e30])
 def test_a_position_that_is_no_number_is_refused_and_leaves_no_origin(boat, value):
     """No bus can carry it, but the loop does not rely on that."""
-    from delfim.messages import Navigation
-    from delfim.vehicle.navigation import Fix
+    from delfim.canproxy.dsor.messages import Navigation
+    from delfim.vehicle.navigation.fixes import Fix
 
     class Wild:
         name, heard_s = "wild", 0.0

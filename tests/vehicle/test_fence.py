@@ -7,15 +7,16 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from delfim import config, geodesy
-from delfim.errors import ConfigError
-from delfim.slices import Sliced
-from delfim.vehicle import fence
-from delfim.vehicle.fence import Fence, stopping_m
-from delfim.vehicle.legs import complaint
-from delfim.vehicle.mission import canonical, digest, parse_mission
+from delfim import config
+from delfim.base import geodesy
+from delfim.base.errors import ConfigError
+from delfim.base.slices import Sliced
+from delfim.vehicle.plans import fence
+from delfim.vehicle.plans.fence import Fence, stopping_m
+from delfim.vehicle.plans.legs import complaint
+from delfim.vehicle.plans.mission import canonical, digest, parse_mission
+from delfim.vehicle.plans.zones import LOOKS, circle, clearance_m, least, polygon, searched, together
 from delfim.vehicle.state import Arc, Line, Motion, Plan, Waypoint
-from delfim.vehicle.zones import LOOKS, circle, clearance_m, least, polygon, searched, together
 
 LIMITS = config.FenceTable()
 WITH = msgspec.structs.replace

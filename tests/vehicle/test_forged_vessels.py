@@ -7,17 +7,18 @@ from typing import Any
 
 import pytest
 
-from delfim import config, tables
-from delfim.clock import ManualClock
-from delfim.modes import Mode
+from delfim import config
+from delfim.base import tables
+from delfim.base.clock import ManualClock
+from delfim.base.modes import Mode
 from delfim.simulator.lockstep import Lockstep
-from delfim.simulator.scenario import laid_over
-from delfim.simulator.watch import Onlooker
+from delfim.simulator.scenarios.scenario import laid_over
+from delfim.simulator.scenarios.watch import Onlooker
 from delfim.vehicle import console
 from delfim.vehicle.control.control import control
-from delfim.vehicle.fence import Fence
+from delfim.vehicle.plans.fence import Fence
+from delfim.vehicle.plans.zones import circle
 from delfim.vehicle.state import NoLog
-from delfim.vehicle.zones import circle
 
 VEHICLE = Path(__file__).parents[2] / "etc/delfimx.toml"
 START_S = 10.0

@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from delfim.modes import Mode
+from delfim.base.modes import Mode
 from delfim.vehicle import console
 
 

@@ -11,8 +11,9 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from delfim import config, tables
-from delfim.errors import ConfigError
+from delfim import config
+from delfim.base import tables
+from delfim.base.errors import ConfigError
 from delfim.services import guestdoor
 from delfim.services.guestdoor import GuestDoor
 from delfim.services.rossteering import GuestLine

@@ -3,7 +3,7 @@
 import pytest
 
 from delfim import config
-from delfim.modes import Mode
+from delfim.base.modes import Mode
 from delfim.vehicle import console
 from delfim.vehicle.handset import Debounced, Handset, fraction, open_handset
 from delfim.vehicle.links import Links

@@ -3,7 +3,7 @@
 import pytest
 
 from delfim import config
-from delfim.modes import Mode
+from delfim.base.modes import Mode
 from delfim.vehicle import console
 from delfim.vehicle.loop import HELD_BY_HAND
 from delfim.vehicle.state import HANDSET

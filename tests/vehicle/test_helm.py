@@ -6,17 +6,18 @@ from types import SimpleNamespace
 
 import pytest
 
-from delfim import config, geodesy
-from delfim.modes import Mode
-from delfim.slices import Sliced
+from delfim import config
+from delfim.base import geodesy
+from delfim.base.modes import Mode
+from delfim.base.slices import Sliced
 from delfim.vehicle import console
 from delfim.vehicle.control.memory import Memory
 from delfim.vehicle.failsafe import Action
-from delfim.vehicle.fence import Fence
 from delfim.vehicle.helm import Helm
+from delfim.vehicle.plans.fence import Fence
+from delfim.vehicle.plans.zones import circle
 from delfim.vehicle.safe import STOP
 from delfim.vehicle.state import Killed, Reference, ThrusterReport, Waypoint
-from delfim.vehicle.zones import circle
 from tests.vehicle.test_pause import MISSION, under_way
 
 UNFIT = "manual refused: no navigation yet"

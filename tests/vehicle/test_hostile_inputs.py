@@ -9,12 +9,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from delfim.base.clock import ManualClock
+from delfim.base.errors import FormatError
+from delfim.base.frames import CAN_ERR, CAN_RTR, Frame, extended, standard
+from delfim.canproxy.dsor.messages import SYSSTAT_SUBJECT, Node
 from delfim.canproxy.dsor.protocol import Kind, dsor_arb
-from delfim.clock import ManualClock
 from delfim.config import Sysstat
-from delfim.errors import FormatError
-from delfim.frames import CAN_ERR, CAN_RTR, Frame, extended, standard
-from delfim.messages import SYSSTAT_SUBJECT, Node
 from delfim.vehicle import console
 from delfim.vehicle.grex import LINE_BYTES, LINES_A_CALL, Guest
 from delfim.vehicle.sensors import sysstat

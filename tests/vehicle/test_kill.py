@@ -3,7 +3,7 @@
 import pytest
 
 from delfim import config
-from delfim.modes import Mode
+from delfim.base.modes import Mode
 from delfim.vehicle import console
 from delfim.vehicle.killswitch import KillSwitch
 from tests.test_gpio import Pin

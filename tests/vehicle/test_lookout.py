@@ -9,13 +9,15 @@ from typing import Any
 import msgspec
 import pytest
 
-from delfim import config, geodesy
+from delfim import config
+from delfim.base import geodesy
+from delfim.base.clock import ManualClock
+from delfim.base.frames import Frame, extended
+from delfim.base.slices import Sliced
+from delfim.base.vessels import VesselPosition
 from delfim.canproxy.nmea2000.fastpacket import split
-from delfim.clock import ManualClock
-from delfim.frames import Frame, extended
 from delfim.simulator.lockstep import Lockstep
 from delfim.simulator.lockstepbus import LockstepBus
-from delfim.slices import Sliced
 from delfim.vehicle import console
 from delfim.vehicle.state import HEARD_MAX, Motion, NoLog, State
 from delfim.vehicle.traffic import lookout, watchkeeper
@@ -23,7 +25,6 @@ from delfim.vehicle.traffic.aisbus import FILTERS, AisBus
 from delfim.vehicle.traffic.lookout import AT_ONCE, TrafficLookout
 from delfim.vehicle.traffic.targets import MOST
 from delfim.vehicle.traffic.watchkeeper import LATE_S
-from delfim.vessels import VesselPosition
 from tests.canproxy.test_recordings import BUSY, RAYMARINE, recording
 
 VEHICLE = Path(__file__).parents[2] / "etc/delfimx.toml"

@@ -9,11 +9,12 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from delfim import config, messages
+from delfim import config
+from delfim.base.frames import Frame, extended
+from delfim.base.modes import Mode
+from delfim.canproxy.dsor import messages
+from delfim.canproxy.dsor.messages import NAVIGATION_ID, Fault, Navigation, Node, Status, pack_navigation
 from delfim.canproxy.dsor.protocol import Message, segments
-from delfim.frames import Frame, extended
-from delfim.messages import NAVIGATION_ID, Fault, Navigation, Node, Status, pack_navigation
-from delfim.modes import Mode
 from delfim.vehicle import console
 from delfim.vehicle.loop import COLD_CYCLES
 from delfim.vehicle.rehearsal import Rehearsal
@@ -33,7 +34,7 @@ def test_no_message_no_actuation(boat):
 
 
 def test_profile_stamps_follow_each_other_and_begin_with_the_kernels(boat, make_boat):
-    from delfim.clock import SystemClock
+    from delfim.base.clock import SystemClock
 
     boat.vehicle.clock = SystemClock()
     for _ in range(COLD_CYCLES + 1):
@@ -327,7 +328,7 @@ def test_random_frames_raise_nothing(boat, frames, kind):
 
 def test_the_better_source_wins_while_it_speaks(boat):
     """Preference and age, with the function that decides."""
-    from delfim.vehicle.navigation import preferred
+    from delfim.vehicle.navigation.fixes import preferred
     from delfim.vehicle.sources.dsor import DsorNavigation
 
     first, second = boat.source, DsorNavigation(boat.sensor.input, boat.state)

@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 
 from bench.fuzz import framed
 from delfim import config
-from delfim.errors import FormatError
-from delfim.modes import Mode
+from delfim.base.errors import FormatError
+from delfim.base.modes import Mode
 from delfim.vehicle.console import Stop, Take
 from delfim.vehicle.mavlink import wire
 from delfim.vehicle.mavlink.commands import COMMANDS

@@ -9,7 +9,7 @@ from types import SimpleNamespace
 import pytest
 
 from delfim import config
-from delfim.modes import Mode
+from delfim.base.modes import Mode
 from delfim.vehicle import console
 from delfim.vehicle.mavlink import commands, handlers
 from delfim.vehicle.mavlink.peers import PEERS

@@ -9,14 +9,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from delfim import config
-from delfim.errors import FormatError
-from delfim.modes import Mode
-from delfim.slices import Sliced
+from delfim.base.errors import FormatError
+from delfim.base.modes import Mode
+from delfim.base.slices import Sliced
 from delfim.vehicle import console
 from delfim.vehicle.mavlink import missions, plans
 from delfim.vehicle.mavlink.plans import FENCE, MISSION, RALLY, Item
-from delfim.vehicle.mission import CARRIED, HOLD_MAX_S, Mission, PathPoint, Waypoint, canonical, parse_mission
-from delfim.vehicle.missionreader import gathered, written
+from delfim.vehicle.plans.mission import CARRIED, HOLD_MAX_S, Mission, PathPoint, Waypoint, canonical, parse_mission
+from delfim.vehicle.plans.missionreader import gathered, written
 from tests.vehicle.mavlink_console import Console, messages, newest, texts
 from tests.vehicle.test_mavlink_station import afloat, sail
 

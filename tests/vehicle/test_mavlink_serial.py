@@ -15,9 +15,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from delfim import config
-from delfim.errors import ConfigError
-from delfim.modes import Mode
-from delfim.tables import decode
+from delfim.base.errors import ConfigError
+from delfim.base.modes import Mode
+from delfim.base.tables import decode
 from delfim.vehicle.mavlink import wire
 from delfim.vehicle.mavlink.signing import Signing
 from delfim.vehicle.mavlink.station import Station

@@ -8,9 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from delfim import config
-from delfim.clock import ManualClock
-from delfim.errors import ConfigError
-from delfim.modes import Mode
+from delfim.base.clock import ManualClock
+from delfim.base.errors import ConfigError
+from delfim.base.modes import Mode
 from delfim.vehicle.mavlink import wire
 from delfim.vehicle.mavlink.signing import Kept, Signing, new_key, read_key, read_stamps, write_stamps
 from delfim.vehicle.mavlink.station import Station

@@ -5,8 +5,9 @@ from types import SimpleNamespace
 
 import pytest
 
-from delfim import config, messages
-from delfim.modes import Mode
+from delfim import config
+from delfim.base.modes import Mode
+from delfim.canproxy.dsor import messages
 from delfim.vehicle import console
 from delfim.vehicle.control.hull import filled
 from delfim.vehicle.loop import VehicleLoop

@@ -8,12 +8,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from delfim import geodesy
+from delfim.base import geodesy
+from delfim.base.errors import ConfigError
+from delfim.base.slices import Sliced
 from delfim.config import ControlTable
-from delfim.errors import ConfigError
-from delfim.slices import Sliced
 from delfim.vehicle.control.path import arc_point
-from delfim.vehicle.mission import (
+from delfim.vehicle.plans.mission import (
     Mission,
     PathPoint,
     Waypoint,

@@ -6,12 +6,12 @@ from pathlib import Path
 
 import pytest
 
+from delfim.base.errors import FormatError, Refused
+from delfim.base.slices import SLICE, Sliced
 from delfim.console.link import Link
-from delfim.errors import FormatError, Refused
-from delfim.slices import SLICE, Sliced
 from delfim.vehicle.command import CommandServer
-from delfim.vehicle.mission import canonical, load_mission
-from delfim.vehicle.missionreader import ZONE, Reading, gathered, written
+from delfim.vehicle.plans.mission import canonical, load_mission
+from delfim.vehicle.plans.missionreader import ZONE, Reading, gathered, written
 from delfim.vehicle.reviews import Reviews
 from tests.vehicle.test_reviews import mission, zones
 

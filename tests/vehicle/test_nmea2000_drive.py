@@ -17,11 +17,11 @@ import pytest
 from nmea2000.decoder import NMEA2000Decoder
 
 from delfim import config
+from delfim.base.clock import SystemClock
+from delfim.base.modes import Mode
 from delfim.canproxy.nmea2000.source import Nmea2000Source
 from delfim.canproxy.opening import open_can
 from delfim.canproxy.socket import CanAddress
-from delfim.clock import SystemClock
-from delfim.modes import Mode
 from delfim.vehicle import console
 from delfim.vehicle.actuators.dsor import Propellers
 from delfim.vehicle.grex import Guest

@@ -10,9 +10,9 @@ import msgspec
 import pytest
 
 from delfim import config
-from delfim.clock import ManualClock
-from delfim.geodesy import origin, wrap
-from delfim.modes import Mode
+from delfim.base.clock import ManualClock
+from delfim.base.geodesy import origin, wrap
+from delfim.base.modes import Mode
 from delfim.vehicle.control.control import control
 from delfim.vehicle.control.hull import filled
 from delfim.vehicle.control.memory import Integrals, LineOfSight, Memory, settings_of

@@ -4,8 +4,8 @@ import math
 
 import pytest
 
-from delfim.geodesy import wrap
-from delfim.modes import Mode
+from delfim.base.geodesy import wrap
+from delfim.base.modes import Mode
 from delfim.vehicle.state import Setpoint
 from tests.vehicle.closed_loop import DOCA, Boat, current, errors, path_errors
 from tests.vehicle.otter import DESCRIBED, FULL_MPS, Otter

@@ -5,7 +5,7 @@ import math
 import pytest
 
 from delfim import config
-from delfim.modes import Mode
+from delfim.base.modes import Mode
 from delfim.vehicle import console
 from delfim.vehicle.state import StartConditions
 

@@ -8,11 +8,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from delfim.errors import FormatError
+from delfim.base.errors import FormatError
 from delfim.vehicle import console, payloadlines
 from delfim.vehicle.entrusting import RIGHTS
-from delfim.vehicle.mission import Mission, Waypoint
 from delfim.vehicle.payloadlines import ORDER_BYTES, OrderBudget, ordered, values, word_of
+from delfim.vehicle.plans.mission import Mission, Waypoint
 
 degrees = st.floats(-89.0, 89.0)
 speeds = st.none() | st.floats(0.0, 30.0)

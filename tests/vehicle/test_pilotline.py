@@ -9,13 +9,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from delfim import config
-from delfim.errors import ConfigError, FormatError
-from delfim.modes import Mode
+from delfim.base.errors import ConfigError, FormatError
+from delfim.base.modes import Mode
+from delfim.base.tables import decode
 from delfim.nmea0183.proprietary import FieldReader
 from delfim.nmea0183.tracklines import INVALID, MILE_M, TrackLine, track_line
-from delfim.services.doors import doors
+from delfim.services.access.doors import doors
 from delfim.simulator.lockstep import Lockstep
-from delfim.tables import decode
 from delfim.vehicle import console
 from delfim.vehicle.state import NoLog
 

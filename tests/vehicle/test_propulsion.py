@@ -5,10 +5,10 @@ from typing import cast
 
 import pytest
 
+from delfim.base.errors import Refused
+from delfim.canproxy.dsor.messages import RESET, pack_reset
 from delfim.canproxy.socket import CanSocket
 from delfim.config import DELFIMX, Steer, ThrusterTable
-from delfim.errors import Refused
-from delfim.messages import RESET, pack_reset
 from delfim.vehicle.control.allocation import thruster
 from delfim.vehicle.links import LoopInput
 from delfim.vehicle.propulsion import Propulsion, by_hand

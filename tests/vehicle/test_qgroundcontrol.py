@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import pytest
 
-from delfim.modes import Mode
+from delfim.base.modes import Mode
 from delfim.vehicle.mavlink import params
 from delfim.vehicle.mavlink.wire import dialect
 from tests.vehicle.mavlink_console import Console, newest

@@ -6,10 +6,10 @@ from typing import Any, Final
 
 import pytest
 
-from delfim import geodesy
+from delfim.base import geodesy
+from delfim.base.vessels import VesselFacts, VesselPosition
 from delfim.vehicle.target import NEVER_S, Target
 from delfim.vehicle.traffic.reckoning import VesselTrack, begun
-from delfim.vessels import VesselFacts, VesselPosition
 
 AT: Final = math.radians(50.0), math.radians(-9.0)
 ORIGIN: Final = geodesy.origin(*AT)

@@ -11,12 +11,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from delfim import config
-from delfim.geodesy import from_plane
-from delfim.modes import Mode
+from delfim.base.geodesy import from_plane
+from delfim.base.modes import Mode
 from delfim.simulator.lockstep import Lockstep
-from delfim.simulator.watch import Onlooker
+from delfim.simulator.scenarios.watch import Onlooker
 from delfim.vehicle import console, voyage
-from delfim.vehicle.fence import outside
+from delfim.vehicle.plans.fence import outside
 from delfim.vehicle.returning import RESTART
 from delfim.vehicle.state import NoLog
 

@@ -10,19 +10,21 @@ from types import SimpleNamespace
 
 import pytest
 
-from delfim import config, slices
+from delfim import config
+from delfim.base import slices
+from delfim.base.errors import Refused
+from delfim.base.modes import Mode
 from delfim.console.link import Link
-from delfim.errors import Refused
-from delfim.modes import Mode
-from delfim.vehicle import console, fence
+from delfim.vehicle import console
 from delfim.vehicle.command import CommandServer
 from delfim.vehicle.failsafe import Action
 from delfim.vehicle.mavlink import plans
 from delfim.vehicle.mavlink.plans import FENCE, MISSION, Item
 from delfim.vehicle.mavlink.station import Station
-from delfim.vehicle.mission import Mission, PathPoint, Waypoint, canonical
+from delfim.vehicle.plans import fence
+from delfim.vehicle.plans.mission import Mission, PathPoint, Waypoint, canonical
+from delfim.vehicle.plans.zones import circle, polygon
 from delfim.vehicle.reviews import Reviews
-from delfim.vehicle.zones import circle, polygon
 from tests.vehicle.mavlink_console import Console, Radio, newest, texts
 from tests.vehicle.test_mavlink_missions import fields
 from tests.vehicle_fixtures import MOST_AT_ONCE

@@ -5,17 +5,17 @@ import math
 import pytest
 
 from delfim import config
-from delfim.clock import ManualClock
-from delfim.errors import ConfigError
-from delfim.modes import Mode
+from delfim.base.clock import ManualClock
+from delfim.base.errors import ConfigError
+from delfim.base.modes import Mode
 from delfim.simulator.lockstep import Lockstep
 from delfim.simulator.lockstepbus import LockstepBus
 from delfim.simulator.model import Bank
 from delfim.vehicle import console, sensors
 from delfim.vehicle.checks import refusal
 from delfim.vehicle.links import Links
+from delfim.vehicle.plans.track import back
 from delfim.vehicle.state import NoLog, State
-from delfim.vehicle.track import back
 from delfim.vehicle.troubles import Inputs, Look, sensor_bad, shallow
 
 LEGS = ((0.0, 0.0), (5.0, 0.0), (10.0, 0.0), (10.0, 5.0), (10.0, 10.0))

@@ -9,7 +9,7 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
 
-from delfim.clock import MADE_NS, ManualClock
+from delfim.base.clock import MADE_NS, ManualClock
 from delfim.vehicle.mavlink import wire
 from delfim.vehicle.mavlink.signing import (
     EPOCH_NS,

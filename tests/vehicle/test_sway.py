@@ -7,9 +7,9 @@ import msgspec
 import pytest
 
 from delfim import config
+from delfim.base.geodesy import wrap
+from delfim.base.modes import Mode
 from delfim.config import Sea, Steer, ThrusterTable
-from delfim.geodesy import wrap
-from delfim.modes import Mode
 from delfim.vehicle.control.control import control
 from delfim.vehicle.control.hull import craft
 from delfim.vehicle.control.memory import Integrals, Memory, lacking, settings_of

@@ -5,9 +5,10 @@ import math
 import msgspec
 import pytest
 
-from delfim import config, messages
+from delfim import config
+from delfim.base.frames import Frame
+from delfim.canproxy.dsor import messages
 from delfim.config import Steer, ThrusterTable
-from delfim.frames import Frame
 from delfim.vehicle import thrusters
 from delfim.vehicle.actuators.dsor import Propellers
 from delfim.vehicle.state import Actuation, State, ThrusterReport

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from delfim.config import HomeTable
-from delfim.vehicle.track import Track
+from delfim.vehicle.plans.track import Track
 
 
 def sail(track: Track, *corners: tuple[float, float], step_m: float = 0.3) -> None:

@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from delfim.slices import Sliced
+from delfim.base.slices import Sliced
 from delfim.vehicle.target import NEVER_S
 from delfim.vehicle.traffic import targets
 from delfim.vehicle.traffic.targets import Tracker, met_s

@@ -9,8 +9,8 @@ import msgspec
 import pytest
 
 from delfim import config
-from delfim.messages import BatteriesStatus, Fault, PropellerStatus, Status
-from delfim.modes import Mode
+from delfim.base.modes import Mode
+from delfim.canproxy.dsor.messages import BatteriesStatus, Fault, PropellerStatus, Status
 from delfim.vehicle.inputhealth import KINDS, InputHealth
 from delfim.vehicle.state import Actuation, HandsetReport, Killed, Reference, State, ThrusterReport
 from delfim.vehicle.target import CourseOrder, Danger, Traffic

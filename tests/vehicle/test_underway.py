@@ -9,16 +9,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from delfim import config
-from delfim.modes import Mode
-from delfim.simulator.rerun import rerun
-from delfim.slices import Sliced
-from delfim.vehicle import console, legs, underway
-from delfim.vehicle.fence import Fence
-from delfim.vehicle.mission import Mission, PathPoint, PayloadItem, Waypoint
+from delfim.base.modes import Mode
+from delfim.base.slices import Sliced
+from delfim.simulator.replay.rerun import rerun
+from delfim.vehicle import console
+from delfim.vehicle.plans import legs, underway
+from delfim.vehicle.plans.fence import Fence
+from delfim.vehicle.plans.mission import Mission, PathPoint, PayloadItem, Waypoint
+from delfim.vehicle.plans.underway import SAME_M, UnderWay
+from delfim.vehicle.plans.zones import circle
 from delfim.vehicle.state import Arc, Line, Plan
 from delfim.vehicle.state import Waypoint as To
-from delfim.vehicle.underway import SAME_M, UnderWay
-from delfim.vehicle.zones import circle
 from tests.logging.sailing import Day, logged
 
 HERE = 38.6925, -9.2150  # where the boat of the tests lies

@@ -4,8 +4,8 @@ import math
 
 import msgspec
 
-from delfim import geodesy
-from delfim.slices import Sliced
+from delfim.base import geodesy
+from delfim.base.slices import Sliced
 from delfim.vehicle.target import Target, Traffic
 from delfim.vehicle.traffic.vesselwords import making, traffic_told
 

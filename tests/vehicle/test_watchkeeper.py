@@ -8,9 +8,9 @@ import msgspec
 import pytest
 
 from delfim import config
-from delfim.clock import ManualClock
-from delfim.geodesy import from_plane, wrap
-from delfim.modes import Mode
+from delfim.base.clock import ManualClock
+from delfim.base.geodesy import from_plane, wrap
+from delfim.base.modes import Mode
 from delfim.simulator.lockstep import Lockstep
 from delfim.vehicle import console
 from delfim.vehicle.control.control import control

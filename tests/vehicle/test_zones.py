@@ -4,8 +4,8 @@ import math
 
 import pytest
 
-from delfim.slices import Sliced
-from delfim.vehicle.zones import (
+from delfim.base.slices import Sliced
+from delfim.vehicle.plans.zones import (
     LOOKS,
     OVERLAP,
     Box,

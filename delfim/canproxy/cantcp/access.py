@@ -6,9 +6,9 @@ from collections.abc import Collection, Iterable
 from typing import Final
 
 from delfim import config
+from delfim.base.frames import CAN_IDE, extended, identifier, standard
+from delfim.canproxy.dsor.messages import Node, time_frame
 from delfim.canproxy.dsor.protocol import SOURCE_AT
-from delfim.frames import CAN_IDE, extended, identifier, standard
-from delfim.messages import Node, time_frame
 
 _OWN: Final = frozenset(Node) - {Node.BROADCAST}
 

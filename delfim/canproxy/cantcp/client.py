@@ -10,13 +10,13 @@ from math import inf
 from typing import Any, Final, cast
 
 from delfim import config
+from delfim.base.errors import BusError
 from delfim.canproxy import socketcand
 from delfim.canproxy.cantcp import slcan
 from delfim.canproxy.cantcp.access import Access
 from delfim.canproxy.cantcp.bcm import JOBS_MAX, Cycles, Subscription
 from delfim.canproxy.cantcp.outbox import Outbox, Timers
 from delfim.canproxy.cantcp.sharedbus import FRAMES_A_CALL, Ear, SharedBus
-from delfim.errors import BusError
 
 INPUT_BYTES: Final = 512  # of a client's commands in one call: 40 frames to send
 HOLD_S: Final = 0.02  # from the answer to `rawmode` to the first frame: clients compare what they read with "< ok >"

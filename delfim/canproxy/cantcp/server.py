@@ -16,13 +16,13 @@ from collections.abc import Iterable, Mapping
 from typing import Final
 
 from delfim import config
+from delfim.base.clock import Clock
 from delfim.canproxy import socketcand
 from delfim.canproxy.cantcp import slcan
 from delfim.canproxy.cantcp.access import Access, bus_name
 from delfim.canproxy.cantcp.beacon import announce
 from delfim.canproxy.cantcp.client import Client, Clients
 from delfim.canproxy.cantcp.sharedbus import Readers, SharedBus
-from delfim.clock import Clock
 
 BEACON_EVERY: Final = 3  # polls
 

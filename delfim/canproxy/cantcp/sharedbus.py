@@ -7,13 +7,13 @@ import logging
 from collections.abc import Callable, Iterable
 from typing import Final, Protocol
 
+from delfim.base.clock import Clock
+from delfim.base.errors import BusError
+from delfim.base.frames import CAN_ERR, CAN_RTR, Frame
 from delfim.canproxy import socketcand
 from delfim.canproxy.cantcp.bcm import Subscription
 from delfim.canproxy.opening import open_can
 from delfim.canproxy.socket import ANYTHING, CanAddress, CanSocket
-from delfim.clock import Clock
-from delfim.errors import BusError
-from delfim.frames import CAN_ERR, CAN_RTR, Frame
 
 FRAMES_A_CALL: Final = 32
 FORGOTTEN_CALLS: Final = 8

@@ -11,9 +11,9 @@ port stands for. Bit rates are the vehicle's: they are accepted and ignored. No 
 from collections.abc import Iterator
 from typing import Final
 
+from delfim.base.errors import FormatError
+from delfim.base.frames import CAN_IDE, Frame, extended, standard
 from delfim.canproxy.socketcand import Action, Close, Enter, Mode, Open, Reply, Transmit
-from delfim.errors import FormatError
-from delfim.frames import CAN_IDE, Frame, extended, standard
 
 LINE_BYTES: Final = 32  # the longest line that means something, T and 26 digits, is shorter
 DONE: Final = b"\r"

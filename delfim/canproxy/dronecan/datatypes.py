@@ -7,9 +7,9 @@ from collections.abc import Callable, Sequence
 from enum import IntEnum
 from typing import Any, Final, NamedTuple
 
+from delfim.base.errors import FormatError
 from delfim.canproxy.dronecan.fields import F16, F32, DataType, pack, signed, unpack, unsigned, void
 from delfim.canproxy.dronecan.transfers import Transfer
-from delfim.errors import FormatError
 
 ALLOCATION: Final = DataType("Allocation", 1, 0xF258, (unsigned(7), unsigned(1)), (unsigned(8),), 16)
 NODE_STATUS: Final = DataType("NodeStatus", 341, 0xBE5F, tuple(map(unsigned, (32, 2, 3, 3, 16))))

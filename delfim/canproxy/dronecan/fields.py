@@ -7,7 +7,7 @@ import struct
 from collections.abc import Sequence
 from typing import Final, Literal, NamedTuple
 
-from delfim.errors import FormatError
+from delfim.base.errors import FormatError
 
 FLOAT16_MAX: Final = 65504.0
 _FLOATS: Final = {16: struct.Struct("<e"), 32: struct.Struct("<f")}

@@ -6,11 +6,11 @@ number of its request. Both requests are of one frame.
 
 from typing import Final, NamedTuple
 
+from delfim.base.frames import CAN_IDE, Frame, extended
 from delfim.canproxy.dronecan.datatypes import NodeStatus
 from delfim.canproxy.dronecan.fields import DataType, pack, unsigned
 from delfim.canproxy.dronecan.transfers import END, NUMBER, SERVICE, START, TOGGLE, framed
 from delfim.canproxy.socket import CanAddress
-from delfim.frames import CAN_IDE, Frame, extended
 
 # The answers. GetNodeInfo: status; versions of program and computer; unique id; length of a certificate, which is none; name.
 _STATUS: Final = tuple(map(unsigned, (32, 2, 3, 3, 16)))

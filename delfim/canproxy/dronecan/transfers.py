@@ -9,9 +9,9 @@ from collections import Counter
 from collections.abc import Iterable
 from typing import Final, NamedTuple
 
+from delfim.base.frames import CAN_IDE, Frame, extended
 from delfim.canproxy.dronecan.fields import DataType
 from delfim.canproxy.socket import CanAddress
-from delfim.frames import CAN_IDE, Frame, extended
 
 NODE_MAX: Final = 125  # 126 and 127 are for tools
 COMMAND, SENSOR, STATUS = 8, 16, 24  # priorities as devices have them; 0 wins the bus

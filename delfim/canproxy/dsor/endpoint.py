@@ -8,12 +8,12 @@ from collections.abc import Callable, Iterator
 from math import inf
 from typing import Final, NamedTuple
 
+from delfim.base.errors import FormatError, Refused
+from delfim.base.frames import Frame
 from delfim.canproxy.dsor.protocol import BROADCAST, Message, ack_filter, iter_segments, message_filter
 from delfim.canproxy.dsor.receiver import Receiver
 from delfim.canproxy.dsor.sender import MessageSender
 from delfim.canproxy.socket import CanAddress, CanSocket
-from delfim.errors import FormatError, Refused
-from delfim.frames import Frame
 
 PRIORITY: Final = 0x80  # the default: in the middle
 ANY_ID: Final = -1  # in `bind`: segmented messages of any identifier

@@ -7,8 +7,8 @@ from enum import IntEnum
 from itertools import chain
 from typing import Final, NamedTuple
 
-from delfim.errors import FormatError
-from delfim.frames import CAN_ERR, CAN_IDE, CAN_RTR, Frame
+from delfim.base.errors import FormatError
+from delfim.base.frames import CAN_ERR, CAN_IDE, CAN_RTR, Frame
 
 BROADCAST: Final = 0x7F  # destination node: everybody
 

@@ -8,6 +8,7 @@ from collections import Counter, deque
 from collections.abc import Callable
 from typing import Final, NamedTuple
 
+from delfim.base.frames import Frame
 from delfim.canproxy.dsor.protocol import (
     ACK_DATA,
     ACK_FRAME,
@@ -27,7 +28,6 @@ from delfim.canproxy.dsor.protocol import (
     is_broadcast,
     read_header,
 )
-from delfim.frames import Frame
 
 REASSEMBLY_TIMEOUT_S: Final = 1.0
 _new = tuple.__new__  # a third of the time of Message(...)

@@ -9,6 +9,9 @@ import contextlib
 from collections.abc import Mapping
 from typing import Final
 
+from delfim.base.clock import Clock
+from delfim.base.errors import BusError
+from delfim.base.frames import CAN_IDE, Frame
 from delfim.canproxy.dsor.protocol import (
     ACK_FRAME,
     BROADCAST,
@@ -23,10 +26,7 @@ from delfim.canproxy.dsor.protocol import (
     message_filter,
 )
 from delfim.canproxy.socket import CanAddress, CanSocket
-from delfim.clock import Clock
 from delfim.config import Routing
-from delfim.errors import BusError
-from delfim.frames import CAN_IDE, Frame
 
 FRAMES_A_CALL: Final = 8
 _ROUTED: Final = frozenset(kind << KIND_AT | CAN_IDE for kind in Kind if kind is not Kind.PLAIN)

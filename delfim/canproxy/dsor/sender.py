@@ -6,6 +6,8 @@ import math
 from collections import deque
 from typing import Final
 
+from delfim.base.errors import FormatError, Refused
+from delfim.base.frames import Frame
 from delfim.canproxy.dsor.protocol import (
     ACK_DATA,
     ACK_FRAME,
@@ -25,8 +27,6 @@ from delfim.canproxy.dsor.protocol import (
     encoded,
     segments,
 )
-from delfim.errors import FormatError, Refused
-from delfim.frames import Frame
 
 TRANSMIT_TIMEOUT_S: Final = 0.1
 RETRANSMIT_MAX: Final = 5

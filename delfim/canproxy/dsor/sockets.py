@@ -15,11 +15,11 @@ from math import inf
 from types import TracebackType
 from typing import Final, Self
 
+from delfim.base.errors import BusError, Refused
 from delfim.canproxy.dsor.endpoint import ANY_ID, Address, CanPort, Endpoint, message_to, source_of
 from delfim.canproxy.dsor.protocol import BROADCAST, Message, Outcome
 from delfim.canproxy.opening import open_can
 from delfim.canproxy.socket import MSG_DONTWAIT, CanSocket
-from delfim.errors import BusError, Refused
 
 REBIND_S: Final = 1.0  # pause between attempts to reopen a bus that failed
 

@@ -5,6 +5,6 @@ destination in their low byte; the ones read here are all broadcast. Messages of
 fast packets. Field layouts are those documented by the canboat project; the largest three values of a field mean not
 available, error and reserved, and all arrive as None.
 
-`source.py` only listens: frames in, `delfim.messages.Navigation` out. `device.py` claims an address and says who the boat is;
-`delfim/services/nmea2000d.py` carries it to the bus, in a process of its own.
+`source.py` only listens: frames in, `delfim.canproxy.dsor.messages.Navigation` out. `device.py` claims an address and says who
+the boat is; `delfim/services/nmea2000d.py` carries it to the bus, in a process of its own.
 """

@@ -8,8 +8,8 @@ import math
 import struct
 from typing import Final
 
-from delfim.errors import FormatError
-from delfim.vessels import MMSI_MAX, STATUS_UNKNOWN, Report, VesselFacts, VesselPosition, readable
+from delfim.base.errors import FormatError
+from delfim.base.vessels import MMSI_MAX, STATUS_UNKNOWN, Report, VesselFacts, VesselPosition, readable
 
 POSITION_A: Final = 129038
 POSITION_B: Final = 129039

@@ -10,6 +10,7 @@ from random import Random
 from typing import Final, Literal, NamedTuple
 
 from delfim import __version__, config
+from delfim.base.frames import CAN_IDE, Frame
 from delfim.canproxy.nmea2000 import ownpgns
 from delfim.canproxy.nmea2000.fastpacket import FastPacket
 from delfim.canproxy.nmea2000.parcels import (
@@ -29,7 +30,6 @@ from delfim.canproxy.nmea2000.parcels import (
     any_of,
 )
 from delfim.canproxy.nmea2000.pgns import ADDRESS_MAX
-from delfim.frames import CAN_IDE, Frame
 
 FIRST: Final = 100  # the address that it asks for when it never had one
 CLAIM_S: Final = 0.25  # a claim that nobody contests for so long holds (ISO 11783-5)

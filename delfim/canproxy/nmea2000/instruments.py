@@ -9,7 +9,7 @@ import struct
 from collections.abc import Callable
 from typing import Final, NamedTuple
 
-from delfim.errors import FormatError
+from delfim.base.errors import FormatError
 
 BATTERY_CHARGE: Final = 127506
 BATTERY: Final = 127508

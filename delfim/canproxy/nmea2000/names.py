@@ -3,9 +3,9 @@
 from collections.abc import Iterable
 from typing import Any, Final
 
+from delfim.base.newest import Newest
 from delfim.canproxy.nmea2000.parcels import CLAIM, EVERYBODY
 from delfim.canproxy.nmea2000.pgns import ADDRESS_MAX
-from delfim.newest import Newest
 
 CLAIMED: Final = CLAIM | EVERYBODY  # the PGN of a claim as its frame has it: claims are for everybody
 

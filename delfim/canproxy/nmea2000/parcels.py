@@ -2,8 +2,8 @@
 
 from typing import Final, NamedTuple
 
+from delfim.base.frames import CAN_IDE, extended
 from delfim.canproxy.nmea2000.fastpacket import split
-from delfim.frames import CAN_IDE, extended
 
 EVERYBODY: Final = 255
 NOBODY: Final = 254  # the source of a device that has no address

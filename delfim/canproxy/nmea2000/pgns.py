@@ -6,9 +6,9 @@ from collections.abc import Callable
 from enum import IntEnum
 from typing import Any, Final, NamedTuple
 
+from delfim.base.errors import FormatError
+from delfim.base.frames import Frame, extended
 from delfim.canproxy.nmea2000.fastpacket import split
-from delfim.errors import FormatError
-from delfim.frames import Frame, extended
 
 TAU: Final = math.tau
 ADDRESS_MAX: Final = 251  # 252 and 253 are reserved, 254 has no address, 255 is broadcast

@@ -5,6 +5,9 @@ from collections import Counter
 from typing import Final, NamedTuple
 
 from delfim import config
+from delfim.base.errors import FormatError
+from delfim.base.frames import CAN_IDE, Frame, extended
+from delfim.canproxy.dsor.messages import Navigation
 from delfim.canproxy.nmea2000.fastpacket import FastPacket
 from delfim.canproxy.nmea2000.names import CLAIMED, Names
 from delfim.canproxy.nmea2000.pgns import (
@@ -24,10 +27,7 @@ from delfim.canproxy.nmea2000.pgns import (
     VesselHeading,
     decode,
 )
-from delfim.errors import FormatError
-from delfim.frames import CAN_IDE, Frame, extended
 from delfim.fusion import MOVING, SLOW_S, UNSTATED, VARIATION_S, Fusion, Quality, over_ground
-from delfim.messages import Navigation
 
 
 class KindStatus(NamedTuple):
@@ -52,7 +52,8 @@ class SourceStatus(NamedTuple):
     last_error: str
 
 
-# delfim.messages.Navigation.fix by GNSS method. Reckoned, typed or simulated positions are no fix: none may drive a boat.
+# delfim.canproxy.dsor.messages.Navigation.fix by GNSS method. Reckoned, typed or simulated positions are no fix: none may drive
+# a boat.
 _FIX: Final = {1: 3, 2: 4, 3: 3, 4: 5, 5: 6}
 _KINDS: Final = {**MOVING, "attitude": SLOW_S, "variation": VARIATION_S, "quality": SLOW_S, "time": SLOW_S}
 

@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 from typing import Final, NamedTuple, Protocol
 
-from delfim.modes import Mode
+from delfim.base.modes import Mode
 from delfim.simulator.lockstep import Lockstep
 from delfim.vehicle.control.memory import Memory
 from delfim.vehicle.state import Actuation, Reference, Setpoint, State

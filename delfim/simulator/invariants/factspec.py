@@ -5,9 +5,9 @@ import math
 from collections.abc import Iterable, Iterator
 from typing import Any, Final
 
-from delfim.geodesy import wrap
-from delfim.modes import Mode
-from delfim.parts import OWN_NODES
+from delfim.base.geodesy import wrap
+from delfim.base.modes import Mode
+from delfim.base.parts import OWN_NODES
 from delfim.simulator.faults import OF_THRUSTERS
 from delfim.simulator.invariants.cycle import CycleSeen
 from delfim.simulator.lockstep import Lockstep

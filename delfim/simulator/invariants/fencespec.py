@@ -4,7 +4,8 @@ import math
 from collections.abc import Sequence
 from typing import Final
 
-from delfim import config, geodesy
+from delfim import config
+from delfim.base import geodesy
 from delfim.simulator.lockstep import Lockstep
 from delfim.vehicle.state import Motion
 

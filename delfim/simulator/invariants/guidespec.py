@@ -4,8 +4,8 @@ import math
 from collections.abc import Iterator
 from typing import Final
 
-from delfim.geodesy import wrap
-from delfim.modes import Mode
+from delfim.base.geodesy import wrap
+from delfim.base.modes import Mode
 from delfim.simulator.invariants.cycle import CycleSeen
 from delfim.simulator.invariants.fencespec import PlainFence
 from delfim.simulator.lockstep import Lockstep

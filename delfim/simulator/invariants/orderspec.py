@@ -4,9 +4,9 @@ import math
 from collections.abc import Iterator
 from typing import Any, Final, NamedTuple
 
-from delfim import geodesy
-from delfim.messages import BatteriesStatus, Status
-from delfim.modes import Mode
+from delfim.base import geodesy
+from delfim.base.modes import Mode
+from delfim.canproxy.dsor.messages import BatteriesStatus, Status
 from delfim.simulator.invariants.cycle import Before, CycleSeen, before
 from delfim.simulator.invariants.fencespec import PlainFence
 from delfim.simulator.invariants.guidespec import begun

@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 from typing import Final
 
-from delfim.modes import Mode
+from delfim.base.modes import Mode
 from delfim.simulator.invariants.cycle import Before, CycleSeen
 from delfim.simulator.lockstep import Lockstep
 from delfim.vehicle.loop import VehicleLoop

@@ -5,8 +5,8 @@ from collections.abc import Iterator, Sequence
 from typing import Final, NamedTuple
 
 from delfim import config
-from delfim.geodesy import wrap
-from delfim.modes import Mode
+from delfim.base.geodesy import wrap
+from delfim.base.modes import Mode
 from delfim.simulator.invariants.cycle import NOTHING, Before, CycleSeen
 from delfim.simulator.lockstep import Lockstep
 from delfim.vehicle.control.hull import Gains

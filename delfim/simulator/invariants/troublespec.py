@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from typing import Final
 
 from delfim import config
-from delfim.messages import BatteriesStatus, Fault, Status
-from delfim.modes import Mode
+from delfim.base.modes import Mode
+from delfim.canproxy.dsor.messages import BatteriesStatus, Fault, Status
 from delfim.simulator.invariants.cycle import CycleSeen
 from delfim.simulator.invariants.fencespec import PlainFence
 from delfim.simulator.lockstep import Lockstep

@@ -9,9 +9,10 @@ from importlib import import_module
 from operator import itemgetter
 from typing import Final, Protocol, runtime_checkable
 
-from delfim import config, parts
+from delfim import config
+from delfim.base import parts
+from delfim.base.frames import Frame
 from delfim.canproxy.socket import CanAddress
-from delfim.frames import Frame
 from delfim.simulator.model import Model, hull_of
 from delfim.simulator.nodes.cansensors import CanSensors
 from delfim.simulator.nodes.devices import Devices

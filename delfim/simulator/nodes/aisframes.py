@@ -9,10 +9,10 @@ import struct
 from collections.abc import Iterator
 from typing import Final
 
+from delfim.base.frames import Frame, extended
+from delfim.base.vessels import VesselFacts, VesselPosition
 from delfim.canproxy.nmea2000.ais import NAME_B, POSITION_A, POSITION_B, SIZE_B, STATIC_A
 from delfim.canproxy.nmea2000.fastpacket import split
-from delfim.frames import Frame, extended
-from delfim.vessels import VesselFacts, VesselPosition
 
 AIS_RECEIVER: Final = 60  # its address
 _U16, _U8 = 0xFFFF, 0xFF

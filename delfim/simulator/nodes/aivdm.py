@@ -7,8 +7,8 @@ import math
 from collections.abc import Iterator
 from typing import Final
 
+from delfim.base.vessels import VesselFacts, VesselPosition
 from delfim.nmea0183.framing import checksum
-from delfim.vessels import VesselFacts, VesselPosition
 
 KNOT_MPS: Final = 1852.0 / 3600.0
 PER_DEG: Final = 600_000.0  # units of a position: ten-thousandths of a minute

@@ -3,9 +3,9 @@
 from typing import Final
 
 from delfim import config
-from delfim.errors import FormatError
-from delfim.frames import Frame
-from delfim.messages import (
+from delfim.base.errors import FormatError
+from delfim.base.frames import Frame
+from delfim.canproxy.dsor.messages import (
     BATTERIES_PORT,
     BATTERIES_STARBOARD,
     RESET,

@@ -8,6 +8,7 @@ import math
 from typing import Final
 
 from delfim import config
+from delfim.base.frames import Frame
 from delfim.canproxy.dronecan.datatypes import (
     AUXILIARY,
     BATTERY_INFO,
@@ -20,7 +21,6 @@ from delfim.canproxy.dronecan.datatypes import (
 from delfim.canproxy.dronecan.fields import DataType, pack
 from delfim.canproxy.dronecan.transfers import NODE_MAX, SENSOR, Publisher
 from delfim.canproxy.socket import CanAddress
-from delfim.frames import Frame
 from delfim.simulator.model import Model
 from delfim.simulator.nodes.measuring import AntennaMotion, Compass, GnssReceiver, Turn
 from delfim.simulator.nodes.navigation import HDOP

@@ -7,6 +7,7 @@ import math
 from typing import Final
 
 from delfim import config
+from delfim.base.frames import Frame
 from delfim.canproxy.nmea2000.parcels import CLAIM, REQUEST, ROLL_CALL, Parcel, addressed, any_of, frames
 from delfim.canproxy.nmea2000.pgns import (
     CourseSpeed,
@@ -19,7 +20,6 @@ from delfim.canproxy.nmea2000.pgns import (
     encode,
 )
 from delfim.canproxy.socket import CanAddress
-from delfim.frames import Frame
 from delfim.simulator.model import Model
 from delfim.simulator.nodes.measuring import AntennaMotion, Compass, GnssReceiver, Turn
 from delfim.simulator.nodes.navigation import HDOP

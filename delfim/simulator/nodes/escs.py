@@ -8,6 +8,8 @@ import math
 from typing import Final
 
 from delfim import config
+from delfim.base.errors import FormatError
+from delfim.base.frames import Frame
 from delfim.canproxy.dronecan.datatypes import (
     ARMING_STATUS,
     ARRAY_COMMAND,
@@ -24,8 +26,6 @@ from delfim.canproxy.dronecan.datatypes import (
 )
 from delfim.canproxy.dronecan.fields import unpack
 from delfim.canproxy.dronecan.transfers import STATUS, Publisher, TransferReceiver
-from delfim.errors import FormatError
-from delfim.frames import Frame
 from delfim.simulator.model import Model
 from delfim.simulator.nodes.period import TOLERANCE_S, Period, patience_s
 

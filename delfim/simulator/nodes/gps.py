@@ -4,9 +4,8 @@ import math
 from typing import Final
 
 from delfim import config
-from delfim.canproxy.dsor.protocol import Message, segments
-from delfim.frames import Frame
-from delfim.messages import (
+from delfim.base.frames import Frame
+from delfim.canproxy.dsor.messages import (
     GPS_SYSSTAT_ID,
     SYSSTAT_PRIORITY,
     TIME,
@@ -17,6 +16,7 @@ from delfim.messages import (
     pack_gps_status,
     time_frame,
 )
+from delfim.canproxy.dsor.protocol import Message, segments
 from delfim.simulator.model import Model
 from delfim.simulator.nodes.navigation import FIX, HDOP, SATELLITES
 

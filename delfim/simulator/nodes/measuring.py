@@ -8,7 +8,7 @@ from random import Random
 from typing import Final, NamedTuple
 
 from delfim import config
-from delfim.geodesy import from_plane
+from delfim.base.geodesy import from_plane
 from delfim.simulator.model import Model
 from delfim.simulator.nodes.navigation import POSITION_ERROR_S, SATELLITES, YAW_RATE_NOISE_RADPS
 from delfim.simulator.nodes.period import Period

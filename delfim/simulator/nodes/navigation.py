@@ -5,10 +5,10 @@ from random import Random
 from typing import Final, NamedTuple
 
 from delfim import config
+from delfim.base.frames import Frame
+from delfim.base.geodesy import from_plane
+from delfim.canproxy.dsor.messages import NAVIGATION_ID, NAVIGATION_PRIORITY, Navigation, Node, pack_navigation
 from delfim.canproxy.dsor.protocol import Message, segments
-from delfim.frames import Frame
-from delfim.geodesy import from_plane
-from delfim.messages import NAVIGATION_ID, NAVIGATION_PRIORITY, Navigation, Node, pack_navigation
 from delfim.simulator.model import Model
 from delfim.simulator.nodes.period import Period
 

@@ -4,8 +4,8 @@ import math
 from typing import Final
 
 from delfim import config
-from delfim.errors import FormatError
-from delfim.messages import Node, unpack_reset
+from delfim.base.errors import FormatError
+from delfim.canproxy.dsor.messages import Node, unpack_reset
 
 TOLERANCE_S: Final = 1e-6  # sums of tenths are never exact
 RESTART_S: Final = 1.0  # duration of a node's restart, in which it is silent

@@ -4,9 +4,9 @@ import math
 from typing import Final
 
 from delfim import config
-from delfim.errors import FormatError
-from delfim.frames import Frame
-from delfim.messages import (
+from delfim.base.errors import FormatError
+from delfim.base.frames import Frame
+from delfim.canproxy.dsor.messages import (
     PROPELLER_PORT,
     PROPELLER_STARBOARD,
     PROPELLER_TIMEOUT_S,

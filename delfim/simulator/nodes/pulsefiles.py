@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Final
 
 from delfim import config
-from delfim.frames import Frame
+from delfim.base.frames import Frame
 from delfim.simulator.model import Model
 from delfim.simulator.nodes.period import Period
 

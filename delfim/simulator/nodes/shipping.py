@@ -11,15 +11,15 @@ from random import Random
 from typing import Final, NamedTuple
 
 from delfim import config
+from delfim.base.frames import Frame
+from delfim.base.geodesy import from_plane, to_plane, wrap
+from delfim.base.vessels import VesselFacts, VesselPosition
 from delfim.canproxy.socket import CanAddress
-from delfim.frames import Frame
-from delfim.geodesy import from_plane, to_plane, wrap
 from delfim.simulator.model import Model
 from delfim.simulator.nodes.aisframes import facts, framed, position
 from delfim.simulator.nodes.aivdm import facts_said, position_said
 from delfim.simulator.nodes.period import TOLERANCE_S, Period
 from delfim.simulator.nodes.talkers import placed
-from delfim.vessels import VesselFacts, VesselPosition
 
 FIRST_MMSI: Final = 235_000_000
 KNOT_MPS: Final = 1852.0 / 3600.0

@@ -4,9 +4,9 @@ import struct
 from typing import Final
 
 from delfim import config
+from delfim.base.frames import Frame, extended
 from delfim.canproxy.nmea2000.instruments import WATER_DEPTH
 from delfim.canproxy.socket import CanAddress
-from delfim.frames import Frame, extended
 from delfim.simulator.model import Model
 from delfim.simulator.nodes.period import Period
 

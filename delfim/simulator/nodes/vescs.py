@@ -6,8 +6,8 @@ import math
 from typing import Final
 
 from delfim import config
+from delfim.base.frames import Frame, extended
 from delfim.canproxy.socket import CanAddress
-from delfim.frames import Frame, extended
 from delfim.simulator.model import Model
 from delfim.simulator.nodes.period import TOLERANCE_S, Period, patience_s
 from delfim.vehicle.actuators.vesc import (

@@ -1,12 +1,13 @@
 """The drivers of the boat's thrusters, a file each, named as `driver` in `[[thrusters]]` of the vehicle's file.
 
 To add one: a file here with a function `open_actuator(settings, links)`, and its row in `OWN` of
-`delfim/parts.py` (CONTRIBUTING.md, "How to add an actuator"). The supervisor opens it, too, for the dead-man.
+`delfim/base/parts.py` (CONTRIBUTING.md, "How to add an actuator"). The supervisor opens it, too, for the dead-man.
 """
 
 from typing import Any, Protocol
 
-from delfim import config, parts
+from delfim import config
+from delfim.base import parts
 from delfim.vehicle.links import Links, LoopInput
 from delfim.vehicle.state import Actuation
 

@@ -9,11 +9,11 @@ from collections import Counter
 from typing import Final
 
 from delfim import config
+from delfim.base.errors import BusError, FormatError
 from delfim.canproxy.dronecan import datatypes
 from delfim.canproxy.dronecan.datatypes import OFF, ON, CommandKind, EscStatus, NodeStatus, decode
 from delfim.canproxy.dronecan.transfers import COMMAND, SENSOR, STATUS, Publisher, TransferReceiver
 from delfim.canproxy.socket import BATCH, CanAddress, CanSocket
-from delfim.errors import BusError, FormatError
 from delfim.vehicle.links import Links, LoopInput, Readable
 from delfim.vehicle.state import Actuation, State, ThrusterReport
 

@@ -3,8 +3,7 @@
 from typing import Final
 
 from delfim import config
-from delfim.canproxy.socket import CanAddress, CanSocket
-from delfim.messages import (
+from delfim.canproxy.dsor.messages import (
     BATTERIES_COMMAND,
     BATTERIES_PORT,
     BATTERIES_STARBOARD,
@@ -12,6 +11,7 @@ from delfim.messages import (
     PROPELLER_PORT,
     PROPELLER_STARBOARD,
 )
+from delfim.canproxy.socket import CanAddress, CanSocket
 from delfim.vehicle.links import Links, LoopInput
 from delfim.vehicle.state import Actuation
 

@@ -15,8 +15,8 @@ from typing import Any, Final, NamedTuple
 from pymavlink.dialects.v20 import development as dialect
 
 from delfim import config
-from delfim.allowance import PIECE_BYTES
-from delfim.messages import BatteriesStatus, Fault, Node, Status
+from delfim.base.allowance import PIECE_BYTES
+from delfim.canproxy.dsor.messages import BatteriesStatus, Fault, Node, Status
 from delfim.vehicle.frontseat import FrontSeatLine, SeatSide, sides
 from delfim.vehicle.links import Links, ReadableLine
 from delfim.vehicle.sensors.sysstat import NAMES

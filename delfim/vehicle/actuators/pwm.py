@@ -6,8 +6,9 @@ import errno
 import math
 from typing import Final
 
-from delfim import config, pulses
-from delfim.errors import FormatError
+from delfim import config
+from delfim.base import pulses
+from delfim.base.errors import FormatError
 from delfim.vehicle.links import Links, ReadableLine
 from delfim.vehicle.state import Actuation, State, ThrusterReport
 

@@ -13,9 +13,9 @@ from collections.abc import Sequence
 from typing import Final, NamedTuple
 
 from delfim import config
+from delfim.base.errors import BusError, FormatError
+from delfim.base.frames import extended
 from delfim.canproxy.socket import BATCH, CanAddress, CanSocket
-from delfim.errors import BusError, FormatError
-from delfim.frames import extended
 from delfim.vehicle.links import Links
 from delfim.vehicle.state import Actuation, State, ThrusterReport
 

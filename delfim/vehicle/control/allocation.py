@@ -18,7 +18,7 @@ from collections.abc import Sequence
 from typing import Final, NamedTuple
 
 from delfim import config
-from delfim.geodesy import wrap
+from delfim.base.geodesy import wrap
 from delfim.vehicle.control.thrustcurve import Curve, Law, Points
 
 WEIGHTS: Final = 1.0, 1.0, 3000.0  # surge, sway, yaw; the moment in units of the strongest thruster at the longest arm

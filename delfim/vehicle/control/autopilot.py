@@ -10,7 +10,7 @@ order ahead never asks for surge astern. A force that the thrusters were short o
 
 import math
 
-from delfim.geodesy import wrap
+from delfim.base.geodesy import wrap
 from delfim.vehicle.control.memory import Integrals, Settings
 from delfim.vehicle.state import Motion, Wanted
 

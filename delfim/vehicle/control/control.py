@@ -6,7 +6,7 @@ import math
 from importlib import import_module
 from typing import Final, Protocol, cast
 
-from delfim.modes import Mode
+from delfim.base.modes import Mode
 from delfim.vehicle.control import path
 from delfim.vehicle.control.memory import Memory, Settings, lacking, settings_of
 from delfim.vehicle.safe import STOP

@@ -4,7 +4,7 @@ The heading is the course less the measured angle between the two, as in guidanc
 that angle means nothing: the boat then steers the course as a heading, and finds the angle when it moves again.
 """
 
-from delfim.geodesy import wrap
+from delfim.base.geodesy import wrap
 from delfim.vehicle.control.autopilot import entered, steer
 from delfim.vehicle.control.guidance import course_to_steer
 from delfim.vehicle.control.memory import Memory, Settings

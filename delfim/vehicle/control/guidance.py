@@ -12,7 +12,7 @@ smoothed: it answers a new leg within seconds, and the integral removes the rema
 import math
 
 from delfim import config
-from delfim.geodesy import wrap
+from delfim.base.geodesy import wrap
 from delfim.vehicle.control.autopilot import clamp, steer, surge_mps
 from delfim.vehicle.control.memory import LineOfSight, Memory, Settings
 from delfim.vehicle.state import Motion, Reference, Wanted, Waypoint

@@ -12,7 +12,7 @@ any boat, and goes on with the bow into the drift.
 
 import math
 
-from delfim.geodesy import wrap
+from delfim.base.geodesy import wrap
 from delfim.vehicle.control.autopilot import entered, steer
 from delfim.vehicle.control.memory import Integrals, Memory, Settings
 from delfim.vehicle.control.sway import keep

@@ -7,7 +7,7 @@ of others comes back at 45 degrees.
 
 import math
 
-from delfim.geodesy import wrap
+from delfim.base.geodesy import wrap
 from delfim.vehicle.control.autopilot import entered, steer
 from delfim.vehicle.control.guidance import CREEP_MPS, along, course_to_steer
 from delfim.vehicle.control.memory import Memory, Settings

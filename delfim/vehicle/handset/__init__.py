@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from typing import Final
 
 from delfim import config
-from delfim.modes import Mode
+from delfim.base.modes import Mode
 from delfim.vehicle import console
 from delfim.vehicle.hands import change
 from delfim.vehicle.handset import crsf, sbus

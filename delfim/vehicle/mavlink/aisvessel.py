@@ -3,8 +3,8 @@
 import math
 from typing import Final
 
+from delfim.base.vessels import STATUS_UNKNOWN, VesselFacts, VesselPosition, readable
 from delfim.vehicle.mavlink.wire import Message, dialect
-from delfim.vessels import STATUS_UNKNOWN, VesselFacts, VesselPosition, readable
 
 TURNS: Final = math.radians(0.1)  # rad/s, of one count of a turn rate
 

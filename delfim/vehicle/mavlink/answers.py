@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterable
 from typing import Final
 
 from delfim import __version__
-from delfim.modes import PAYLOADS, Mode
+from delfim.base.modes import PAYLOADS, Mode
 from delfim.vehicle.mavlink.telemetry import TelemetryView, shown_mode
 from delfim.vehicle.mavlink.wire import Message, dialect
 

@@ -4,7 +4,7 @@ docs/mavlink.md is the same for both.
 
 from typing import Final
 
-from delfim.modes import Mode
+from delfim.base.modes import Mode
 from delfim.vehicle import console
 from delfim.vehicle.mavlink.consoles import Consoles
 from delfim.vehicle.mavlink.peers import Peer

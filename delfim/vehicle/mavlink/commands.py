@@ -8,10 +8,10 @@ import math
 from collections.abc import Callable
 from typing import Final, NamedTuple
 
-from delfim.errors import FormatError, Refused
-from delfim.modes import PAYLOADS, Mode
-from delfim.numberedorders import numbered
-from delfim.parts import OrderRow
+from delfim.base.errors import FormatError, Refused
+from delfim.base.modes import PAYLOADS, Mode
+from delfim.base.numberedorders import numbered
+from delfim.base.parts import OrderRow
 from delfim.vehicle import console
 from delfim.vehicle.mavlink import params
 from delfim.vehicle.mavlink.plans import GLOBAL

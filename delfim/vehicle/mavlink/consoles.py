@@ -8,7 +8,7 @@ import secrets
 from collections.abc import Callable
 from typing import Final
 
-from delfim.numberedorders import numbered
+from delfim.base.numberedorders import numbered
 from delfim.vehicle import console
 from delfim.vehicle.loop import HELD_BY_HAND, VehicleLoop
 from delfim.vehicle.mavlink import params, telemetry

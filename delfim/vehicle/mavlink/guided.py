@@ -7,9 +7,9 @@ point to go to. A stream that did not end must not change the operator's choice,
 import math
 from typing import Final
 
-from delfim.errors import FormatError
-from delfim.geodesy import from_plane
-from delfim.modes import Mode
+from delfim.base.errors import FormatError
+from delfim.base.geodesy import from_plane
+from delfim.base.modes import Mode
 from delfim.vehicle import console
 from delfim.vehicle.loop import VehicleLoop
 from delfim.vehicle.mavlink.consoles import Consoles

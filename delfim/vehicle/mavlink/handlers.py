@@ -5,7 +5,7 @@ from collections.abc import Callable
 from functools import partial
 from typing import Final, NamedTuple
 
-from delfim.errors import FormatError, Refused
+from delfim.base.errors import FormatError, Refused
 from delfim.vehicle import console
 from delfim.vehicle.mavlink import byhand, commands, params, telemetry, vesselsin
 from delfim.vehicle.mavlink.answers import ANSWERS

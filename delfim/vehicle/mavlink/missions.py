@@ -9,8 +9,8 @@ from collections.abc import Callable, Iterator
 from typing import Final, NamedTuple, Protocol
 
 from delfim import config
-from delfim.errors import DelfimError, FormatError, Refused
-from delfim.slices import Sliced
+from delfim.base.errors import DelfimError, FormatError, Refused
+from delfim.base.slices import Sliced
 from delfim.vehicle import console
 from delfim.vehicle.loop import VehicleLoop
 from delfim.vehicle.mavlink import plans

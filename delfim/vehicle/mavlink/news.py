@@ -3,7 +3,7 @@
 import math
 from typing import Final
 
-from delfim.modes import Mode
+from delfim.base.modes import Mode
 from delfim.vehicle.loop import VehicleLoop
 from delfim.vehicle.mavlink.missions import Missions
 from delfim.vehicle.mavlink.peers import Peers

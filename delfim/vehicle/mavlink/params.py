@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from typing import Any, Final, NamedTuple
 
 from delfim import config
-from delfim.errors import FormatError
+from delfim.base.errors import FormatError
 from delfim.vehicle import console
 from delfim.vehicle.mavlink.wire import Message, dialect
 

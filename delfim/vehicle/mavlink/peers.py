@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import Final
 
 from delfim import config
-from delfim.clock import Clock
+from delfim.base.clock import Clock
 from delfim.vehicle.mavlink import params, telemetry
 from delfim.vehicle.mavlink.signing import Signing
 from delfim.vehicle.mavlink.telemetry import Profile, TelemetryRow

@@ -14,11 +14,12 @@ from typing import Final, Literal, NamedTuple, TypeVar
 
 import msgspec
 
-from delfim import config, tables
-from delfim.errors import ConfigError, FormatError
-from delfim.slices import Work
+from delfim import config
+from delfim.base import tables
+from delfim.base.errors import ConfigError, FormatError
+from delfim.base.slices import Work
 from delfim.vehicle.mavlink.wire import dialect
-from delfim.vehicle.mission import CARRIED, HOLD_MAX_S, ROWS, Mission, Number, PathPoint, PayloadItem, Waypoint
+from delfim.vehicle.plans.mission import CARRIED, HOLD_MAX_S, ROWS, Mission, Number, PathPoint, PayloadItem, Waypoint
 
 MISSION, FENCE, RALLY, ALL = 0, 1, 2, 255  # MAV_MISSION_TYPE
 ITEMS: Final = 2000  # of a plan, at most

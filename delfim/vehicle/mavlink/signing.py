@@ -14,9 +14,9 @@ from typing import Annotated, Final, NamedTuple
 
 import msgspec
 
-from delfim.clock import MADE_NS, Clock
-from delfim.errors import ConfigError
-from delfim.outside import UNREADABLE, read_file
+from delfim.base.clock import MADE_NS, Clock
+from delfim.base.errors import ConfigError
+from delfim.base.outside import UNREADABLE, read_file
 
 KEY_BYTES: Final = 32
 EPOCH_NS: Final = 1_420_070_400_000_000_000  # time stamps count 10 us since 2015

@@ -10,7 +10,7 @@ from collections.abc import Callable
 from ipaddress import ip_address
 from typing import Final
 
-from delfim.errors import FormatError
+from delfim.base.errors import FormatError
 from delfim.vehicle.loop import VehicleLoop
 from delfim.vehicle.mavlink import telemetry, wire
 from delfim.vehicle.mavlink.consoles import Consoles, Obey, Review

@@ -10,8 +10,8 @@ from collections.abc import Callable
 from typing import Any, Final
 
 from delfim import config
-from delfim.clock import Clock
-from delfim.serialline import SerialLine
+from delfim.base.clock import Clock
+from delfim.lines.serialline import SerialLine
 from delfim.vehicle.mavlink import wire
 from delfim.vehicle.mavlink.wire import Address, dialect
 

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Final, Self
 
 from delfim import config
-from delfim.rtcm import doorstep
+from delfim.lines.rtcm import doorstep
 from delfim.vehicle.loop import VehicleLoop
 from delfim.vehicle.mavlink.consoles import Obey, Review
 from delfim.vehicle.mavlink.signing import Kept, Signing, read_key, read_stamps, write_stamps

@@ -8,10 +8,10 @@ import math
 from collections.abc import Callable, Iterable, Iterator
 from typing import Final, Literal, NamedTuple
 
+from delfim.base.geodesy import compass, from_plane, wrap
+from delfim.base.modes import PAYLOADS, Mode
+from delfim.canproxy.dsor.messages import BatteriesStatus, Node
 from delfim.config import Mavlink
-from delfim.geodesy import compass, from_plane, wrap
-from delfim.messages import BatteriesStatus, Node
-from delfim.modes import PAYLOADS, Mode
 from delfim.vehicle import sensors, thrusters
 from delfim.vehicle.failsafe import Action, bits
 from delfim.vehicle.loop import VehicleLoop

@@ -3,13 +3,13 @@
 import math
 from typing import Final
 
+from delfim.base.vessels import MMSI_MAX, VesselPosition
 from delfim.vehicle.mavlink.aisvessel import facts_of, position_of
 from delfim.vehicle.mavlink.consoles import Consoles
 from delfim.vehicle.mavlink.peers import Peer
 from delfim.vehicle.mavlink.telemetry import COMPONENT
 from delfim.vehicle.mavlink.vesselsout import NUMBERS
 from delfim.vehicle.mavlink.wire import GUEST, Message, Speaker
-from delfim.vessels import MMSI_MAX, VesselPosition
 
 OLD_S: Final = 600  # a report that was older when it came is none
 

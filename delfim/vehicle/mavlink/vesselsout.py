@@ -9,7 +9,7 @@ import zlib
 from collections.abc import Iterator
 from typing import Final
 
-from delfim.geodesy import Origin, from_plane
+from delfim.base.geodesy import Origin, from_plane
 from delfim.vehicle.mavlink.wire import Message, dialect
 from delfim.vehicle.state import State
 from delfim.vehicle.target import NEVER_S, Target

@@ -12,7 +12,7 @@ from typing import Any, Final, NamedTuple
 
 from pymavlink.dialects.v20 import development
 
-from delfim.errors import FormatError
+from delfim.base.errors import FormatError
 from delfim.vehicle.mavlink import ardupilot
 
 MARKER, MARKER_1 = 0xFD, 0xFE  # of MAVLink 2; of MAVLink 1, in which a SiK radio reports about itself

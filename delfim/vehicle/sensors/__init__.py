@@ -1,13 +1,14 @@
 """Sensors other than navigation, a file each, named as in `sensors.names` of the vehicle's file.
 
 To add a sensor: a file here with `VALUES` and a function `open_sensor(settings, links)`, and its row in `OWN` of
-`delfim/parts.py` (CONTRIBUTING.md, "How to add a sensor").
+`delfim/base/parts.py` (CONTRIBUTING.md, "How to add a sensor").
 """
 
 from typing import Any, NamedTuple, Protocol
 
-from delfim import config, parts
-from delfim.errors import ConfigError
+from delfim import config
+from delfim.base import parts
+from delfim.base.errors import ConfigError
 from delfim.vehicle.links import Links, LoopInput
 
 

@@ -3,12 +3,12 @@
 from typing import Final
 
 from delfim import config
+from delfim.base.errors import BusError, FormatError
+from delfim.base.newest import Newest
 from delfim.canproxy.dronecan.datatypes import BATTERY_INFO, BatteryInfo, decode
 from delfim.canproxy.dronecan.transfers import TransferReceiver
+from delfim.canproxy.dsor.messages import BatteriesStatus, Fault, Node, Status
 from delfim.canproxy.socket import CanSocket
-from delfim.errors import BusError, FormatError
-from delfim.messages import BatteriesStatus, Fault, Node, Status
-from delfim.newest import Newest
 from delfim.vehicle.links import Links
 from delfim.vehicle.sensors import Value
 from delfim.vehicle.sensors.sysstat import NAMES

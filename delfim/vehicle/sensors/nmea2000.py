@@ -5,18 +5,18 @@ from collections.abc import Iterator
 from typing import Final
 
 from delfim import config
+from delfim.base.errors import BusError, FormatError
+from delfim.base.frames import CAN_IDE, Frame, extended
+from delfim.base.newest import Newest
+from delfim.canproxy.dsor.messages import BatteriesStatus, Fault, Node, Status
 from delfim.canproxy.nmea2000.device import device_name, facts_of
 from delfim.canproxy.nmea2000.fastpacket import FastPacket
 from delfim.canproxy.nmea2000.instruments import FAST, MESSAGES, Battery, BatteryCharge, Told, decode
 from delfim.canproxy.nmea2000.names import CLAIMED, Names
 from delfim.canproxy.nmea2000.pgns import ADDRESS_MAX
 from delfim.canproxy.socket import CanAddress, CanSocket
-from delfim.errors import BusError, FormatError
-from delfim.frames import CAN_IDE, Frame, extended
-from delfim.messages import BatteriesStatus, Fault, Node, Status
-from delfim.newest import Newest
 from delfim.vehicle.links import Links
-from delfim.vehicle.navigation import FRAMES_PER_READ
+from delfim.vehicle.navigation.fixes import FRAMES_PER_READ
 from delfim.vehicle.sensors import Value, nmea0183
 from delfim.vehicle.sensors.sysstat import NAMES
 from delfim.vehicle.sources.nmea2000 import opened

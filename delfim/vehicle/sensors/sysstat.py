@@ -3,12 +3,9 @@
 from collections.abc import Container, Sequence
 
 from delfim import config
-from delfim.canproxy.dsor.protocol import message_filter
-from delfim.canproxy.dsor.receiver import Receiver
-from delfim.canproxy.socket import CanAddress, CanSocket
-from delfim.errors import BusError, FormatError
-from delfim.frames import CAN_IDE, CAN_RTR, Frame
-from delfim.messages import (
+from delfim.base.errors import BusError, FormatError
+from delfim.base.frames import CAN_IDE, CAN_RTR, Frame
+from delfim.canproxy.dsor.messages import (
     GPS_SYSSTAT_ID,
     SYSSTAT_MASK,
     SYSSTAT_SUBJECT,
@@ -19,6 +16,9 @@ from delfim.messages import (
     sysstat_arb,
     unpack_sysstat,
 )
+from delfim.canproxy.dsor.protocol import message_filter
+from delfim.canproxy.dsor.receiver import Receiver
+from delfim.canproxy.socket import CanAddress, CanSocket
 from delfim.vehicle.links import Links
 from delfim.vehicle.sensors import Value
 from delfim.vehicle.state import State, ThrusterReport

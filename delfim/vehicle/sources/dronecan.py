@@ -5,6 +5,7 @@ from collections import Counter
 from typing import Final
 
 from delfim import config
+from delfim.base.errors import BusError, FormatError
 from delfim.canproxy.dronecan import datatypes
 from delfim.canproxy.dronecan.datatypes import (
     Dilution,
@@ -17,13 +18,12 @@ from delfim.canproxy.dronecan.datatypes import (
     decode,
 )
 from delfim.canproxy.dronecan.transfers import TransferReceiver
+from delfim.canproxy.dsor.messages import Navigation
 from delfim.canproxy.socket import CanSocket
-from delfim.errors import BusError, FormatError
 from delfim.fusion import MOVING, SLOW_S, SQRT2, Fusion, Hearer
-from delfim.messages import Navigation
-from delfim.vehicle.compass import FLAT, Calibration, FieldCircle, Tilt, Vector, attitude, magnetic_heading
 from delfim.vehicle.links import Links
-from delfim.vehicle.navigation import FRAMES_PER_READ, Fix
+from delfim.vehicle.navigation.compass import FLAT, Calibration, FieldCircle, Tilt, Vector, attitude, magnetic_heading
+from delfim.vehicle.navigation.fixes import FRAMES_PER_READ, Fix
 from delfim.vehicle.state import State
 
 HEARD: Final = (
@@ -195,7 +195,7 @@ class DronecanNavigation:
 
 
 def fix_of(g: GnssFix) -> int:
-    """The kind of fix, as in delfim.messages.Navigation."""
+    """The kind of fix, as in delfim.canproxy.dsor.messages.Navigation."""
     if g.status < 2:
         return 0
     if g.status == 2:

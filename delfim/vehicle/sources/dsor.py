@@ -1,13 +1,13 @@
 """The boat's own navigation node: a DSOR segmented message (navcan.c in the thesis)."""
 
 from delfim import config
+from delfim.base.errors import BusError, FormatError
+from delfim.canproxy.dsor.messages import NAVIGATION_ID, Navigation, Node, unpack_navigation
 from delfim.canproxy.dsor.protocol import Message, message_filter
 from delfim.canproxy.dsor.receiver import Receiver
 from delfim.canproxy.socket import CanAddress, CanSocket
-from delfim.errors import BusError, FormatError
-from delfim.messages import NAVIGATION_ID, Navigation, Node, unpack_navigation
 from delfim.vehicle.links import Links
-from delfim.vehicle.navigation import FRAMES_PER_READ, Fix
+from delfim.vehicle.navigation.fixes import FRAMES_PER_READ, Fix
 from delfim.vehicle.state import State
 
 LOOKS = 8  # polls for the next frame of a message, 20 us in all: many adapters deliver frames in bursts

@@ -10,10 +10,10 @@ from typing import Any, Final
 from pymavlink.dialects.v20 import development as dialect
 
 from delfim import config
-from delfim.allowance import PIECE_BYTES
-from delfim.messages import Navigation
+from delfim.base.allowance import PIECE_BYTES
+from delfim.canproxy.dsor.messages import Navigation
 from delfim.vehicle.links import Links, LoopInput, ReadableLine
-from delfim.vehicle.navigation import Fix
+from delfim.vehicle.navigation.fixes import Fix
 from delfim.vehicle.sharedline import SecondEnd
 from delfim.vehicle.state import State
 

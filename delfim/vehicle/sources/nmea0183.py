@@ -11,7 +11,7 @@ from delfim.nmea0183.aissentences import AisPart
 from delfim.nmea0183.combining import Combined
 from delfim.ubx.mixedline import Antennas, MixedLine
 from delfim.vehicle.links import Links, ReadableLine
-from delfim.vehicle.navigation import Fix
+from delfim.vehicle.navigation.fixes import Fix
 from delfim.vehicle.state import State
 
 GREETING: Final = b'{"class":"VERSION"'  # of gpsd, whoever connects

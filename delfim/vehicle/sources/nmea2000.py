@@ -5,14 +5,14 @@ import contextlib
 import msgspec
 
 from delfim import config
+from delfim.base.errors import BusError
 from delfim.canproxy.nmea2000.device import device_name, facts_of
 from delfim.canproxy.nmea2000.parcels import ROLL_CALL, frames
 from delfim.canproxy.nmea2000.source import Nmea2000Source
 from delfim.canproxy.socket import CanAddress, CanSocket
-from delfim.errors import BusError
 from delfim.fusion import Hearer
 from delfim.vehicle.links import Links
-from delfim.vehicle.navigation import FRAMES_PER_READ, Fix
+from delfim.vehicle.navigation.fixes import FRAMES_PER_READ, Fix
 from delfim.vehicle.state import State
 
 

@@ -4,14 +4,14 @@ from collections import Counter
 from typing import Final
 
 from delfim import config
+from delfim.base.errors import BusError, FormatError
+from delfim.base.frames import CAN_IDE, Frame, extended
 from delfim.canproxy.nmea2000 import ais
 from delfim.canproxy.nmea2000.fastpacket import FastPacket
 from delfim.canproxy.nmea2000.pgns import ADDRESS_MAX
 from delfim.canproxy.socket import CanAddress, CanSocket
-from delfim.errors import BusError, FormatError
-from delfim.frames import CAN_IDE, Frame, extended
 from delfim.vehicle.links import Links, Readable
-from delfim.vehicle.navigation import FRAMES_PER_READ
+from delfim.vehicle.navigation.fixes import FRAMES_PER_READ
 from delfim.vehicle.state import State
 
 FILTERS: Final = tuple(CanAddress(extended(pgn << 8), extended(7 << 26 | 0xFF) & ~CAN_IDE) for pgn in sorted(ais.PGNS))

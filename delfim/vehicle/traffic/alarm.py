@@ -4,8 +4,8 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Final, Literal, NamedTuple
 
+from delfim.base.slices import Work
 from delfim.config import TrafficNear
-from delfim.slices import Work
 from delfim.vehicle.target import Danger, Target
 from delfim.vehicle.traffic.cpa import approach, closest, passing_by
 from delfim.vehicle.traffic.encounter import AT_REST_MPS, Own

@@ -3,7 +3,7 @@
 import math
 from typing import Final, Literal, NamedTuple
 
-from delfim.geodesy import wrap
+from delfim.base.geodesy import wrap
 from delfim.vehicle.target import Target
 
 Duty = Literal["overtaking", "overtaken", "head-on", "give-way", "stand-on", "at rest"]

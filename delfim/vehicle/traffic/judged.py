@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from heapq import nsmallest
 from typing import Final
 
-from delfim.slices import Work
+from delfim.base.slices import Work
 from delfim.vehicle.target import Target
 from delfim.vehicle.traffic.cpa import passing_by
 from delfim.vehicle.traffic.encounter import Own

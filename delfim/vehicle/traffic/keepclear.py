@@ -16,9 +16,9 @@ from heapq import nsmallest
 from itertools import chain
 from typing import Final, NamedTuple
 
-from delfim.geodesy import wrap
-from delfim.slices import Sliced, Work
-from delfim.vehicle.fence import Fence
+from delfim.base.geodesy import wrap
+from delfim.base.slices import Sliced, Work
+from delfim.vehicle.plans.fence import Fence
 from delfim.vehicle.target import CourseOrder, Target
 from delfim.vehicle.traffic.cpa import Approach, Domain, Leg, approach, domain, passing_by
 from delfim.vehicle.traffic.encounter import PRIVILEGED, Duty, Own, duty, passing, stands_on, words

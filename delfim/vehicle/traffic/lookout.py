@@ -4,14 +4,14 @@ of them at a time."""
 from itertools import islice
 from typing import Final
 
+from delfim.base.errors import FormatError
+from delfim.base.slices import Sliced, Work
+from delfim.base.vessels import VesselFacts, VesselPosition
 from delfim.config import TrafficTable
-from delfim.errors import FormatError
 from delfim.nmea0183.aissentences import AisMessages
-from delfim.slices import Sliced, Work
 from delfim.vehicle.state import Sighting, State
 from delfim.vehicle.target import NEVER_S, Target
 from delfim.vehicle.traffic.targets import MOST, Tracker
-from delfim.vessels import VesselFacts, VesselPosition
 
 AT_ONCE: Final = 24  # reports that one step takes; a busy harbour brings one
 LOOK_S: Final = 1.0

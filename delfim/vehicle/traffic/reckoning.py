@@ -4,9 +4,9 @@ import math
 from dataclasses import dataclass
 from typing import Final
 
-from delfim.geodesy import Origin, compass, to_plane, wrap
+from delfim.base.geodesy import Origin, compass, to_plane, wrap
+from delfim.base.vessels import VesselFacts, VesselPosition
 from delfim.vehicle.target import NEVER_S, Target
-from delfim.vessels import VesselFacts, VesselPosition
 
 KNOT: Final = 1852.0 / 3600.0
 JUMP_MPS: Final = 60.0 * KNOT  # no vessel is faster

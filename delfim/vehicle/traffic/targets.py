@@ -9,12 +9,12 @@ from collections import Counter
 from operator import itemgetter
 from typing import Final
 
+from delfim.base.geodesy import Origin
+from delfim.base.slices import Sliced, Work
+from delfim.base.vessels import VesselFacts, VesselPosition
 from delfim.config import TrafficTable
-from delfim.geodesy import Origin
-from delfim.slices import Sliced, Work
 from delfim.vehicle.target import NEVER_S, Target
 from delfim.vehicle.traffic.reckoning import VesselTrack, begun
-from delfim.vessels import VesselFacts, VesselPosition
 
 MOST: Final = 200  # vessels that are known at once
 NUMBER: Final = 9  # digits of a number of AIS

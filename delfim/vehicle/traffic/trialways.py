@@ -3,10 +3,10 @@
 import math
 from typing import Final, NamedTuple
 
-from delfim.geodesy import wrap
+from delfim.base.geodesy import wrap
+from delfim.vehicle.plans.zones import Point
 from delfim.vehicle.traffic.cpa import Leg
 from delfim.vehicle.traffic.encounter import Own
-from delfim.vehicle.zones import Point
 
 LOOK_MAX_S: Final = 900.0
 

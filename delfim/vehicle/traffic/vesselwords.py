@@ -5,8 +5,8 @@ from typing import Final
 
 import msgspec
 
-from delfim.geodesy import Origin, from_plane
-from delfim.slices import Work
+from delfim.base.geodesy import Origin, from_plane
+from delfim.base.slices import Work
 from delfim.vehicle.target import NEVER_S, CourseOrder, Danger, Target, Traffic, VesselTold
 
 TOLD: Final = 5  # comparisons that the words for one vessel cost

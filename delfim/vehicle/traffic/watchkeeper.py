@@ -10,10 +10,10 @@ import math
 from typing import Final
 
 from delfim import config
-from delfim.clock import Clock
-from delfim.geodesy import wrap
-from delfim.modes import Mode
-from delfim.slices import Sliced, Work
+from delfim.base.clock import Clock
+from delfim.base.geodesy import wrap
+from delfim.base.modes import Mode
+from delfim.base.slices import Sliced, Work
 from delfim.vehicle import setpoints
 from delfim.vehicle.control.autopilot import steer
 from delfim.vehicle.control.control import control

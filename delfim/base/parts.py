@@ -1,0 +1,273 @@
+"""Parts: drivers of motors, sources of navigation and sensors, each a row. The rows of the boat's own are OWN.
+
+A laboratory's own part is a Python package outside the project, which a boat has because its file names it. The package's
+entry point in the group `delfim.base.parts` is its row. The vehicle's file names it in `[parts]` with its version; only then it
+is imported. No other file pays for the look among the installed packages, which takes some 30 ms.
+"""
+
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from functools import cache
+from importlib import import_module
+from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple
+
+from delfim.base import modes
+from delfim.base.errors import ConfigError, DelfimError, PermanentFailure, did_you_mean, in_words
+from delfim.base.numberedorders import numbered
+from delfim.base.pulses import CHANNELS
+from delfim.base.tables import Table
+
+if TYPE_CHECKING:  # its import takes as long as that of all tables, and few files name a part
+    from importlib.metadata import EntryPoint
+
+GROUP: Final = "delfim.base.parts"
+API: Final = 1  # of the rows and of `delfim.api`: a part that was made for another one is refused
+TROUBLES: Final = range(25, 32)  # numbers for the troubles of parts: bits in the state log, of which the boat's own are lower
+
+
+class TroubleRow(NamedTuple):
+    """A trouble that a part detects, with a table in `[failsafe]` of the vehicle's file."""
+
+    name: str  # of its table, small letters and _
+    number: int  # one of TROUBLES
+    table: type[Table]  # a `delfim.api.Trouble`, or a `Silence`, which compares `after_s` itself
+    sees: str  # module:function; it takes a `delfim.api.Look` and returns the reason in words, or None; ten times a second
+
+
+class ModeRow(NamedTuple):
+    """A mode of a part: it steers, as heading and hold do, and has a key in each trouble of `[failsafe]`."""
+
+    name: str  # small letters and _
+    number: int  # one of `modes.OF_PARTS`, on the console's link and in the log
+    program: str  # module with `open_mode(settings)`, which returns a `delfim.api.Program`
+
+
+class Drives(NamedTuple):
+    """What is known of a driver before it is loaded: the vehicle's file is checked against it."""
+
+    sides: Literal["", "each", "mixed"] = ""  # its addresses are a starboard and a port side; mixed: it needs both
+    motors: int = 256  # their addresses are below this
+    turns: int = 256  # thrusters that it can turn, at most
+    channels: int = 0  # motors, and what turns them, share addresses below this; 0: each has its own
+    revolves: bool = False  # its table's `command` may be rpm: a row must say then how many
+    # Facts of the boat's own alone:
+    nodes: bool = False  # its motors are nodes of the boat's own bus, whose health they report and whose batteries it can cut
+    outlet: bool = False  # its motors are told by pulses, which the outlet writes
+    played: bool = False  # its devices are simulated; others are pushed as they are told
+
+
+class OrderRow(NamedTuple):
+    """An order of the operator that a part carries out."""
+
+    name: str  # small letters, digits and _
+    table: type[Table]  # its keys
+    does: str  # module:function; it takes a `delfim.api.OrderAsked`, and returns None, why not, or a `delfim.api.Goto` ...
+    number: int = 0  # by MAVLink and in the page's menu, MAV_CMD_USER_1 to 5, 31010 to 31014; 0: neither
+
+
+class Part(NamedTuple):
+    """A row. A text names a module, or a function as module:function, which is loaded when it is used."""
+
+    name: str  # as the vehicle's file has it, small letters, digits and _
+    table: type[Table] | None = None  # its keys, in a table of its name
+    driver: str = ""  # module with `open_actuator(settings, links)`
+    source: str = ""  # module with `open_source(settings, links, state)`
+    sensor: str = ""  # module with `VALUES` and `open_sensor(settings, links)`
+    service: str = ""  # module:coroutine, which takes the runtime
+    troubles: tuple[TroubleRow, ...] = ()
+    modes: tuple[ModeRow, ...] = ()
+    orders: tuple[OrderRow, ...] = ()
+    played: str = ""  # its device in simulation: module with `devices_of` on a bus, or `instrument_of` on a line
+    api: int = API
+    drives: Drives = Drives()  # the facts of its driver
+    protocol: str = ""  # that its bus carries, where others have it, too
+    instruments: bool = False  # its sensor reads a ship's instruments: a boat has one such
+    waits: bool = False  # its source's device may be missing at the start, and is opened when it is there
+    # Facts of the boat's own alone:
+    vessels: bool = False  # it tells of other vessels
+    separate: bool = False  # its source reads separate sensors, which an estimator may take (docs/estimator.md)
+    ports: bool = False  # its lines are `ports` of its table, by their names, of which it needs one
+
+
+OWN_NODES: Final = "dsor"  # the part of the boat's own nodes: their source and driver
+OWN: Final = {  # in the order in which sources are listed
+    row.name: row
+    for row in (
+        Part("sysstat", sensor="delfim.vehicle.sensors.sysstat"),
+        Part(
+            OWN_NODES,
+            driver="delfim.vehicle.actuators.dsor",
+            source="delfim.vehicle.sources.dsor",
+            drives=Drives(sides="each", nodes=True, played=True),
+        ),
+        Part(
+            "nmea2000",
+            source="delfim.vehicle.sources.nmea2000",
+            sensor="delfim.vehicle.sensors.nmea2000",
+            vessels=True,
+            protocol="NMEA 2000",
+            separate=True,
+            instruments=True,
+        ),
+        Part(
+            "dronecan",
+            driver="delfim.vehicle.actuators.dronecan",
+            source="delfim.vehicle.sources.dronecan",
+            sensor="delfim.vehicle.sensors.dronecan",
+            protocol="DroneCAN",
+            separate=True,
+            drives=Drives(motors=20, turns=15, revolves=True, played=True),  # of one command
+        ),
+        Part(
+            "nmea0183",
+            source="delfim.vehicle.sources.nmea0183",
+            sensor="delfim.vehicle.sensors.nmea0183",
+            vessels=True,
+            separate=True,
+            instruments=True,
+            ports=True,
+        ),
+        Part("mavlink", vessels=True),
+        Part("guest", vessels=True),
+        Part(
+            "mavlink_front_seat",
+            driver="delfim.vehicle.actuators.mavlink_front_seat",
+            source="delfim.vehicle.sources.mavlink_front_seat",
+            drives=Drives(sides="mixed"),
+            waits=True,
+        ),
+        Part("heron", driver="delfim.vehicle.actuators.heron", drives=Drives(sides="mixed")),
+        Part("otter", driver="delfim.vehicle.actuators.otter", drives=Drives(sides="mixed")),
+        Part("pwm", driver="delfim.vehicle.actuators.pwm", drives=Drives(channels=CHANNELS, outlet=True)),
+        Part(
+            "vesc",
+            driver="delfim.vehicle.actuators.vesc",
+            protocol="VESC",
+            drives=Drives(turns=0, revolves=True, played=True),
+        ),
+    )
+}
+
+
+@cache
+def installed() -> "dict[str, list[EntryPoint]]":
+    """The entry points of all packages of this computer that have parts, by the names of the parts; nothing is imported."""
+    from importlib.metadata import entry_points
+
+    found: dict[str, list[EntryPoint]] = {}
+    for each in entry_points(group=GROUP):
+        found.setdefault(each.name, []).append(each)
+    return found
+
+
+def version_of(entry: "EntryPoint") -> str:
+    return entry.dist.version if entry.dist is not None else "unknown"
+
+
+def named(wanted: object, file: str) -> tuple[Part, ...]:
+    """The parts that `[parts]` of a vehicle's file names, in its order; without it none, and nothing is looked up. Raises
+    ConfigError where one is not installed, has another version, or cannot be imported."""
+    if not wanted or not isinstance(wanted, Mapping):
+        return ()
+    rows = tuple(_loaded(str(name), str(version), file) for name, version in wanted.items())
+    numbers = dict[int, str]()
+    for name, trouble in ((row.name, trouble) for row in rows for trouble in row.troubles):
+        key = f"parts.{name}"
+        if trouble.number not in TROUBLES:
+            raise ConfigError(file, key, f"trouble {trouble.name} has number {trouble.number}", f"25 to {TROUBLES[-1]}")
+        if (other := numbers.setdefault(trouble.number, trouble.name)) != trouble.name:
+            raise ConfigError(file, key, f"its trouble {trouble.name} has number {trouble.number}, as {other} has")
+    for row in rows:
+        for mode in row.modes:
+            try:
+                modes.join(mode.name, mode.number)
+            except ValueError as error:
+                raise ConfigError(file, f"parts.{row.name}", str(error)) from None
+    _check_orders(rows, file)
+    return rows
+
+
+def _check_orders(rows: tuple[Part, ...], file: str) -> None:
+    """Raises ConfigError where an order has no name or number of its own, or numbers cannot give it."""
+    names, numbers = dict[str, str](), dict[int, str]()
+    for part, order in ((row.name, order) for row in rows for order in row.orders):
+        key, name = f"parts.{part}", order.name
+        if not re.fullmatch("[a-z][a-z0-9_]{0,31}", name):
+            raise ConfigError(file, key, f"{name!r} is no name for an order: small letters, digits and _")
+        if (other := names.setdefault(name, part)) != part:
+            raise ConfigError(file, key, f"its order {name} has the name of an order of {other}")
+        if order.number and (other := numbers.setdefault(order.number, name)) != name:
+            raise ConfigError(file, key, f"its order {name} has number {order.number}, as {other} has")
+        try:
+            if order.number:
+                numbered(order.number, name, order.table)
+        except ValueError as error:
+            raise ConfigError(file, key, str(error)) from None
+
+
+def _loaded(name: str, version: str, file: str) -> Part:
+    entries, key = installed().get(name, []), f"parts.{name}"
+    if not entries:
+        raise ConfigError(file, key, f"no installed package has a part of this name{did_you_mean(name, installed())}")
+    if len(entries) > 1:
+        owners = " and ".join(sorted(each.dist.name if each.dist is not None else each.value for each in entries))
+        raise ConfigError(file, key, f"{owners} both have a part of this name; remove one of them")
+    if (there := version_of(entries[0])) != version:
+        raise ConfigError(file, key, f"version {there} is installed, and the file is made for {version}")
+    try:
+        row = _row(entries[0])
+    except DelfimError as error:
+        raise ConfigError(file, key, str(error)) from None
+    if not isinstance(row, Part):
+        raise ConfigError(file, key, f"{entries[0].value} is no delfim.api.Part")
+    if row.api != API:
+        raise ConfigError(file, key, f"it was made for interface {row.api} of parts, and this Delfim has {API}")
+    if row.name != name:
+        raise ConfigError(file, key, f"its row has another name, {row.name}")
+    return row
+
+
+@cache
+def _row(entry: "EntryPoint") -> object:
+    """Raises DelfimError."""
+    try:
+        return entry.load()
+    except (Exception, SystemExit) as error:  # foreign code, of which anything may come
+        raise DelfimError(f"it cannot be imported: {in_words(error)}") from error
+
+
+def load(part: Part, place: str) -> Any:
+    """The module or function that a row names. Raises PermanentFailure."""
+    module, _, function = place.partition(":")
+    try:
+        found = import_module(module)
+        return getattr(found, function) if function else found
+    except (Exception, SystemExit) as error:
+        raise PermanentFailure(f"part {part.name}: {place} cannot be imported: {in_words(error)}") from error
+
+
+def find(aboard: Sequence[Part], name: str) -> Part | None:
+    """The part of this name among those aboard; None: it is one of the boat's own names."""
+    return next((each for each in aboard if each.name == name), None)
+
+
+def row(aboard: Sequence[Part], name: str) -> Part:
+    """One of the boat's own, or of the parts aboard. Raises KeyError."""
+    return OWN.get(name) or {each.name: each for each in aboard}[name]
+
+
+def module(aboard: Sequence[Part], kind: str, name: str) -> Any:
+    """The module of a driver, a source or a sensor. Raises PermanentFailure for a part's that cannot be imported."""
+    part = row(aboard, name)
+    return import_module(getattr(part, kind)) if name in OWN else load(part, getattr(part, kind))
+
+
+def of_kind(aboard: Iterable[Part], kind: str) -> Iterator[str]:
+    """The names of those that have a driver, a source, a sensor ..."""
+    return (each.name for each in aboard if getattr(each, kind))
+
+
+def forget() -> None:
+    """Look anew for packages that were installed or removed meanwhile."""
+    installed.cache_clear()
+    _row.cache_clear()

@@ -1,0 +1,1 @@
+"""Lines to devices: serial ports, network lines, GPIO pins, and RTCM on them."""

@@ -1,0 +1,1 @@
+"""Logs read ashore: found, fetched, tabulated, plotted, exported, repaired."""

@@ -1,0 +1,1 @@
+"""The daemons of the CAN buses: cantcpd, canzlogd, canip, logd, router, and the interfaces set up."""

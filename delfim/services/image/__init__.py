@@ -1,0 +1,1 @@
+"""The boat's image: its file, and the two slots that it is kept in."""

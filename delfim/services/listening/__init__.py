@@ -1,0 +1,1 @@
+"""What `delfim sensors` hears and says of a boat's sensors."""

@@ -1,0 +1,1 @@
+"""The radio link: SLIP with header compression, its supervisor slipd, and several boats on one frequency."""

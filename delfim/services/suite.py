@@ -1,0 +1,326 @@
+"""The composition root: the services, the ones that a vehicle's file enables, and the process of each.
+
+SERVICES is the suite, one row a service. To add one: write its coroutine in a file of its own, add a row, add a test. A row
+names its coroutine, and only the process that runs it loads it, before its loop turns: the supervisor needs none of them.
+A large service that can wait is loaded `late`, while the loop already controls the boat.
+"""
+
+import contextlib
+import faulthandler
+import hashlib
+import importlib
+import logging
+import os
+import sys
+import time
+from collections.abc import Awaitable, Callable, Sequence
+from pathlib import Path
+from typing import Any, Literal, NamedTuple
+
+from delfim import __version__, config
+from delfim.base import pulses
+from delfim.base.errors import DelfimError, FormatError, PermanentFailure, in_words
+from delfim.base.outside import parse_json, read_file
+from delfim.logging import systemlog
+from delfim.services.can.buses import bring_up
+from delfim.services.supervision import cgroup, shutdown
+from delfim.services.supervision.children import STACKS_SIGNAL, Supervised
+from delfim.services.supervision.privileges import real_time
+
+SHUTDOWN_LOOK_S = 0.1
+log = logging.getLogger(__name__)
+Start = Callable[[Any], Awaitable[None]]  # a service's coroutine: takes the runtime, runs until it is cancelled
+
+
+class Service(NamedTuple):
+    """One row of the table. `loaded` is for the process that runs it."""
+
+    name: str
+    entry: str  # module:coroutine
+    place: Literal["runtime", "process"] = "runtime"
+    budget_s: float | None = None  # of one callback; None: the vehicle's file says it
+    late: bool = False  # loaded while the vehicle already sails
+    uvloop: bool = True  # in a process of its own, where it is installed
+    when: Callable[[config.Vehicle], object] = lambda settings: True  # whether the vehicle's file has work for it
+    memory_max_mb: int = 256  # in a process of its own, unless the vehicle's file says otherwise
+    is_part: bool = False  # of a laboratory
+
+    def loaded(self) -> Start:
+        """The coroutine for the runtime. If a package is missing, one that reports it: the other services go on."""
+        module, _, name = self.entry.partition(":")
+        try:
+            start: Start = getattr(importlib.import_module(module), name)
+        except (Exception, SystemExit) as error:
+            if not (self.is_part or isinstance(error, ModuleNotFoundError)):
+                raise
+            missing = f"{module} cannot be imported: {in_words(error)}"
+            if isinstance(error, ModuleNotFoundError) and not self.is_part:
+                missing = f"{error.name} is not installed: pip install 'delfim[services]'"
+
+            async def start(runtime: object) -> None:
+                raise PermanentFailure(missing)
+
+        return start
+
+    def loading(self) -> Start:
+        """The same for a loop that must not wait: the service is loaded when it starts."""
+
+        async def start(runtime: Any) -> None:
+            with contextlib.suppress(ModuleNotFoundError):  # the next line says so
+                await runtime.load(self.entry.partition(":")[0])
+            await self.loaded()(runtime)
+
+        return start
+
+
+# In the order of start. They are stopped in reverse, so that propulsion stops first and logs close last. No uvloop: sshd and
+# payload, because it hands a program's streams to it as copies that outlive it, and those that serve one line, bus or peer:
+# it gains them nothing for its 2 MB of memory (docs/decisions/0004-uvloop.md).
+SERVICES = (
+    Service("syslogd", "delfim.services.syslogd:serve", place="process", uvloop=False),
+    Service("canzlogd", "delfim.services.can.canzlogd:serve"),
+    Service("logd", "delfim.services.can.logd:serve", when=lambda settings: settings.logd.nodes),
+    Service("cantcpd", "delfim.services.can.cantcpd:serve"),
+    Service("timed", "delfim.services.clock.timed:serve", when=lambda settings: settings.timed.mode != "off"),
+    Service("slipd", "delfim.services.radio.slipd:serve", when=lambda settings: settings.slipd.device),
+    Service("canip", "delfim.services.can.canip:serve", when=lambda settings: settings.canip.enabled),
+    Service("router", "delfim.services.can.router:serve", when=lambda settings: settings.routing.buses),
+    Service(
+        "numbering",
+        "delfim.services.numbering:serve",
+        place="process",
+        uvloop=False,
+        when=lambda settings: "dronecan.interface" in settings.outside("interface"),
+    ),
+    Service(
+        "nmea2000d",
+        "delfim.services.nmea2000d:serve",
+        place="process",
+        uvloop=False,
+        when=lambda settings: settings.nmea2000.joins,
+    ),
+    Service("httpd", "delfim.services.page.httpd:serve", late=True),
+    Service("ftpd", "delfim.services.files.ftpd:serve", place="process", when=lambda settings: settings.ftpd.users),
+    Service(
+        "sshd",
+        "delfim.services.files.sshd:serve",
+        place="process",
+        when=lambda settings: settings.sshd.users,
+        uvloop=False,
+        memory_max_mb=0,  # programs of its users count, too
+    ),
+    Service("powerd", "delfim.services.powerd:serve"),
+    Service("payload", "delfim.services.payload:serve", place="process", when=lambda settings: settings.payload, uvloop=False),
+    Service(
+        "corrections",
+        "delfim.services.corrections:serve",
+        place="process",
+        uvloop=False,
+        when=lambda settings: settings.corrections.to,
+    ),
+    Service(
+        "fleetd",
+        "delfim.services.fleetd:serve",
+        place="process",
+        uvloop=False,
+        when=lambda settings: settings.fleet.broker,
+    ),
+    Service("rosd", "delfim.services.rosd:serve", place="process", uvloop=False, when=lambda settings: settings.ros.router),
+    Service("vehicle", "delfim.services.vehicle:serve"),
+)
+
+
+def services(settings: config.Vehicle) -> list[Service]:
+    """The rows that this vehicle's file enables, each with its place. Raises PermanentFailure for an unknown service name."""
+    theirs = [part for part in settings.aboard if part.service]
+    of_parts = [Service(each.name, each.service, place="process", uvloop=False, is_part=True) for each in theirs]
+    suite = (*SERVICES[:-1], *of_parts, SERVICES[-1])  # the vehicle starts last and stops first
+    known = {row.name for row in suite}
+    for name in settings.services:
+        if name not in known:
+            raise PermanentFailure(f"services.{name}: there is no such service; known are {', '.join(sorted(known))}")
+    asked = {row.name: settings.services.get(row.name, config.ServiceTable()) for row in suite}
+    enabled = [(row, asked[row.name]) for row in suite if asked[row.name].enabled and row.when(settings)]
+    rows = [row if one.place == "default" else row._replace(place=one.place) for row, one in enabled]
+    for row in rows:
+        if row.name == "vehicle" and row.place == "process":
+            raise PermanentFailure("services.vehicle: the vehicle runs in the runtime, which the dead-man watches")
+        if row.name == "syslogd" and row.place == "runtime":
+            raise PermanentFailure("services.syslogd: it waits for the disk, which the runtime must not")
+        if row.place == "runtime" and (asked[row.name].memory_max_mb or asked[row.name].cpu_max):
+            raise PermanentFailure(f'services.{row.name}: memory_max_mb and cpu_max need place = "process"')
+    return rows
+
+
+def run(file: str, overrides: Sequence[str], *, service: str | None, beat_fd: int) -> int:
+    """`delfim run`: the vehicle and its cooperative services in this process; or one service alone."""
+    if beat_fd >= 0:  # before anything that may take long; chained, so that it dies where it stood and commands nothing more
+        faulthandler.register(STACKS_SIGNAL, beat_fd, chain=True)
+    import asyncio
+
+    from delfim.base.clock import SystemClock
+    from delfim.base.eventloop import new_event_loop
+    from delfim.services import priority, runtime
+
+    settings = config.load(file, overrides)
+    rows = services(settings)
+    wanted = [row for row in rows if row.name == service] if service else [row for row in rows if row.place == "runtime"]
+    if not wanted:
+        raise PermanentFailure(f"{file}: no service {service!r} is enabled")
+    alone = service is not None
+    systemlog.begin(settings.runtime.run_directory, service or "runtime", _levels(settings), priority.speaker)
+    starts = [row.loading() if row.late and not alone else row.loaded() for row in wanted]  # the loop has no time to do it
+    loaded = [runtime.LoadedService(row.name, start, row.budget_s) for row, start in zip(wanted, starts, strict=True)]
+    new_loop = (new_event_loop if wanted[0].uvloop else asyncio.new_event_loop) if alone else None
+    return runtime.Runtime(settings, SystemClock(), beat_fd=beat_fd, alone=alone, new_loop=new_loop).main(loaded)
+
+
+def outlet(file: str, overrides: Sequence[str], *, beat_fd: int) -> int:
+    """`delfim outlet`: the pulses of motors that would turn for ever, and nothing else. Raises DelfimError, OSError."""
+    if beat_fd >= 0:
+        faulthandler.register(STACKS_SIGNAL, beat_fd, chain=True)
+    from delfim.services.outlet import serve
+    from delfim.vehicle.actuators.pwm import channels
+
+    settings = config.load(file, overrides)
+    systemlog.begin(settings.runtime.run_directory, "outlet", _levels(settings))
+    _above(settings.runtime.fifo_priority)
+    serve(pulses.socket_path(settings.runtime.run_directory), settings.pwm, channels(settings), beat_fd)
+    return 0
+
+
+def supervise(
+    file: str, overrides: Sequence[str], program: Sequence[str] = (sys.executable, "-m", "delfim"), *, init: bool = False
+) -> int:
+    """`delfim supervise`: the runtime and the services in processes of their own, restarted when they die; the dead-man.
+    `program` is started with `run FILE`. init: as the machine's first process, which ends with the machine."""
+    settings = config.load(file, overrides)
+    if init:
+        bring_up(settings.bit_rates)
+    command = (*program, "run", file, *(word for one in overrides for word in ("--set", one)))
+    programs = [Supervised("runtime", command, critical=True)]
+    if settings.driven("outlet"):
+        own = (*program, "outlet", file, *(word for one in overrides for word in ("--set", one)))
+        programs.append(Supervised("outlet", own, guard=True))
+    programs += [
+        Supervised(row.name, (*command, "--service", row.name), limits=_limits(settings, row))
+        for row in services(settings)
+        if row.place == "process"
+    ]
+    from delfim.services.clock import kernelclock
+
+    place = Path(settings.runtime.run_directory)
+    place.mkdir(parents=True, exist_ok=True)
+    systemlog.begin(str(place), "supervisor", _levels(settings))
+    kernelclock.set_from_battery(settings.clock.set, settings.buses)  # before any log has a name
+    log.info("delfim %s starts %s, sha256 %s, with %s", *_started(file, overrides))
+    _above(settings.runtime.fifo_priority)
+    from delfim.services.supervision.stop import CutOff, PropellerStop
+    from delfim.services.supervision.supervisor import Supervisor
+
+    limits = settings.supervisor
+    with contextlib.closing(PropellerStop(settings)) as stop, contextlib.closing(CutOff(settings.pwm.cut)) as cut:
+        supervisor = Supervisor(
+            programs,
+            stop=stop,
+            calm=stop.close,
+            cut=cut,
+            deadman_s=limits.deadman_s,
+            backoff_s=limits.backoff_s,
+            backoff_max_s=limits.backoff_max_s,
+            state_file=place / "supervisor.json",
+            watchdog=limits.hardware_watchdog,
+            requests=shutdown.socket_path(place),
+            init=init,
+        )
+        code = supervisor.run_forever()
+        if supervisor.word in ("off", "reboot"):
+            kernelclock.write_battery(settings.clock.set, settings.buses)
+            is_safe = _last_act(settings, supervisor.reason, stop.tell)
+            code = 0 if is_safe else 1
+            if init:
+                shutdown.leave(supervisor.word)
+    return code
+
+
+def _levels(settings: config.Vehicle) -> dict[str, str]:
+    """The least level of each service whose words the system log keeps."""
+    return {name: table.log for name, table in settings.services.items()}
+
+
+def _started(file: str, overrides: Sequence[str]) -> tuple[str, str, str, str]:
+    """Version, file, its digest, and the keys that the command line replaced: their values may be secret."""
+    keys = ", ".join(each.partition("=")[0] for each in overrides)
+    return (
+        __version__,
+        file,
+        hashlib.sha256(read_file(file)).hexdigest(),
+        f"other values of {keys}" if keys else "its own values",
+    )
+
+
+def _above(fifo_priority: int) -> None:
+    """A runtime that loops for ever in real time must not keep the processor from the supervisor, which would end it."""
+    if fifo_priority:
+        with contextlib.suppress(OSError):  # not permitted: the runtime is not either, and logs it
+            real_time(fifo_priority + 1)
+
+
+def _limits(settings: config.Vehicle, row: Service) -> cgroup.Limits:
+    """Those of the vehicle's file; at sea also the memory of a service that nobody limited."""
+    asked = settings.services.get(row.name, config.ServiceTable())
+    usual_mb = 0 if settings.simulation.faults else row.memory_max_mb
+    is_asked = bool(asked.memory_max_mb or asked.cpu_max)
+    return cgroup.Limits((usual_mb if asked.memory_max_mb is None else asked.memory_max_mb) << 20, asked.cpu_max, is_asked)
+
+
+def _last_act(settings: config.Vehicle, reason: str, tell: Callable[[bool, Sequence[str]], None]) -> bool:
+    """After the programs: the log partition unmounted, the bus told. Returns whether the power may be cut."""
+    limits = settings.powerd
+    inside = Path(limits.partition) in (Path(settings.log.directory), *Path(settings.log.directory).parents)
+    return shutdown.last_act(
+        reason,
+        limits.partition if inside else "",
+        end_s=limits.end_s,
+        held_s=limits.held_s,
+        told_s=limits.told_s,
+        tell=tell,
+        record=shutdown.record_path(settings.runtime.run_directory),
+    )
+
+
+def shut_down(file: str, overrides: Sequence[str], word: shutdown.Word) -> int:
+    """`delfim shutdown`: has the supervisor end everything, and prints the outcome. Returns 0 when the power may be cut.
+    Raises DelfimError where no supervisor runs."""
+    settings = config.load(file, overrides)
+    place, record = settings.runtime.run_directory, shutdown.record_path(settings.runtime.run_directory)
+    told, asked_s = "", time.monotonic()
+    try:
+        shutdown.request(shutdown.socket_path(place), word, "command")
+        while shutdown.is_listening(shutdown.socket_path(place)):
+            told = _told(record, asked_s, told)
+            time.sleep(SHUTDOWN_LOOK_S)
+    except OSError as error:
+        raise DelfimError(f"no supervisor at {place}: {error.strerror}; is it running?") from None
+    return 0 if _told(record, asked_s, told) == "safe" else 1
+
+
+def _told(record: Path, since_s: float, last: str) -> str:
+    """The outcome so far, printed when it is new; empty while there is none."""
+    try:
+        found = parse_json(read_file(record))
+        outcome = "safe" if found["stage"] == "safe" else "held: " + "; ".join(found["holders"])
+        is_old = found["at_s"] < since_s
+    except (OSError, FormatError, KeyError, TypeError):
+        return last
+    if is_old:
+        return last
+    if outcome != last:
+        print(f"delfim: {'the power may be cut' if outcome == 'safe' else f'not yet safe: {outcome}'}", flush=True)
+    return outcome
+
+
+def rescue(error: Exception) -> None:
+    """The machine's first process must not end: it prints the error and gives whoever is at its console a shell."""
+    print(f"delfim: {error}\ndelfim: the boat cannot start; this is a shell to repair it", file=sys.stderr)
+    os.execv("/bin/sh", ("/bin/sh",))
