@@ -26,13 +26,13 @@ from delfim.base.modes import Mode
 from delfim.base.slices import Sliced
 from delfim.base.vessels import VesselPosition
 from delfim.logging.systemlog import SystemHandler
+from delfim.parts.mavlink import plans
+from delfim.parts.mavlink.station import FRAMES, Station
+from delfim.parts.mavlink.wire import Sender, dialect
 from delfim.simulator.lockstep import Lockstep
 from delfim.vehicle import console, detour
 from delfim.vehicle.control.control import enter
 from delfim.vehicle.loop import VehicleLoop
-from delfim.vehicle.mavlink import plans
-from delfim.vehicle.mavlink.station import FRAMES, Station
-from delfim.vehicle.mavlink.wire import Sender, dialect
 from delfim.vehicle.navigation.estimator import Estimator
 from delfim.vehicle.plans import fence, missionreader
 from delfim.vehicle.plans.mission import ROWS, Mission, PathPoint, Waypoint

@@ -31,9 +31,9 @@ from bench.report import Cycle
 from delfim import config
 from delfim.base.errors import DelfimError, Refused
 from delfim.canproxy.canloop import group_of
-from delfim.console.link import Link
 from delfim.logging.statelog import columns
 from delfim.services.window import ARRIVALS
+from delfim.vehicle.link import Link
 
 SOURCES: Final = Path(__file__).parent
 LABELS: Final = {

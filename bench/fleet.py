@@ -23,14 +23,15 @@ import msgspec
 
 from delfim.base.clock import SystemClock
 from delfim.base.errors import DelfimError
-from delfim.broker import STATE, UP, BrokerLine, BrokerPlace
+from delfim.base.keys import read_key
 from delfim.console.fleet import Fleet
 from delfim.console.mavlink import Key, keygen
 from delfim.console.serving import BROKER_FRAMES
-from delfim.services.fleetd import told
+from delfim.parts.fleet.broker import STATE, UP, BrokerLine, BrokerPlace
+from delfim.parts.fleet.fleetd import told
+from delfim.parts.mavlink import wire
+from delfim.parts.mavlink.signing import EPOCH_NS, PER_S, Signing
 from delfim.services.page.api import State
-from delfim.vehicle.mavlink import wire
-from delfim.vehicle.mavlink.signing import EPOCH_NS, PER_S, Signing, read_key
 
 SIZES: Final = 10, 200  # boats
 FLEET: Final = 199  # boats of one key at most: the numbers below those of consoles

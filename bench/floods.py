@@ -28,8 +28,8 @@ from bench.critical_path import running, until
 from bench.fuzz import SYSTEM
 from bench.load import IDLE, Ports
 from delfim.base.errors import DelfimError
-from delfim.nmea0183.framing import framed
-from delfim.vehicle.mavlink.wire import dialect
+from delfim.lines.nmea0183.framing import framed
+from delfim.parts.mavlink.wire import dialect
 
 BURST_S: Final = 0.002
 BURST: Final = 100  # at once, at most

@@ -20,10 +20,10 @@ from itertools import chain
 from pathlib import Path
 
 from bench import competitor, critical_path, report
+from delfim.parts.dsor.source import DsorNavigation
 from delfim.vehicle.helm import Helm
 from delfim.vehicle.navigation.fixes import Fix
 from delfim.vehicle.rehearsal import Rehearsal
-from delfim.vehicle.sources.dsor import DsorNavigation
 from delfim.vehicle.state import Wanted
 
 AS_IT_IS, HABITS = "delfim", ("garbage", "log", "names", "practice")

@@ -32,8 +32,8 @@ from bench.load import ASHORE, prepare
 from bench.onlooker import Onlooker
 from bench.stalled import Radio
 from delfim.base.errors import DelfimError
-from delfim.console.link import Link
-from delfim.vehicle.mavlink.signing import new_key
+from delfim.base.keys import new_key
+from delfim.vehicle.link import Link
 
 RATE_HZ: Final = 100.0
 WATCHERS: Final = 8

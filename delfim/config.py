@@ -59,7 +59,7 @@ GuardedName = Literal["hold", "goto", "play", "path", "home", "course", "heading
 GuardedModes = Annotated[tuple[GuardedName, ...], msgspec.Meta(max_length=len(get_args(GuardedName)))]
 HELMSMEN_MAX, MODE_NAME_MAX = 16, 26  # payload programs that may have the boat; characters of their names
 PayloadRight = Literal["hold", "goto", "speed", "heading", "mission", "obstacles"]  # of a payload program
-ToldName = Literal[  # rows in delfim/services/nmea2000rows.py
+ToldName = Literal[  # rows in delfim/parts/nmea2000/nmea2000rows.py
     "position", "course", "heading", "turn", "attitude", "rudder", "engine", "battery", "route", "alerts"
 ]
 IsoName = Annotated[str, text("[0-9A-Fa-f]{16}", "a NAME of 16 hexadecimal digits in quotes")]
@@ -1607,6 +1607,12 @@ class Vehicle(Table, frozen=True):
         """The lines of the sources and sensors that have several, by their parts and names."""
         read = dict.fromkeys((*self.navigation.sources, *self.sensors.names))
         return {name: getattr(self, name).ports for name in read if parts.row(self.aboard, name).ports}
+
+    @property
+    def channels(self) -> tuple[int, ...]:
+        """The channels of the outlet that thrusters use."""
+        rows = [row for _, row in self.driven("outlet")]
+        return tuple(sorted({row.address for row in rows} | {row.steer.address for row in rows if row.steer}))
 
     @property
     def drivers(self) -> tuple[str, ...]:

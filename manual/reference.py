@@ -22,9 +22,9 @@ from delfim.canproxy.dsor import messages
 from delfim.commands import GROUPS
 from delfim.console import orders, said
 from delfim.console.describe import describe
+from delfim.parts.mavlink import commands, handlers, params, telemetry
+from delfim.parts.mavlink.wire import dialect
 from delfim.services.page import api, metrics
-from delfim.vehicle.mavlink import commands, handlers, params, telemetry
-from delfim.vehicle.mavlink.wire import dialect
 
 ROOT: Final = Path(__file__).parents[1]
 COLUMNS: Final = "92"  # of the help of a command

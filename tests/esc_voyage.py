@@ -20,7 +20,7 @@ from delfim.canproxy.dronecan.transfers import TransferReceiver
 from delfim.canproxy.opening import open_can
 from delfim.canproxy.socket import CanSocket
 from delfim.config import Dronecan
-from delfim.console.link import Link
+from delfim.vehicle.link import Link
 from tests.afloat import ROOT, running
 
 PAGE = 18_731

@@ -85,7 +85,7 @@ def users_key(here: Path) -> Said:
 
 
 def numbers(here: Path) -> Said:
-    from delfim.services.numbering import known_numbers, log
+    from delfim.parts.dronecan.numbering import known_numbers, log
 
     log.propagate, log.handlers = False, [logging.NullHandler()]  # it says what is damaged
     return refused(lambda: known_numbers(here / "numbers"))
@@ -163,7 +163,7 @@ def results(here: Path) -> Said:
 
 
 def own_address(here: Path) -> Said:
-    from delfim.services.nmea2000d import Memory
+    from delfim.parts.nmea2000.nmea2000d import Memory
 
     return [] if 0 <= Memory(here / "address").address <= 251 else ["no address"]
 
@@ -310,14 +310,14 @@ def casters_password(here: Path) -> Said:
 
 
 def key(here: Path) -> Said:
-    from delfim.vehicle.mavlink.signing import read_key
+    from delfim.base.keys import read_key
 
     os.chmod(here / "key", 0o600)
     return refused(lambda: read_key(here / "key"))
 
 
 def stamps(here: Path) -> Said:
-    from delfim.vehicle.mavlink.signing import read_stamps
+    from delfim.parts.mavlink.signing import read_stamps
 
     return refused(lambda: read_stamps(here / "stamps"))
 

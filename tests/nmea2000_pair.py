@@ -17,7 +17,7 @@ from delfim.canproxy.nmea2000.device import FIRST, Device
 from delfim.canproxy.nmea2000.parcels import CLAIM, addressed
 from delfim.canproxy.opening import open_bound, open_can
 from delfim.canproxy.socket import ANYTHING, CanAddress, CanSocket
-from delfim.services.nmea2000d import BoatDevice
+from delfim.parts.nmea2000.nmea2000d import BoatDevice
 from delfim.services.page.api import State
 
 PATIENCE_S = 200.0

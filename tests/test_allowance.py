@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from delfim.base.allowance import BURST_S, LONGEST, PIECE_BYTES, UNREAD_BYTES, Allowance
 from delfim.base.clock import ManualClock
-from delfim.nmea0183.framing import Sentences
+from delfim.lines.nmea0183.framing import Sentences
 
 
 def flood(count: int) -> bytes:

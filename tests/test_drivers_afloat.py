@@ -17,8 +17,8 @@ from delfim import config
 from delfim.base.errors import DelfimError
 from delfim.canproxy.opening import open_can
 from delfim.canproxy.socket import ANYTHING
-from delfim.console.link import Link
 from delfim.services.supervision.stop import PropellerStop
+from delfim.vehicle.link import Link
 from tests.afloat import running
 from tests.services.test_outlet import chip, pulse_us
 from tests.vehicle.played_devices import PlayedPx4, PlayedSeat, PlayedVesc

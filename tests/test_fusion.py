@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from delfim.base.newest import Newest
 from delfim.canproxy.dsor.messages import Navigation
-from delfim.fusion import MOVING, SLOW_S, VARIATION_S, Fusion, over_ground
+from delfim.vehicle.navigation.fusion import MOVING, SLOW_S, VARIATION_S, Fusion, over_ground
 
 STALE_S = 1.0
 LISBON, PORTO = (0.675, -0.161), (0.718, -0.150)

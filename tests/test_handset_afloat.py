@@ -14,10 +14,10 @@ from typing import Any, Self
 import pytest
 
 from delfim.base.errors import DelfimError, Refused
-from delfim.console.link import Link
+from delfim.parts.mavlink import wire
+from delfim.parts.mavlink.wire import Sender, dialect
+from delfim.vehicle.link import Link
 from delfim.vehicle.loop import HELD_BY_HAND
-from delfim.vehicle.mavlink import wire
-from delfim.vehicle.mavlink.wire import Sender, dialect
 from tests.afloat import ROOT, running
 from tests.vehicle import receivers
 

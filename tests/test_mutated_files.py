@@ -14,6 +14,7 @@ import msgspec
 import pytest
 
 from delfim.base.clock import ManualClock
+from delfim.base.keys import new_key, read_key
 from delfim.campaign.runplan import read
 from delfim.campaign.store import Store
 from delfim.console.fleet import Fleet
@@ -22,9 +23,9 @@ from delfim.console.session import Session
 from delfim.logging import nodelog
 from delfim.logging.keptwriter import packed
 from delfim.logging.reading import read_log
+from delfim.parts.mavlink.signing import Kept, write_stamps
 from delfim.simulator.scenarios.scenario import load_scenario
 from delfim.vehicle import console
-from delfim.vehicle.mavlink.signing import Kept, new_key, read_key, write_stamps
 from delfim.vehicle.plans.mission import load_mission
 from delfim.vehicle.voyage import KeptHead
 from delfim.vehicle.voyagestate import VoyageState
@@ -322,8 +323,8 @@ READ_BY = {  # function: the readers above that come by it
     "commands/commission.py: _users": {"user's ssh key"},
     "campaign/runplan.py: _mission": {"mission of a campaign"},
     "campaign/store.py: head_of": {"head of a campaign's results", "a campaign's results"},
-    "services/nmea2000d.py: __init__": {"address on NMEA 2000"},
-    "services/numbering.py: known_numbers": {"numbers of DroneCAN devices"},
+    "parts/nmea2000/nmea2000d.py: __init__": {"address on NMEA 2000"},
+    "parts/dronecan/numbering.py: known_numbers": {"numbers of DroneCAN devices"},
     "base/outside.py: read_credentials": {"password at a caster"},
     "services/supervision/supervisorfile.py: last_deadman": {"supervisor's record"},
     "services/image/slots.py: environment": {"boot environment"},
@@ -334,8 +335,8 @@ READ_BY = {  # function: the readers above that come by it
     "simulator/scenarios/encounters.py: read_encounters": {"encounters"},
     "simulator/scenarios/scenario.py: mission_of": {"scenario's mission"},
     "services/suite.py: _told": {"supervisor's record"},
-    "vehicle/mavlink/signing.py: read_key": {"signing key"},
-    "vehicle/mavlink/signing.py: read_stamps": {"stamps"},
+    "base/keys.py: read_key": {"signing key"},
+    "parts/mavlink/signing.py: read_stamps": {"stamps"},
 }
 OTHERS = {  # what the kernel tells, and what is only copied or digested
     *(
@@ -347,7 +348,7 @@ OTHERS = {  # what the kernel tells, and what is only copied or digested
     ),
     *("base/outside.py: read_file", "base/outside.py: read_text"),
     *("logging/ashore/fetch.py: _condition", "logging/ashore/fetch.py: _digest", "logging/ashore/fetch.py: _read"),
-    *("campaign/store.py: flush", "services/listening/firstcontact.py: user_of", "services/numbering.py: identity"),
+    *("campaign/store.py: flush", "desk/firstcontact.py: user_of", "parts/dronecan/numbering.py: identity"),
     *("services/supervision/cgroup.py: exceeded", "services/computer.py: _read", "services/supervision/shutdown.py: _read"),
     *("services/radio/slipd.py: _counters", "services/radio/slipd.py: carrier_source"),
     *("services/image/imagefile.py: _digest", "services/image/slots.py: _digest_of_disk", "services/image/imagefile.py: pack"),

@@ -23,11 +23,11 @@ from delfim import config
 from delfim.base.errors import DelfimError
 from delfim.canproxy.dsor.messages import Navigation
 from delfim.canproxy.opening import open_bound
-from delfim.console.link import Link
-from delfim.nmea0183.framing import framed
-from delfim.nmea0183.speaking import gga, hdt, rmc
+from delfim.lines.nmea0183.framing import framed
+from delfim.lines.nmea0183.speaking import gga, hdt, rmc
+from delfim.parts.dsor import source as dsor
+from delfim.vehicle.link import Link
 from delfim.vehicle.links import Links
-from delfim.vehicle.sources import dsor
 from delfim.vehicle.state import State
 from tests.afloat import running
 

@@ -15,9 +15,9 @@ from typing import Any
 import pytest
 
 from delfim.base.errors import DelfimError
-from delfim.console.link import Link
 from delfim.logging.kept import newest
 from delfim.logging.keptwriter import VOYAGE
+from delfim.vehicle.link import Link
 
 ROOT = Path(__file__).parents[1]
 VEHICLE = str(ROOT / "etc/delfimx.toml")

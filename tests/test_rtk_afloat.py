@@ -16,7 +16,7 @@ import pytest
 
 from delfim.canproxy.dsor.messages import Navigation
 from delfim.lines.rtcm import RtcmFrames, framed
-from delfim.vehicle.mavlink.wire import Sender, dialect
+from delfim.parts.mavlink.wire import Sender, dialect
 from tests.services.caster import casting, free_port, needs_str2str
 from tests.test_nmea0183_afloat import Pty, at_sea, port
 from tests.ubx.receiver import MOVING, message, pvt

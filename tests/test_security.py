@@ -22,12 +22,12 @@ import pytest
 
 from delfim import config
 from delfim.base.errors import DelfimError
-from delfim.console.link import Link
+from delfim.base.keys import new_key
 from delfim.console.mavlink import mavlink
 from delfim.services.access.door import hashed
 from delfim.services.access.doors import doors
 from delfim.services.suite import services
-from delfim.vehicle.mavlink.signing import new_key
+from delfim.vehicle.link import Link
 
 pytestmark = [
     pytest.mark.skipif(not shutil.which("curl") or not shutil.which("ssh"), reason="needs curl and ssh"),

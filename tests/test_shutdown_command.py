@@ -18,8 +18,8 @@ from delfim.canproxy.dsor import messages
 from delfim.canproxy.dsor.messages import PropellerCommand, ShutdownStage
 from delfim.canproxy.opening import open_can
 from delfim.canproxy.socket import CanAddress, CanSocket
-from delfim.console.link import Link
 from delfim.services.supervision import shutdown
+from delfim.vehicle.link import Link
 
 ROOT = Path(__file__).parents[1]
 VEHICLE = str(ROOT / "etc/delfimx.toml")

@@ -12,9 +12,9 @@ import pytest
 from delfim import config
 from delfim.base.clock import SystemClock
 from delfim.base.errors import DelfimError
-from delfim.console.link import Link
 from delfim.services.runtime import LoadedService, Runtime
 from delfim.services.vehicle import serve
+from delfim.vehicle.link import Link
 
 
 async def until(link: Link, is_so: Callable[[dict[str, Any]], bool]) -> dict[str, Any]:

@@ -50,7 +50,7 @@ def run(asked: argparse.Namespace) -> int:
 def _told(vehicle: config.Vehicle) -> str:
     """The messages of the boat as a device of its NMEA 2000 bus."""
     from delfim.canproxy.nmea2000.device import device_name, facts_of
-    from delfim.services.nmea2000rows import pgns_of
+    from delfim.parts.nmea2000.nmea2000rows import pgns_of
 
     table = vehicle.nmea2000
     rows = [f"{name} ({', '.join(map(str, pgns_of((name,))))})" for name in table.send]

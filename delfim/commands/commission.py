@@ -143,7 +143,7 @@ def _consoles_key(fleet: str | None) -> str:
     """That of the boat that was commissioned into a folder, or a new one. Raises ConfigError."""
     from secrets import token_hex
 
-    from delfim.vehicle.mavlink.signing import read_key
+    from delfim.base.keys import read_key
 
     return f"{read_key(Path(fleet) / 'shore/mavlink.key').hex() if fleet else token_hex(32)}\n"
 

@@ -13,9 +13,9 @@ def options(parser: argparse.ArgumentParser) -> None:
 def run(asked: argparse.Namespace) -> int:
     import asyncio
 
+    from delfim.base.keys import read_key
     from delfim.config import address, load
     from delfim.simulator.guest import Zigzag, guest
-    from delfim.vehicle.mavlink.signing import read_key
 
     table = load(asked.file, asked.set).guest
     key = read_key(table.key) if table.key else None

@@ -9,8 +9,8 @@ from pathlib import Path
 from delfim import config
 from delfim.base.errors import DelfimError, Refused
 from delfim.commands import vehicle_file
-from delfim.console.link import Link
 from delfim.services.image import imagefile, slots
+from delfim.vehicle.link import Link
 
 ANSWER_S = 10.0  # for the answer of a vehicle on a busy board
 

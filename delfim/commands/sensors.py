@@ -32,7 +32,7 @@ def run(asked: argparse.Namespace) -> int:
 
     clock = SystemClock()
     if asked.find:
-        from delfim.services.listening.firstcontact import find
+        from delfim.desk.firstcontact import find
 
         for line in find(asked.find, clock):
             print(line, flush=True)
@@ -40,9 +40,9 @@ def run(asked: argparse.Namespace) -> int:
     if asked.file is None:
         raise DelfimError("name the vehicle's file, or a port with --find")
     from delfim.config import load
-    from delfim.services.listening.firstcontact import judged, turned
-    from delfim.services.listening.heardtable import table
-    from delfim.services.listening.hearing import listener
+    from delfim.desk.firstcontact import judged, turned
+    from delfim.desk.heardtable import table
+    from delfim.desk.hearing import listener
 
     settings = load(asked.file, there(asked))
     hearing = listener(settings, clock)

@@ -13,8 +13,8 @@ from delfim.console.othervessels import VesselsTold
 from delfim.console.reception import Reception
 from delfim.console.wayhome import HeardTrack
 from delfim.console.words import Words
-from delfim.vehicle.mavlink.params import BOAT_NAME
-from delfim.vehicle.mavlink.vesselsout import GUARDED, ORDERED
+from delfim.parts.mavlink.params import BOAT_NAME
+from delfim.parts.mavlink.vesselsout import GUARDED, ORDERED
 
 COLOURS: Final = ("#d1495b", "#2e86ab", "#e8b04a", "#5b9a68", "#8e5ea2", "#d97b29", "#3a7d7c", "#b0567f", "#6b705c", "#1b4965")
 SILENT_S: Final = 3.5

@@ -8,7 +8,7 @@ from delfim.console import plan
 from delfim.console.boats import SILENT_S, Boat
 from delfim.console.requests import Answer
 from delfim.console.transfer import ORDER, SAILING, Download, OutgoingItems
-from delfim.vehicle.mavlink.plans import FENCE, MISSION, Item
+from delfim.parts.mavlink.plans import FENCE, MISSION, Item
 
 READ_AGAIN_S: Final = 10.0  # plans that could not be read
 NO_MISSION: Final[dict[str, Any]] = {"name": "", "count": 0, "current": None, "state": "none", "digest": None}

@@ -22,7 +22,7 @@ from delfim.console.profiles import Profiles
 from delfim.console.requests import LIFE_S, Answer, Requests
 from delfim.console.transfer import REFUSED
 from delfim.console.ways import Address, Ways, in_words
-from delfim.vehicle.mavlink.params import BOAT_NAME, BOAT_RUN, TROUBLES
+from delfim.parts.mavlink.params import BOAT_NAME, BOAT_RUN, TROUBLES
 
 HEARTBEAT_S: Final = 1.0
 TIMESYNC_S: Final = 5.0

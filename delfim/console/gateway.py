@@ -18,7 +18,6 @@ from aiohttp import WSMsgType, web
 from delfim import __version__
 from delfim.base.clock import Clock
 from delfim.base.errors import DelfimError, Refused
-from delfim.broker import DOWN, BrokerLine
 from delfim.console import foxglove, said
 from delfim.console.admission import Admission, own_number
 from delfim.console.charts import Charts
@@ -34,6 +33,7 @@ from delfim.console.session import Session
 from delfim.console.tape import Tape
 from delfim.console.udp import Udp
 from delfim.console.watchlog import table
+from delfim.parts.fleet.broker import DOWN, BrokerLine
 
 PAGE: Final = Path(__file__).with_name("page")
 SHOW_TICKS: Final = 2  # ten times a second, for up to ...

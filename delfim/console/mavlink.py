@@ -1,6 +1,6 @@
 """MAVLink 2 as the console speaks it: bytes to messages and back, signed where there is a key.
 
-Frames and signatures are the vehicle's (`delfim.vehicle.mavlink`): both ends judge alike. The messages of a boat:
+Frames and signatures are the vehicle's (`delfim.parts.mavlink`): both ends judge alike. The messages of a boat:
 docs/mavlink.md.
 """
 
@@ -10,8 +10,9 @@ from typing import Any, Final
 
 from delfim.base.clock import Clock, SystemClock
 from delfim.base.errors import ConfigError, FormatError
-from delfim.vehicle.mavlink import wire
-from delfim.vehicle.mavlink.signing import FrameVerdict, Signing, new_key, read_key, read_stamps, write_stamps
+from delfim.base.keys import new_key, read_key
+from delfim.parts.mavlink import wire
+from delfim.parts.mavlink.signing import FrameVerdict, Signing, read_stamps, write_stamps
 
 mavlink: Final = wire.dialect
 

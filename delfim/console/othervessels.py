@@ -13,9 +13,9 @@ from delfim.base.slices import Sliced
 from delfim.base.vessels import VesselFacts, VesselPosition
 from delfim.config import TrafficNear, TrafficTable
 from delfim.console.words import Words
-from delfim.vehicle.mavlink.aisvessel import facts_of, position_of
-from delfim.vehicle.mavlink.vesselsout import GUARD, NUMBERS
-from delfim.vehicle.mavlink.vesselsout import number as number_of
+from delfim.parts.mavlink.aisvessel import facts_of, position_of
+from delfim.parts.mavlink.vesselsout import GUARD, NUMBERS
+from delfim.parts.mavlink.vesselsout import number as number_of
 from delfim.vehicle.target import Danger, Target
 from delfim.vehicle.traffic.alarm import Alarms, Guarded, dangers
 from delfim.vehicle.traffic.beside import Company, company, danger_beside

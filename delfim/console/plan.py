@@ -1,6 +1,6 @@
 """A plan of the page (docs/console.md) as the tables of a mission file and as MAVLink's items, and back.
 
-`delfim.vehicle.mavlink.plans` defines the items for both ends of the link.
+`delfim.parts.mavlink.plans` defines the items for both ends of the link.
 """
 
 import contextlib
@@ -15,8 +15,8 @@ import msgspec
 from delfim import config
 from delfim.base import tables
 from delfim.base.errors import FormatError
-from delfim.vehicle.mavlink import plans
-from delfim.vehicle.mavlink.plans import Item
+from delfim.parts.mavlink import plans
+from delfim.parts.mavlink.plans import Item
 from delfim.vehicle.plans.mission import CARRIED, Mission, PathPoint, PayloadItem, Waypoint
 
 LATITUDE_MAX_DEG, LONGITUDE_MAX_DEG = 89.0, 180.0

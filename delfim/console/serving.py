@@ -19,13 +19,13 @@ from aiohttp.http_exceptions import HttpProcessingError
 from delfim.base.clock import WakefulClock
 from delfim.base.errors import ConfigError
 from delfim.base.eventloop import new_event_loop
-from delfim.broker import UP, BrokerLine, BrokerPlace
 from delfim.console.admission import bracketed, kept_token
 from delfim.console.browser import show
 from delfim.console.foxglove import FoxgloveView
 from delfim.console.gateway import Gateway
 from delfim.console.mavlink import Key
 from delfim.console.replay import open_tapes
+from delfim.parts.fleet.broker import UP, BrokerLine, BrokerPlace
 
 TICK_S: Final = 0.05
 BROKER_FRAMES: Final = 1024  # that wait for the broker: some for each boat of a fleet

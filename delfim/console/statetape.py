@@ -20,9 +20,10 @@ from delfim.console.plan import item_of
 from delfim.console.tape import GRAPHED, LAST_S, Graphs, Missions, Text, Track, between, sample
 from delfim.logging.reading import in_order, read_events
 from delfim.logging.statelog import read_state
+from delfim.parts.nmea0183 import sensor as nmea0183
+from delfim.parts.nmea2000 import sensor as nmea2000
 from delfim.vehicle import thrusters
 from delfim.vehicle.navigation.gnss import FIXES
-from delfim.vehicle.sensors import nmea0183, nmea2000
 
 MEASURED: Final = {each.name: each.told.decode() for each in (*nmea0183.VALUES, *nmea2000.VALUES)}  # as the link tells them
 SAID_S: Final = 900.0  # an order may last so long

@@ -9,7 +9,7 @@ from typing import Any, Final
 
 from delfim.console.mavlink import mavlink
 from delfim.console.plan import item_in
-from delfim.vehicle.mavlink.plans import FENCE, ITEMS, MISSION, RALLY, Item
+from delfim.parts.mavlink.plans import FENCE, ITEMS, MISSION, RALLY, Item
 
 REPEAT_S: Final = 1.5
 TIMEOUT_S: Final = 60.0

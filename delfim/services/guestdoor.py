@@ -15,11 +15,11 @@ import msgspec
 
 from delfim import config
 from delfim.base.clock import Clock
+from delfim.base.keys import read_key
 from delfim.base.outside import UNREADABLE
 from delfim.canproxy.cantcp.access import Networks
 from delfim.services.access.door import Door
 from delfim.vehicle.grex import Guest, proof
-from delfim.vehicle.mavlink.signing import read_key
 from delfim.vehicle.state import State
 
 WAITING: Final = 8  # connections that have not answered yet

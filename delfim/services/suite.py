@@ -87,14 +87,14 @@ SERVICES = (
     Service("router", "delfim.services.can.router:serve", when=lambda settings: settings.routing.buses),
     Service(
         "numbering",
-        "delfim.services.numbering:serve",
+        "delfim.parts.dronecan.numbering:serve",
         place="process",
         uvloop=False,
         when=lambda settings: "dronecan.interface" in settings.outside("interface"),
     ),
     Service(
         "nmea2000d",
-        "delfim.services.nmea2000d:serve",
+        "delfim.parts.nmea2000.nmea2000d:serve",
         place="process",
         uvloop=False,
         when=lambda settings: settings.nmea2000.joins,
@@ -110,22 +110,24 @@ SERVICES = (
         memory_max_mb=0,  # programs of its users count, too
     ),
     Service("powerd", "delfim.services.powerd:serve"),
-    Service("payload", "delfim.services.payload:serve", place="process", when=lambda settings: settings.payload, uvloop=False),
+    Service(
+        "payload", "delfim.parts.payload.payload:serve", place="process", when=lambda settings: settings.payload, uvloop=False
+    ),
     Service(
         "corrections",
-        "delfim.services.corrections:serve",
+        "delfim.parts.gnss.corrections:serve",
         place="process",
         uvloop=False,
         when=lambda settings: settings.corrections.to,
     ),
     Service(
         "fleetd",
-        "delfim.services.fleetd:serve",
+        "delfim.parts.fleet.fleetd:serve",
         place="process",
         uvloop=False,
         when=lambda settings: settings.fleet.broker,
     ),
-    Service("rosd", "delfim.services.rosd:serve", place="process", uvloop=False, when=lambda settings: settings.ros.router),
+    Service("rosd", "delfim.parts.ros.rosd:serve", place="process", uvloop=False, when=lambda settings: settings.ros.router),
     Service("vehicle", "delfim.services.vehicle:serve"),
 )
 
@@ -180,12 +182,11 @@ def outlet(file: str, overrides: Sequence[str], *, beat_fd: int) -> int:
     if beat_fd >= 0:
         faulthandler.register(STACKS_SIGNAL, beat_fd, chain=True)
     from delfim.services.outlet import serve
-    from delfim.vehicle.actuators.pwm import channels
 
     settings = config.load(file, overrides)
     systemlog.begin(settings.runtime.run_directory, "outlet", _levels(settings))
     _above(settings.runtime.fifo_priority)
-    serve(pulses.socket_path(settings.runtime.run_directory), settings.pwm, channels(settings), beat_fd)
+    serve(pulses.socket_path(settings.runtime.run_directory), settings.pwm, settings.channels, beat_fd)
     return 0
 
 

@@ -10,7 +10,7 @@ from typing import Protocol
 
 from delfim import config
 from delfim.base.clock import Clock
-from delfim.nmea0183.speaking import SPEAKERS
+from delfim.lines.nmea0183.speaking import SPEAKERS
 from delfim.vehicle.links import ReadableLine
 from delfim.vehicle.state import State
 

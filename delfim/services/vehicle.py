@@ -202,7 +202,7 @@ async def _attend(
         log.command(command, refused, boat.state, operator, reviews.written(command))
         return refused
 
-    mavlink = runtime.load("delfim.vehicle.mavlink.stationsocket") if settings.mavlink.enabled else None
+    mavlink = runtime.load("delfim.parts.mavlink.stationsocket") if settings.mavlink.enabled else None
     reviews, aboard = Reviews(boat, obeyed, asyncio.get_running_loop()), {hand.name for hand in hands}
     voyage.bring_back(obeyed, reviews)
     commands = CommandServer(obeyed, reviews, snapshot, settings.console.clients)

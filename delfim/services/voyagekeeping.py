@@ -15,12 +15,12 @@ from typing import Final
 from delfim import config
 from delfim.base.clock import Clock
 from delfim.base.errors import ConfigError, FormatError
+from delfim.base.keys import read_key
 from delfim.base.slices import Sliced
 from delfim.logging.kept import Keeper, newest
 from delfim.logging.keptwriter import VOYAGE
 from delfim.vehicle import console, voyage
 from delfim.vehicle.loop import VehicleLoop
-from delfim.vehicle.mavlink.signing import read_key
 from delfim.vehicle.returning import RESTART
 from delfim.vehicle.reviews import Reviews
 

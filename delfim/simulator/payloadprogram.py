@@ -1,7 +1,7 @@
 """A payload program in lock step: the real program, its lines by pipes, and a clock that waits for it.
 
 Each line of navigation is its turn, which it ends with a line of values; orders come before that. So the same program does the
-same each time. Here it is not confined; at sea `delfim/services/payload.py` runs it.
+same each time. Here it is not confined; at sea `delfim/parts/payload/payload.py` runs it.
 """
 
 import contextlib

@@ -13,8 +13,8 @@ from delfim import config
 from delfim.base.allowance import PIECE_BYTES
 from delfim.base.errors import FormatError
 from delfim.base.modes import Mode
-from delfim.nmea0183.proprietary import FieldReader
-from delfim.nmea0183.tracklines import TrackLine, track_line
+from delfim.lines.nmea0183.proprietary import FieldReader
+from delfim.lines.nmea0183.tracklines import TrackLine, track_line
 from delfim.vehicle.control.guidance import course_to_steer
 from delfim.vehicle.control.memory import LineOfSight
 from delfim.vehicle.grex import Guest, HeadingReference

@@ -8,7 +8,7 @@ from delfim.base.geodesy import Origin
 from delfim.base.modes import Mode
 from delfim.base.vessels import Report
 from delfim.canproxy.dsor.messages import Navigation, SystemStatus
-from delfim.nmea0183.aissentences import AisPart
+from delfim.lines.nmea0183.aissentences import AisPart
 from delfim.vehicle.inputhealth import InputHealth
 from delfim.vehicle.target import Traffic
 

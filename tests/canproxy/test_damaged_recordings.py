@@ -11,9 +11,9 @@ from delfim import config
 from delfim.base.clock import ManualClock
 from delfim.base.frames import CAN_ERR, CAN_RTR, Frame
 from delfim.canproxy.dsor.messages import Navigation
-from delfim.canproxy.nmea2000.source import Nmea2000Source
+from delfim.parts.nmea2000.combining import Nmea2000Source
+from delfim.parts.nmea2000.sensor import Nmea2000Instruments
 from delfim.simulator.lockstepbus import LockstepBus
-from delfim.vehicle.sensors.nmea2000 import Nmea2000Instruments
 from delfim.vehicle.state import State
 from delfim.vehicle.traffic.aisbus import AisBus
 from tests.canproxy.test_recordings import BUSY, RAYMARINE, recording

@@ -21,10 +21,10 @@ from delfim.canproxy.nmea2000.device import device_name
 from delfim.canproxy.nmea2000.fastpacket import FastPacket
 from delfim.canproxy.nmea2000.instruments import FAST, KELVIN, MESSAGES, Battery, BatteryCharge, decode
 from delfim.canproxy.socket import accepts
+from delfim.parts.nmea2000.sensor import FILTERS, VALUES, Nmea2000Instruments
 from delfim.simulator.lockstep import Lockstep
 from delfim.simulator.lockstepbus import LockstepBus
 from delfim.vehicle.record import fields, values
-from delfim.vehicle.sensors.nmea2000 import FILTERS, VALUES, Nmea2000Instruments
 from delfim.vehicle.state import NoLog, State
 from tests.canproxy.pgn_of import pgn_of
 from tests.canproxy.test_recordings import BUSY, RAYMARINE, recording

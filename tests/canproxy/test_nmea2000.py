@@ -28,10 +28,10 @@ from delfim.canproxy.nmea2000.pgns import (
     decode,
     encode,
 )
-from delfim.canproxy.nmea2000.source import Nmea2000Source
 from delfim.canproxy.socket import CanAddress, accepts
 from delfim.config import Nmea2000
-from delfim.fusion import VARIATION_S
+from delfim.parts.nmea2000.combining import Nmea2000Source
+from delfim.vehicle.navigation.fusion import VARIATION_S
 from tests.canproxy.pgn_of import pgn_of
 
 STALE_S = 1.0

@@ -23,10 +23,10 @@ from delfim.canproxy.nmea2000 import pgns
 from delfim.canproxy.nmea2000.device import Device, DeviceFacts
 from delfim.canproxy.nmea2000.fastpacket import FastPacket
 from delfim.canproxy.nmea2000.pgns import decode
-from delfim.canproxy.nmea2000.source import Nmea2000Source
 from delfim.canproxy.socket import CanAddress, accepts
 from delfim.config import Nmea2000
-from delfim.fusion import SLOW_S
+from delfim.parts.nmea2000.combining import Nmea2000Source
+from delfim.vehicle.navigation.fusion import SLOW_S
 from tests.canproxy.pgn_of import pgn_of
 
 RECORDINGS = Path(__file__).parents[1] / "data/nmea2000"

@@ -11,11 +11,11 @@ import pytest
 
 from delfim import config
 from delfim.__main__ import main
+from delfim.base.keys import read_key
 from delfim.services.access.door import matches
 from delfim.services.access.doors import Entrance, doors
 from delfim.services.suite import services
 from delfim.services.vehiclefile import changed
-from delfim.vehicle.mavlink.signing import read_key
 
 ROOT = Path(__file__).parents[2]
 SEA, DESK = str(ROOT / "etc/delfimx-sea.toml"), str(ROOT / "etc/delfimx.toml")

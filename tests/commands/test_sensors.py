@@ -16,10 +16,10 @@ import pytest
 
 from delfim import config
 from delfim.base.clock import SystemClock
-from delfim.nmea0183.framing import framed
-from delfim.services.listening.firstcontact import Turned, judged, named, user_of
-from delfim.services.listening.heardtable import table
-from delfim.services.listening.hearing import Opened, Running, SensorsTold, listener
+from delfim.desk.firstcontact import Turned, judged, named, user_of
+from delfim.desk.heardtable import table
+from delfim.desk.hearing import Opened, Running, SensorsTold, listener
+from delfim.lines.nmea0183.framing import framed
 
 ROOT = Path(__file__).parents[2]
 GGA = "GPGGA,1200{:02d}.00,3841.4420,N,00912.9180,W,4,12,0.7,0.0,M,,M,,"

@@ -16,8 +16,8 @@ from typing import Any
 import pytest
 
 from delfim.__main__ import main
-from delfim.console.link import Link
 from delfim.logging.statelog import columns, read_state
+from delfim.vehicle.link import Link
 
 ROOT = Path(__file__).parents[2]
 VEHICLE = str(ROOT / "etc/delfimx.toml")

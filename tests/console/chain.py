@@ -16,10 +16,10 @@ from typing import Any, NamedTuple, cast
 
 from delfim.base.errors import DelfimError
 from delfim.canproxy.dsor import messages
-from delfim.console.link import Link
 from delfim.logging.candump import parse_line
 from delfim.logging.reading import in_order, read_log
-from delfim.vehicle.mavlink import wire
+from delfim.parts.mavlink import wire
+from delfim.vehicle.link import Link
 from tests.services.browser import Page, tab
 
 ROOT = Path(__file__).parents[2]

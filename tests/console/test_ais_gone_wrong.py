@@ -13,10 +13,10 @@ from delfim.base.geodesy import origin, to_plane
 from delfim.base.modes import Mode
 from delfim.console.fleet import Fleet
 from delfim.console.othervessels import around
+from delfim.parts.mavlink.station import Station
 from delfim.simulator.faults import fault
 from delfim.simulator.lockstep import Lockstep
 from delfim.vehicle import console
-from delfim.vehicle.mavlink.station import Station
 from delfim.vehicle.state import NoLog
 from tests.console.standin import Standin
 from tests.console.test_page import Sail, sail, shown

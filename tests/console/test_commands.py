@@ -17,7 +17,7 @@ import pytest
 from delfim import config
 from delfim.base.modes import Mode
 from delfim.console.orders import ORDERS
-from delfim.vehicle.mavlink import wire
+from delfim.parts.mavlink import wire
 from tests.console.chain import PATIENCE_S, VEHICLE, Boat, Sea, afternoon, ordered, select, shown_mode
 from tests.console.pads import plug, unplug
 from tests.console.scenes import choose

@@ -16,10 +16,10 @@ from delfim.console import plan
 from delfim.console.fleet import Fleet
 from delfim.console.library import Library
 from delfim.console.mavlink import Key, keygen
+from delfim.parts.mavlink.signing import Signing
+from delfim.parts.mavlink.station import Station
+from delfim.parts.mavlink.wire import Speaker
 from delfim.vehicle import console
-from delfim.vehicle.mavlink.signing import Signing
-from delfim.vehicle.mavlink.station import Station
-from delfim.vehicle.mavlink.wire import Speaker
 from delfim.vehicle.plans.mission import Mission, PayloadItem, Waypoint
 from tests.console.fakeboat import Radio
 

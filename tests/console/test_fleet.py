@@ -14,8 +14,8 @@ from delfim.base.modes import Mode
 from delfim.console import plan, transfer
 from delfim.console.fleet import ASKS, Fleet
 from delfim.console.mavlink import Key, keygen
-from delfim.vehicle.mavlink import plans, wire
-from delfim.vehicle.mavlink.signing import Signing
+from delfim.parts.mavlink import plans, wire
+from delfim.parts.mavlink.signing import Signing
 from tests.console.fakeboat import FakeBoat, Radio
 
 SQUARE = {

@@ -27,7 +27,7 @@ from delfim.console.boats import MEASURED_MAX, Boat
 from delfim.console.gateway import PAGES_MAX, Gateway
 from delfim.console.replay import open_tapes
 from delfim.console.serving import serve
-from delfim.vehicle.mavlink import ardupilot, wire
+from delfim.parts.mavlink import ardupilot, wire
 from tests.console.fakeboat import FakeBoat
 
 VEHICLE = Path(__file__).parents[2] / "etc" / "delfimx.toml"

@@ -8,8 +8,8 @@ from typing import Any
 import aiohttp
 import pytest
 
-from delfim.console.link import Link
 from delfim.logging.reading import read_events
+from delfim.vehicle.link import Link
 from tests.console.chain import afloat
 from tests.console.test_first_voyage import PATIENCE_S, console
 from tests.services.browser import tab

@@ -21,10 +21,10 @@ from bench import critical_path
 from bench.critical_path import running, until
 from bench.soak import TIMEOUT_S, Boat, Visitors
 from delfim.base.errors import DelfimError
-from delfim.console.link import Link
 from delfim.logging.ashore import tree
 from delfim.logging.reading import read_log
 from delfim.logging.statelog import columns
+from delfim.vehicle.link import Link
 
 FOLDER = Path(os.environ["FOLDER"])
 BEGAN_S = 100.0  # after 1970

@@ -8,7 +8,7 @@ import pytest
 from delfim import config
 from delfim.base import geodesy
 from delfim.base.clock import ManualClock
-from delfim.nmea0183.framing import framed
+from delfim.lines.nmea0183.framing import framed
 from delfim.simulator.line import LockstepLine
 from delfim.vehicle import sensors
 from delfim.vehicle.links import Links

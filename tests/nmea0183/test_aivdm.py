@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 
 from delfim.base.errors import FormatError
 from delfim.base.vessels import Report, VesselFacts, VesselPosition
-from delfim.nmea0183.aissentences import JOIN_S, JOINING, KNOT, AisMessages, AisPart, decode
-from delfim.nmea0183.framing import Sentences, framed
+from delfim.lines.nmea0183.aissentences import JOIN_S, JOINING, KNOT, AisMessages, AisPart, decode
+from delfim.lines.nmea0183.framing import Sentences, framed
 
 MMSI = st.integers(1, 999_999_999)
 NAMES = st.text("ABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789 -.", max_size=20)

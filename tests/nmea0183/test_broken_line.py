@@ -13,10 +13,10 @@ import pytest
 from delfim import config
 from delfim.base.allowance import Allowance
 from delfim.base.clock import ManualClock
+from delfim.lines.nmea0183.framing import framed
 from delfim.lines.serialline import SerialLine
-from delfim.nmea0183.framing import framed
+from delfim.parts.nmea0183.source import GARBLED_S, Nmea0183Navigation, opened
 from delfim.vehicle.links import Links
-from delfim.vehicle.sources.nmea0183 import GARBLED_S, Nmea0183Navigation, opened
 
 FLOOD_BYTES = 20_000
 

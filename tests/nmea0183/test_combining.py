@@ -7,10 +7,10 @@ import pytest
 
 from delfim import config
 from delfim.canproxy.dsor.messages import Navigation
-from delfim.fusion import SLOW_S, VARIATION_S
-from delfim.nmea0183.combining import TALKERS_MAX, Combined
-from delfim.nmea0183.framing import Sentences, framed
-from delfim.nmea0183.sentences import KNOT
+from delfim.lines.nmea0183.framing import Sentences, framed
+from delfim.lines.nmea0183.sentences import KNOT
+from delfim.parts.nmea0183.combining import TALKERS_MAX, Combined
+from delfim.vehicle.navigation.fusion import SLOW_S, VARIATION_S
 
 DEG = math.radians
 STALE_S = 2.5

@@ -11,16 +11,16 @@ import pytest
 from delfim.base.allowance import PIECE_BYTES, Allowance
 from delfim.canproxy.dsor.messages import Navigation
 from delfim.canproxy.socket import ANYTHING
+from delfim.lines.nmea0183.speaking import gga, hdt, rmc
 from delfim.lines.serialline import SerialLine
 from delfim.logging import blackbox, linelog
 from delfim.logging.blackbox import BlackBox
 from delfim.logging.linelog import LineLog, pieces
 from delfim.logging.openlog import open_log
-from delfim.nmea0183.speaking import gga, hdt, rmc
+from delfim.parts.dsor.driver import Propellers
 from delfim.simulator.lockstepbus import LockstepBus
 from delfim.simulator.replay.rerun import rerun
 from delfim.vehicle import console
-from delfim.vehicle.actuators.dsor import Propellers
 from delfim.vehicle.grex import Guest
 from delfim.vehicle.links import Links
 from delfim.vehicle.loop import VehicleLoop

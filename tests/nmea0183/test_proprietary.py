@@ -4,8 +4,8 @@ from random import Random
 
 import pytest
 
-from delfim.nmea0183.framing import LONGEST, framed
-from delfim.nmea0183.proprietary import FieldReader, fields, number
+from delfim.lines.nmea0183.framing import LONGEST, framed
+from delfim.lines.nmea0183.proprietary import FieldReader, fields, number
 from tests.mutations import cut, flipped, spliced
 
 

@@ -12,9 +12,9 @@ from typing import Any
 import pytest
 
 from delfim import config
-from delfim.nmea0183.combining import Combined
-from delfim.nmea0183.framing import Sentences
-from delfim.nmea0183.sentences import Bearing, Located, Turning
+from delfim.lines.nmea0183.framing import Sentences
+from delfim.lines.nmea0183.sentences import Bearing, Located, Turning
+from delfim.parts.nmea0183.combining import Combined
 from tests.canproxy.test_recordings import BUSY, Newest, recording, utc_ns
 
 FILE = Path(__file__).parents[1] / "data/nmea0183/can0-1.sentences.gz"

@@ -13,8 +13,8 @@ from pynmeagps import NMEAReader
 
 from delfim.canproxy.dsor.messages import Navigation
 from delfim.config import SPOKEN_BYTES
-from delfim.nmea0183.framing import LONGEST, NAMES_MAX, Sentences, framed
-from delfim.nmea0183.sentences import (
+from delfim.lines.nmea0183.framing import LONGEST, NAMES_MAX, Sentences, framed
+from delfim.lines.nmea0183.sentences import (
     KNOT,
     READERS,
     ActiveSatellites,
@@ -28,7 +28,7 @@ from delfim.nmea0183.sentences import (
     Spread,
     Turning,
 )
-from delfim.nmea0183.speaking import SPEAKERS
+from delfim.lines.nmea0183.speaking import SPEAKERS
 
 DEG = math.radians
 LATITUDE, LONGITUDE = DEG(53 + 21.6802 / 60), -DEG(6 + 30.3372 / 60)

@@ -6,12 +6,12 @@ import pytest
 
 from delfim import config
 from delfim.base.clock import ManualClock
-from delfim.nmea0183.framing import framed
+from delfim.lines.nmea0183.framing import framed
+from delfim.parts.nmea0183.source import GREETING, WATCH
 from delfim.simulator.line import LockstepLine
 from delfim.vehicle import sensors
 from delfim.vehicle.links import Links
 from delfim.vehicle.navigation.fixes import open_sources, take
-from delfim.vehicle.sources.nmea0183 import GREETING, WATCH
 from delfim.vehicle.state import State
 
 
@@ -104,7 +104,7 @@ def test_a_call_reads_one_piece_of_one_line_and_each_line_has_its_turn():
     boat.line = lambda device, baud, form="8N1": boat.lines.setdefault(device, LoudLine(boat.clock))  # type: ignore[method-assign]
     boat.links = Links(lambda *_: pytest.fail("no bus"), boat.line)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("delfim.vehicle.sources.nmea0183.AnyPort", lambda ports: None)
+        patch.setattr("delfim.parts.nmea0183.source.AnyPort", lambda ports: None)
         boat.open()
     for line in boat.lines.values():
         for _ in range(10):

@@ -14,10 +14,13 @@ from delfim.base.geodesy import origin
 from delfim.base.modes import Mode
 from delfim.canproxy.dsor.messages import BatteriesStatus, Fault, GpsStatus, Navigation, Node, PropellerStatus, Status
 from delfim.canproxy.nmea2000.device import FIRST
+from delfim.lines.nmea0183.speaking import SPEAKERS
 from delfim.lines.serialform import Form
 from delfim.logging.liblog import LogStatus
-from delfim.nmea0183.speaking import SPEAKERS
-from delfim.services.nmea2000d import BoatDevice
+from delfim.parts.mavlink.station import Station
+from delfim.parts.mavlink.telemetry import PROFILES
+from delfim.parts.mavlink.wire import Address
+from delfim.parts.nmea2000.nmea2000d import BoatDevice
 from delfim.services.page import api
 from delfim.services.page.metrics import metrics
 from delfim.simulator.line import LockstepLine
@@ -26,9 +29,6 @@ from delfim.vehicle import console
 from delfim.vehicle.build import build
 from delfim.vehicle.links import Links
 from delfim.vehicle.loop import VehicleLoop
-from delfim.vehicle.mavlink.station import Station
-from delfim.vehicle.mavlink.telemetry import PROFILES
-from delfim.vehicle.mavlink.wire import Address
 from delfim.vehicle.sensors.sysstat import NAMES
 from delfim.vehicle.state import (
     Actuation,

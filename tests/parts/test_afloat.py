@@ -15,9 +15,9 @@ from typing import Any
 import pytest
 
 from delfim.base.errors import DelfimError
-from delfim.console.link import Link
 from delfim.logging.ashore.table import table
 from delfim.logging.ashore.tree import files
+from delfim.vehicle.link import Link
 from tests.afloat import running
 from tests.parts.laboratory import ROOT, installed
 

@@ -12,11 +12,11 @@ from delfim.base.numberedorders import NumberedOrder
 from delfim.console.describe import describe
 from delfim.console.drive import command
 from delfim.console.fleet import Fleet
+from delfim.parts.mavlink import commands, wire
+from delfim.parts.mavlink.station import Station
 from delfim.simulator.lockstep import Lockstep
 from delfim.vehicle import console
 from delfim.vehicle.foreign import breaking_off
-from delfim.vehicle.mavlink import commands, wire
-from delfim.vehicle.mavlink.station import Station
 from delfim.vehicle.state import HANDSET, NoLog
 from tests.parts.laboratory import ROOT, installed, known, laboratory
 

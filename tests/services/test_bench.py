@@ -21,9 +21,9 @@ from delfim import config
 from delfim.base.errors import DelfimError
 from delfim.canproxy.opening import open_can
 from delfim.canproxy.socket import ANYTHING, CanSocket
-from delfim.console.link import Link
 from delfim.services.bench import HELD_S, DeadMan, Trial, runs
 from delfim.vehicle.gate import GateLimits
+from delfim.vehicle.link import Link
 from tests.afloat import running
 from tests.services.test_outlet import chip, pulse_us
 from tests.vehicle.played_devices import PlayedVesc

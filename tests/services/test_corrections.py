@@ -18,9 +18,9 @@ from delfim import config
 from delfim.base.clock import SystemClock
 from delfim.base.errors import ConfigError, PermanentFailure
 from delfim.lines.rtcm import doorstep, framed
-from delfim.services import corrections
+from delfim.parts.gnss import corrections
+from delfim.parts.gnss.receiverport import WAITING_BYTES, ReceiverPort
 from delfim.services.priority import Account
-from delfim.services.receiverport import WAITING_BYTES, ReceiverPort
 from delfim.services.runtime import Runtime
 from delfim.services.servicestatus import ServiceStatus
 from tests.services.boat import STATE, served, vehicle, vehicle_file

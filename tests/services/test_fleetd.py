@@ -19,15 +19,15 @@ import pytest
 from delfim import config
 from delfim.base.clock import ManualClock, SystemClock
 from delfim.base.errors import ConfigError, PermanentFailure
-from delfim.broker import STALE_S, BrokerLine, BrokerPlace
+from delfim.base.keys import new_key
 from delfim.console.fleet import Fleet
 from delfim.console.mavlink import Key
 from delfim.console.serving import broker_line
+from delfim.parts.fleet.broker import STALE_S, BrokerLine, BrokerPlace
+from delfim.parts.fleet.fleetd import FleetMember, serve
 from delfim.services.access.doors import doors
-from delfim.services.fleetd import FleetMember, serve
 from delfim.services.page.api import State
 from delfim.services.suite import services
-from delfim.vehicle.mavlink.signing import new_key
 from tests.console.fakeboat import FakeBoat
 from tests.services.caster import free_port
 from tests.services.mosquitto import broker, certified, needs_mosquitto
@@ -171,7 +171,7 @@ def test_on_a_link_that_is_away_no_more_waits_than_the_bound_and_it_is_told(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The broker stands still: it takes nothing, and its connections stay."""
-    monkeypatch.setattr("delfim.broker.ANSWER_S", 0.5)
+    monkeypatch.setattr("delfim.parts.fleet.broker.ANSWER_S", 0.5)
 
     async def main(port: int, pid: int) -> None:
         line, frames = line_of(port, boat="Otter", held=8), list[bytes]()
@@ -404,7 +404,7 @@ def loaded_by_delfimx(modules: set[str]) -> set[str]:
 
 def test_a_boat_that_has_no_broker_loads_nothing_of_it() -> None:
     assert loaded_by_delfimx({"delfim.services.suite"}), "it tells what is loaded"
-    assert loaded_by_delfimx({"aiomqtt", "paho", "delfim.broker", "delfim.services.fleetd"}) == set()
+    assert loaded_by_delfimx({"aiomqtt", "paho", "delfim.parts.fleet.broker", "delfim.parts.fleet.fleetd"}) == set()
 
 
 def test_nothing_of_it_runs_unless_the_file_asks_and_then_it_is_a_process_and_a_door(tmp_path: Path) -> None:

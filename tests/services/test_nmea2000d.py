@@ -23,8 +23,8 @@ from delfim.base.modes import Mode
 from delfim.canproxy.dsor.messages import BatteriesStatus, Fault, Navigation, Status
 from delfim.canproxy.nmea2000.device import FIRST
 from delfim.canproxy.nmea2000.parcels import CLAIM, REQUEST, Parcel, frames
-from delfim.services.nmea2000d import FULL, OLD_S, WAITING, BoatDevice, Memory
-from delfim.services.nmea2000rows import TOLD, pgns_of
+from delfim.parts.nmea2000.nmea2000d import FULL, OLD_S, WAITING, BoatDevice, Memory
+from delfim.parts.nmea2000.nmea2000rows import TOLD, pgns_of
 from delfim.services.page.api import State as ToldState
 from delfim.services.runtime import LoadedService, Runtime
 from delfim.vehicle import thrusters
@@ -403,7 +403,7 @@ def test_the_address_is_kept_for_tomorrow(tmp_path, caplog):
 
 def test_it_does_not_run_in_the_runtime(tmp_path):
     from delfim.base.clock import SystemClock
-    from delfim.services import nmea2000d
+    from delfim.parts.nmea2000 import nmea2000d
 
     its = msgspec.structs.replace(settings("heading"), runtime=config.RuntimeTable(run_directory=str(tmp_path)))
     runtime = Runtime(its, SystemClock())

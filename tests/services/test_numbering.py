@@ -15,7 +15,7 @@ from delfim.canproxy.dronecan.nodeservices import ANSWERS_PER_S, GET_NODE_INFO, 
 from delfim.canproxy.dronecan.transfers import STATUS, Publisher, TransferReceiver, checksum
 from delfim.canproxy.opening import open_can
 from delfim.canproxy.socket import ANYTHING
-from delfim.services.numbering import Numbering, identity, keep, known_numbers
+from delfim.parts.dronecan.numbering import Numbering, identity, keep, known_numbers
 from tests.esc_pair import Bus
 
 IDENTITY = bytes(range(16))

@@ -24,7 +24,8 @@ from hypothesis import strategies as st
 from delfim import config
 from delfim.base.clock import SystemClock
 from delfim.base.errors import ConfigError
-from delfim.services import payload, watching
+from delfim.parts.payload import payload
+from delfim.services import watching
 from delfim.services.runtime import LoadedService, Runtime
 from delfim.services.supervision import processes
 from delfim.vehicle.payloadlines import LINE_BYTES, VALUES, ActionTold, BoundedLines, VoyageTold, lines, values

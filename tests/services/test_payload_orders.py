@@ -12,8 +12,8 @@ import pytest
 from delfim import config
 from delfim.base.clock import ManualClock
 from delfim.base.modes import Mode
-from delfim.services import payload, payloadorders
-from delfim.services.payloadorders import OrderLine
+from delfim.parts.payload import payload, payloadorders
+from delfim.parts.payload.payloadorders import OrderLine
 from delfim.simulator.lockstep import Lockstep
 from delfim.vehicle import console, payloadlines
 from delfim.vehicle.command import CommandServer

@@ -16,15 +16,15 @@ from delfim import config
 from delfim.base import geodesy
 from delfim.base.clock import SystemClock
 from delfim.base.errors import ConfigError, FormatError, PermanentFailure
-from delfim.services import rosd, roskeys, rosmessages
+from delfim.base.keys import new_key
+from delfim.parts.ros import rosd, roskeys, rosmessages
+from delfim.parts.ros.cdr import HEAD, CdrReader, CdrWriter
+from delfim.parts.ros.rossteering import GOAL_S, TURN_MAX_RAD, TWIST_S, Steering
 from delfim.services.access.doors import doors
-from delfim.services.cdr import HEAD, CdrReader, CdrWriter
 from delfim.services.guestdoor import GuestDoor
 from delfim.services.page.api import State
-from delfim.services.rossteering import GOAL_S, TURN_MAX_RAD, TWIST_S, Steering
 from delfim.services.suite import services
 from delfim.vehicle.grex import Guest, HeadingReference, reference
-from delfim.vehicle.mavlink.signing import new_key
 from tests.services.boat import STATE, served, vehicle, vehicle_file
 from tests.services.caster import free_port
 from tests.services.test_fleetd import loaded_by_delfimx
@@ -334,7 +334,7 @@ def test_nothing_of_it_runs_or_is_loaded_unless_the_file_asks_and_then_it_is_a_p
     runtime: Any = SimpleNamespace(config=asked, status={"rosd": SimpleNamespace(place="runtime")})
     with pytest.raises(PermanentFailure, match="process"):
         asyncio.run(rosd.serve(runtime))
-    assert loaded_by_delfimx({"zenoh", "delfim.services.rosd", "delfim.services.cdr"}) == set()
+    assert loaded_by_delfimx({"zenoh", "delfim.parts.ros.rosd", "delfim.parts.ros.cdr"}) == set()
 
 
 @pytest.mark.parametrize(

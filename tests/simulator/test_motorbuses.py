@@ -28,12 +28,12 @@ from delfim.canproxy.dronecan.fields import DataType
 from delfim.canproxy.dronecan.transfers import COMMAND, Publisher, TransferReceiver
 from delfim.canproxy.opening import open_can
 from delfim.canproxy.socket import ANYTHING, CanAddress
+from delfim.parts.vesc import driver as vesc
 from delfim.simulator.berth import Berth, settings_of
 from delfim.simulator.faults import fault
 from delfim.simulator.lockstep import Lockstep
 from delfim.simulator.nodes import nodes_of
 from delfim.vehicle import console
-from delfim.vehicle.actuators import vesc
 from delfim.vehicle.state import NoLog, ThrusterReport
 from tests.simulator.test_pulsefiles import rows, written
 

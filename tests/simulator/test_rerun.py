@@ -11,7 +11,6 @@ import pytest
 from delfim.base.errors import DelfimError
 from delfim.base.frames import Frame
 from delfim.base.modes import Mode
-from delfim.canproxy.nmea2000.source import Nmea2000Source
 from delfim.canproxy.socket import ANYTHING, CanAddress
 from delfim.logging import blackbox
 from delfim.logging.ashore.table import frames, table
@@ -19,16 +18,17 @@ from delfim.logging.blackbox import BlackBox
 from delfim.logging.candump import format_line, parse_line
 from delfim.logging.openlog import open_log
 from delfim.logging.reading import read_log
+from delfim.parts.dsor.driver import Propellers
+from delfim.parts.nmea2000.combining import Nmea2000Source
+from delfim.parts.nmea2000.source import Nmea2000Navigation
 from delfim.simulator.lockstepbus import LockstepBus
 from delfim.simulator.replay.rerun import rerun
 from delfim.vehicle import console, voyage
-from delfim.vehicle.actuators.dsor import Propellers
 from delfim.vehicle.grex import Guest
 from delfim.vehicle.loop import VehicleLoop
 from delfim.vehicle.navigation.estimated import between
 from delfim.vehicle.propulsion import Propulsion
 from delfim.vehicle.returning import RESTART
-from delfim.vehicle.sources.nmea2000 import Nmea2000Navigation
 from delfim.vehicle.state import State
 from tests.logging.sailing import MISSION, Day, logged, sailed
 

@@ -8,12 +8,12 @@ import pytest
 
 from delfim import config
 from delfim.base.modes import Mode
+from delfim.parts.dsor.driver import Propellers
 from delfim.simulator.invariants import thrustspec
 from delfim.simulator.scenarios.mixed import mixed_mission, place_of
 from delfim.simulator.scenarios.scenario import FaultAt, Scenario, settings_of
 from delfim.simulator.scenarios.trial import sail
 from delfim.vehicle import console, failing, failsafe, helm, loop, propulsion, record, setpoints, snapshot, troubles
-from delfim.vehicle.actuators.dsor import Propellers
 from delfim.vehicle.control import goto, guidance, heading, hold, hull, play
 from delfim.vehicle.helm import Helm
 from delfim.vehicle.voyagestate import VoyageState

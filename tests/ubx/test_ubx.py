@@ -13,11 +13,11 @@ from hypothesis import strategies as st
 from pyubx2 import UBX_PROTOCOL, UBXReader
 
 from delfim import config
-from delfim.nmea0183.combining import Combined
-from delfim.nmea0183.framing import Sentences, framed
-from delfim.nmea0183.sentences import Bearing, Located
-from delfim.ubx import ubxframes, ubxmessages
-from delfim.ubx.mixedline import Antennas, MixedLine
+from delfim.lines.nmea0183.framing import Sentences, framed
+from delfim.lines.nmea0183.sentences import Bearing, Located
+from delfim.lines.ubx import ubxframes, ubxmessages
+from delfim.parts.nmea0183.combining import Combined
+from delfim.parts.nmea0183.mixedline import Antennas, MixedLine
 from tests.mutations import cut, dropped, flipped, spliced
 from tests.ubx.receiver import dop, message, pvt, relposned
 

@@ -3,10 +3,10 @@
 import math
 from typing import Any
 
-from delfim.vehicle.mavlink import wire
-from delfim.vehicle.mavlink.signing import Signing
-from delfim.vehicle.mavlink.station import Station
-from delfim.vehicle.mavlink.wire import Sender, dialect
+from delfim.parts.mavlink import wire
+from delfim.parts.mavlink.signing import Signing
+from delfim.parts.mavlink.station import Station
+from delfim.parts.mavlink.wire import Sender, dialect
 
 HOME = ("127.0.0.1", 14550)
 

@@ -4,8 +4,8 @@ import struct
 
 from pymavlink.dialects.v20 import ardupilotmega
 
-from delfim.nmea0183.framing import framed
-from delfim.nmea0183.proprietary import fields
+from delfim.lines.nmea0183.framing import framed
+from delfim.lines.nmea0183.proprietary import fields
 
 NEVER = -1e9
 VALUE = struct.Struct(">i")

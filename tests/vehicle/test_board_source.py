@@ -11,13 +11,13 @@ from delfim import config
 from delfim.base.clock import ManualClock
 from delfim.base.modes import Mode
 from delfim.canproxy.dsor.messages import Navigation
+from delfim.parts.frontseats.mavlink_source import FIXES
 from delfim.simulator.line import LockstepLine
 from delfim.simulator.lockstep import Lockstep
 from delfim.vehicle import console
 from delfim.vehicle.build import build
 from delfim.vehicle.links import Links
 from delfim.vehicle.navigation.fixes import open_sources, take
-from delfim.vehicle.sources.mavlink_front_seat import FIXES
 from delfim.vehicle.state import NoLog, State
 
 UTC_NS = 1_795_000_000_000_000_000

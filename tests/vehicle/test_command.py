@@ -15,9 +15,9 @@ import pytest
 from delfim.base.errors import DelfimError, FormatError, Refused
 from delfim.base.modes import Mode
 from delfim.console.drive import command, line
-from delfim.console.link import Link
 from delfim.vehicle import console
 from delfim.vehicle.command import LINE_BYTES, CommandServer
+from delfim.vehicle.link import Link
 from delfim.vehicle.reviews import Reviews
 
 

@@ -24,9 +24,9 @@ from delfim.canproxy.dronecan.fields import DataType, pack, unpack
 from delfim.canproxy.dronecan.transfers import Publisher, TransferReceiver
 from delfim.canproxy.socket import ANYTHING
 from delfim.config import Dronecan, Steer, ThrusterTable
+from delfim.parts.dronecan.driver import ARMING_S, TWINS_S, ZERO_S
 from delfim.simulator.lockstepbus import LockstepBus
 from delfim.vehicle.actuators import open_actuator
-from delfim.vehicle.actuators.dronecan import ARMING_S, TWINS_S, ZERO_S
 from delfim.vehicle.links import Links
 from delfim.vehicle.state import Actuation, State, ThrusterReport
 

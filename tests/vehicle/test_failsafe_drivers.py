@@ -23,10 +23,10 @@ from delfim.canproxy.dronecan.transfers import Publisher, TransferReceiver
 from delfim.canproxy.dsor import messages
 from delfim.canproxy.dsor.messages import unpack_propeller_command
 from delfim.canproxy.socket import ANYTHING, CanSocket
-from delfim.nmea0183.framing import framed
+from delfim.lines.nmea0183.framing import framed
+from delfim.parts.dsor.driver import Propellers
 from delfim.simulator.lockstepbus import LockstepBus
 from delfim.vehicle.actuators import Actuator, open_actuator
-from delfim.vehicle.actuators.dsor import Propellers
 from delfim.vehicle.links import Links
 from delfim.vehicle.troubles import TURNING
 from tests.vehicle import test_failsafe_enumeration as enumeration

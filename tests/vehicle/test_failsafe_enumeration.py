@@ -19,10 +19,10 @@ from delfim.base.slices import Sliced
 from delfim.canproxy.dsor import messages
 from delfim.canproxy.dsor.messages import BatteriesStatus, Fault, GpsStatus, Navigation, PropellerStatus, Status
 from delfim.canproxy.socket import ANYTHING, CanSocket
+from delfim.parts.dsor.driver import Propellers
 from delfim.simulator.lockstepbus import LockstepBus
 from delfim.vehicle import console
 from delfim.vehicle.actuators import Actuator
-from delfim.vehicle.actuators.dsor import Propellers
 from delfim.vehicle.grex import Guest
 from delfim.vehicle.loop import VehicleLoop
 from delfim.vehicle.navigation.fixes import Fix

@@ -14,12 +14,12 @@ import pytest
 from delfim import config
 from delfim.base import tables
 from delfim.base.errors import ConfigError
+from delfim.base.keys import new_key, read_key
+from delfim.parts.ros.rossteering import GuestLine
 from delfim.services import guestdoor
 from delfim.services.guestdoor import GuestDoor
-from delfim.services.rossteering import GuestLine
 from delfim.simulator.guest import Zigzag, guest
 from delfim.vehicle.grex import proof
-from delfim.vehicle.mavlink.signing import new_key, read_key
 
 HOME = "127.0.0.1"
 REFERENCE = b'{"heading_deg": 90, "speed_mps": 1.0}\n'

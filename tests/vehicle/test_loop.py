@@ -328,8 +328,8 @@ def test_random_frames_raise_nothing(boat, frames, kind):
 
 def test_the_better_source_wins_while_it_speaks(boat):
     """Preference and age, with the function that decides."""
+    from delfim.parts.dsor.source import DsorNavigation
     from delfim.vehicle.navigation.fixes import preferred
-    from delfim.vehicle.sources.dsor import DsorNavigation
 
     first, second = boat.source, DsorNavigation(boat.sensor.input, boat.state)
     first.heard_s, second.heard_s = 10.0, 10.4

@@ -13,15 +13,15 @@ from bench.fuzz import framed
 from delfim import config
 from delfim.base.errors import FormatError
 from delfim.base.modes import Mode
+from delfim.parts.mavlink import wire
+from delfim.parts.mavlink.commands import COMMANDS
+from delfim.parts.mavlink.params import NAMES
+from delfim.parts.mavlink.peers import PEERS
+from delfim.parts.mavlink.signing import Signing
+from delfim.parts.mavlink.station import FRAMES, PENDING, Station
+from delfim.parts.mavlink.stationsocket import MavlinkLink
+from delfim.parts.mavlink.wire import dialect
 from delfim.vehicle.console import Stop, Take
-from delfim.vehicle.mavlink import wire
-from delfim.vehicle.mavlink.commands import COMMANDS
-from delfim.vehicle.mavlink.params import NAMES
-from delfim.vehicle.mavlink.peers import PEERS
-from delfim.vehicle.mavlink.signing import Signing
-from delfim.vehicle.mavlink.station import FRAMES, PENDING, Station
-from delfim.vehicle.mavlink.stationsocket import MavlinkLink
-from delfim.vehicle.mavlink.wire import dialect
 from tests.vehicle.mavlink_console import HOME, Console, Radio
 from tests.vehicle.test_mavlink_station import afloat, sail
 

@@ -10,11 +10,11 @@ import pytest
 
 from delfim import config
 from delfim.base.modes import Mode
+from delfim.parts.mavlink import commands, handlers
+from delfim.parts.mavlink.peers import PEERS
+from delfim.parts.mavlink.signing import Signing
+from delfim.parts.mavlink.station import Station
 from delfim.vehicle import console
-from delfim.vehicle.mavlink import commands, handlers
-from delfim.vehicle.mavlink.peers import PEERS
-from delfim.vehicle.mavlink.signing import Signing
-from delfim.vehicle.mavlink.station import Station
 from tests.vehicle.mavlink_console import Console, Radio, newest, texts
 
 ACCEPTED, LATER = 0, 1

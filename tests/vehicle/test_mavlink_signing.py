@@ -10,11 +10,12 @@ from hypothesis import strategies as st
 from delfim import config
 from delfim.base.clock import ManualClock
 from delfim.base.errors import ConfigError
+from delfim.base.keys import new_key, read_key
 from delfim.base.modes import Mode
-from delfim.vehicle.mavlink import wire
-from delfim.vehicle.mavlink.signing import Kept, Signing, new_key, read_key, read_stamps, write_stamps
-from delfim.vehicle.mavlink.station import Station
-from delfim.vehicle.mavlink.wire import dialect
+from delfim.parts.mavlink import wire
+from delfim.parts.mavlink.signing import Kept, Signing, read_stamps, write_stamps
+from delfim.parts.mavlink.station import Station
+from delfim.parts.mavlink.wire import dialect
 from tests.vehicle.mavlink_console import Console, Radio, newest
 
 KEY, OTHER = bytes(range(32)), bytes(range(1, 33))

@@ -8,11 +8,11 @@ import pytest
 from delfim import config
 from delfim.base.modes import Mode
 from delfim.canproxy.dsor import messages
+from delfim.parts.mavlink.station import Station
+from delfim.parts.mavlink.wire import dialect
 from delfim.vehicle import console
 from delfim.vehicle.control.hull import filled
 from delfim.vehicle.loop import VehicleLoop
-from delfim.vehicle.mavlink.station import Station
-from delfim.vehicle.mavlink.wire import dialect
 from tests.vehicle.mavlink_console import Console, Radio, newest, texts
 
 ACCEPTED, LATER, DENIED, UNSUPPORTED = 0, 1, 2, 3

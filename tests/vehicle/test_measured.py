@@ -7,9 +7,9 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega
 
 from delfim import config
+from delfim.parts.mavlink import ardupilot
+from delfim.parts.mavlink.wire import Sender, decode, frames
 from delfim.vehicle import sensors
-from delfim.vehicle.mavlink import ardupilot
-from delfim.vehicle.mavlink.wire import Sender, decode, frames
 from tests.vehicle.mavlink_console import newest
 from tests.vehicle.test_mavlink_station import afloat, sail
 

@@ -8,8 +8,8 @@ import pytest
 
 from delfim.base.errors import FormatError, Refused
 from delfim.base.slices import SLICE, Sliced
-from delfim.console.link import Link
 from delfim.vehicle.command import CommandServer
+from delfim.vehicle.link import Link
 from delfim.vehicle.plans.mission import canonical, load_mission
 from delfim.vehicle.plans.missionreader import ZONE, Reading, gathered, written
 from delfim.vehicle.reviews import Reviews

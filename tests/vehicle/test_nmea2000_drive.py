@@ -19,15 +19,15 @@ from nmea2000.decoder import NMEA2000Decoder
 from delfim import config
 from delfim.base.clock import SystemClock
 from delfim.base.modes import Mode
-from delfim.canproxy.nmea2000.source import Nmea2000Source
 from delfim.canproxy.opening import open_can
 from delfim.canproxy.socket import CanAddress
+from delfim.parts.dsor.driver import Propellers
+from delfim.parts.nmea2000.combining import Nmea2000Source
+from delfim.parts.nmea2000.source import Nmea2000Navigation
 from delfim.vehicle import console
-from delfim.vehicle.actuators.dsor import Propellers
 from delfim.vehicle.grex import Guest
 from delfim.vehicle.loop import VehicleLoop
 from delfim.vehicle.propulsion import Propulsion
-from delfim.vehicle.sources.nmea2000 import Nmea2000Navigation
 from delfim.vehicle.state import NoLog, State
 
 RECORDING = Path(__file__).parents[1] / "data/nmea2000/raymarine-p70.candump.log.gz"

@@ -12,8 +12,8 @@ from delfim import config
 from delfim.base.errors import ConfigError, FormatError
 from delfim.base.modes import Mode
 from delfim.base.tables import decode
-from delfim.nmea0183.proprietary import FieldReader
-from delfim.nmea0183.tracklines import INVALID, MILE_M, TrackLine, track_line
+from delfim.lines.nmea0183.proprietary import FieldReader
+from delfim.lines.nmea0183.tracklines import INVALID, MILE_M, TrackLine, track_line
 from delfim.services.access.doors import doors
 from delfim.simulator.lockstep import Lockstep
 from delfim.vehicle import console

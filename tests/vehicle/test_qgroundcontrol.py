@@ -10,8 +10,8 @@ from typing import Any, NamedTuple
 import pytest
 
 from delfim.base.modes import Mode
-from delfim.vehicle.mavlink import params
-from delfim.vehicle.mavlink.wire import dialect
+from delfim.parts.mavlink import params
+from delfim.parts.mavlink.wire import dialect
 from tests.vehicle.mavlink_console import Console, newest
 from tests.vehicle.test_mavlink_station import afloat, sail
 

@@ -14,13 +14,13 @@ from delfim import config
 from delfim.base import slices
 from delfim.base.errors import Refused
 from delfim.base.modes import Mode
-from delfim.console.link import Link
+from delfim.parts.mavlink import plans
+from delfim.parts.mavlink.plans import FENCE, MISSION, Item
+from delfim.parts.mavlink.station import Station
 from delfim.vehicle import console
 from delfim.vehicle.command import CommandServer
 from delfim.vehicle.failsafe import Action
-from delfim.vehicle.mavlink import plans
-from delfim.vehicle.mavlink.plans import FENCE, MISSION, Item
-from delfim.vehicle.mavlink.station import Station
+from delfim.vehicle.link import Link
 from delfim.vehicle.plans import fence
 from delfim.vehicle.plans.mission import Mission, PathPoint, Waypoint, canonical
 from delfim.vehicle.plans.zones import circle, polygon

@@ -9,8 +9,8 @@ from delfim import config
 from delfim.base.frames import Frame
 from delfim.canproxy.dsor import messages
 from delfim.config import Steer, ThrusterTable
+from delfim.parts.dsor.driver import Propellers
 from delfim.vehicle import thrusters
-from delfim.vehicle.actuators.dsor import Propellers
 from delfim.vehicle.state import Actuation, State, ThrusterReport
 from delfim.vehicle.troubles import astray, unstopped
 

@@ -11,8 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from delfim import config
+from delfim.parts.mavlink.vesselsout import NEAR, guard, number, ordered
 from delfim.vehicle.grex import sighted
-from delfim.vehicle.mavlink.vesselsout import NEAR, guard, number, ordered
 from delfim.vehicle.state import State
 from delfim.vehicle.target import CourseOrder, Target
 from delfim.vehicle.traffic.encounter import BEGINNINGS, Duty, words

@@ -6,5 +6,5 @@ fast packets. Field layouts are those documented by the canboat project; the lar
 available, error and reserved, and all arrive as None.
 
 `source.py` only listens: frames in, `delfim.canproxy.dsor.messages.Navigation` out. `device.py` claims an address and says who
-the boat is; `delfim/services/nmea2000d.py` carries it to the bus, in a process of its own.
+the boat is; `delfim/parts/nmea2000/nmea2000d.py` carries it to the bus, in a process of its own.
 """

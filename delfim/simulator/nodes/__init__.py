@@ -22,14 +22,7 @@ from delfim.simulator.nodes.talkers import SimulatedInstruments, instruments_of
 
 # Files of this folder; `nodes` in it makes those of its kind.
 NODES: Final = ("gps", "navigation", "propeller", "pulsefiles", "batteries")  # files of this folder, with `nodes` in each
-OTHER_BUSES: Final = (
-    "devices",
-    "cansensors",
-    "sounders",
-    "shipping",
-    "escs",
-    "vescs",
-)  # of other buses, with `devices_of` in each
+OTHER_BUSES: Final = ("devices", "cansensors", "sounders", "shipping")  # of other buses, with `devices_of` in each
 _ARBITRATION: Final = itemgetter(0)
 STALL_S: Final = 1.0  # longer pauses of the whole simulator are left out of the modelled world
 
@@ -125,7 +118,7 @@ def nodes_of(settings: config.Vehicle, seed: int, model: Model | None = None) ->
     for kind in NODES:
         named |= import_module(f"{__name__}.{kind}").nodes(settings, model, seed)
     others = (import_module(f"{__name__}.{kind}").devices_of(settings, model, seed) for kind in OTHER_BUSES)
-    of_parts = [parts.load(part, part.played) for part in settings.aboard if part.played]
+    of_parts = [parts.load(part, part.played) for part in (*parts.OWN.values(), *settings.aboard) if part.played]
     on_buses = (each.devices_of(settings, model, seed) for each in of_parts if hasattr(each, "devices_of"))
     beside = tuple(each for each in (*others, *on_buses) if each is not None)
     ais = next((each.sentences for each in beside if isinstance(each, Shipping)), None)

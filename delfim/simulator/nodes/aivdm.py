@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from typing import Final
 
 from delfim.base.vessels import VesselFacts, VesselPosition
-from delfim.nmea0183.framing import checksum
+from delfim.lines.nmea0183.framing import checksum
 
 KNOT_MPS: Final = 1852.0 / 3600.0
 PER_DEG: Final = 600_000.0  # units of a position: ten-thousandths of a minute

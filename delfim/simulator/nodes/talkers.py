@@ -13,8 +13,8 @@ from typing import Any, Final, NamedTuple, Protocol
 from delfim import config
 from delfim.base.parts import load
 from delfim.canproxy.dsor.messages import Navigation
-from delfim.nmea0183.framing import framed
-from delfim.nmea0183.speaking import clock, gga, rmc
+from delfim.lines.nmea0183.framing import framed
+from delfim.lines.nmea0183.speaking import clock, gga, rmc
 from delfim.simulator.model import Model
 from delfim.simulator.nodes.measuring import (
     CORRECTED_S,

@@ -6,17 +6,14 @@ repetition must only equal a command that the replay has just computed, and ever
 
 import struct
 from collections import deque
-from collections.abc import Callable
 from typing import Final, NamedTuple, Protocol
 
 from delfim import config
-from delfim.base.frames import CAN_IDE, Frame, extended
-from delfim.canproxy.dronecan.datatypes import ARMING_STATUS, ARRAY_COMMAND, RAW_COMMAND, RPM_COMMAND
-from delfim.canproxy.dronecan.transfers import TransferReceiver
+from delfim.base.frames import Frame
+from delfim.base.parts import OWN, load
 from delfim.canproxy.socket import CanAddress, CanSocket
 from delfim.logging.ashore.tree import Span
 from delfim.logging.blackbox import device
-from delfim.vehicle.actuators.vesc import SET_CURRENT, SET_DUTY, SET_RPM
 
 STAMP_NS: Final = 5_000_000  # between a cycle's time and the stamp of a frame; a repetition within it is no news
 _NOTHING: Final = "nothing"
@@ -53,7 +50,7 @@ class Findings:
 
 
 class Commands(Protocol):
-    """The commands of a protocol."""
+    """The commands of a protocol: `BusCommands` of the module that plays its devices."""
 
     hears: tuple[CanAddress, ...]  # the frames that may be commands
 
@@ -61,36 +58,14 @@ class Commands(Protocol):
     def is_own(self, frame: Frame) -> bool: ...  # whether this computer sent it
 
 
-class DronecanCommands:
-    def __init__(self, settings: config.Vehicle) -> None:
-        kinds = (RAW_COMMAND, RPM_COMMAND, ARRAY_COMMAND, ARMING_STATUS)
-        self._names, self._node = {kind.id: kind.name for kind in kinds}, settings.dronecan.node
-        self._receiver = TransferReceiver(kinds)
-        self.hears = self._receiver.filters
-
-    def is_own(self, frame: Frame) -> bool:
-        return bool(frame.arb & CAN_IDE) and frame.identifier & 0x7F == self._node
-
-    def command(self, frame: Frame) -> tuple[str, bytes] | None:
-        transfer = self._receiver.feed(frame, frame.t_ns / 1e9)
-        return None if transfer is None else (self._names[transfer.type], transfer.payload)
+def has_bus(driver: str) -> bool:
+    """Whether it commands motors on a bus of their own, with a protocol."""
+    return driver in OWN and bool(OWN[driver].driver and OWN[driver].protocol)
 
 
-class VescCommands:
-    def __init__(self, settings: config.Vehicle) -> None:
-        rows = [row for row in settings.thrusters if row.driver == "vesc"]
-        told = [(extended(kind << 8 | row.address), row.name) for row in rows for kind in (SET_DUTY, SET_CURRENT, SET_RPM)]
-        self._names = dict(told)
-        self.hears = tuple(map(CanAddress, self._names))
-
-    def is_own(self, frame: Frame) -> bool:
-        return frame.arb in self._names
-
-    def command(self, frame: Frame) -> tuple[str, bytes]:
-        return self._names[frame.arb], bytes((frame.identifier >> 8 & 0xFF,)) + frame.data
-
-
-PROTOCOLS: Final[dict[str, Callable[[config.Vehicle], Commands]]] = {"dronecan": DronecanCommands, "vesc": VescCommands}
+def _commands(driver: str, settings: config.Vehicle) -> Commands:
+    made: Commands = load(OWN[driver], OWN[driver].played).BusCommands(settings)
+    return made
 
 
 class Listener:
@@ -139,10 +114,9 @@ class MotorBus:
     """The commands on one bus."""
 
     def __init__(self, driver: str, settings: config.Vehicle, onlooker: CanSocket, findings: Findings) -> None:
-        make = PROTOCOLS[driver]
         self.name = device(getattr(settings, driver).interface)
         self._driver, self._findings = driver, findings
-        self._then, self._now = make(settings), make(settings)
+        self._then, self._now = _commands(driver, settings), _commands(driver, settings)
         self._onlooker = onlooker
         onlooker.bind(*self._now.hears)
         self._recorded, self._told = deque[tuple[int, str, bytes]](), dict[str, Listener]()

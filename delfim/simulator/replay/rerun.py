@@ -33,7 +33,7 @@ from delfim.logging.linelog import line_id
 from delfim.logging.reading import MOMENT_MAX_S
 from delfim.simulator.line import LockstepLine
 from delfim.simulator.lockstepbus import LockstepBus
-from delfim.simulator.replay.comparing import PROTOCOLS, STAMP_NS, Difference, Findings, MotorBus
+from delfim.simulator.replay.comparing import STAMP_NS, Difference, Findings, MotorBus, has_bus
 from delfim.simulator.replay.recorded import (
     NEVER_S,
     BusInput,
@@ -127,7 +127,7 @@ class Rerun:
         self._heard.bind(*(CanAddress(arb) for arb in COMMANDS))
         self._found, self.refusals = Findings(span), list[str]()
         self._motors = dict[str, MotorBus]()  # by the names of their logs
-        for driver in (each for each in settings.drivers if each in PROTOCOLS):
+        for driver in filter(has_bus, settings.drivers):
             name = device(getattr(settings, driver).interface)
             self._motors[name] = MotorBus(driver, settings, self._bus(name).socket("onlooker"), self._found)
         links = Links(self._open_bus, self._open_line)
@@ -337,12 +337,12 @@ def rerun(files: Sequence[LogFile], vehicle_file: str | None, span: Span = ALWAY
     if not all(bool((abs(columns[name]) < MOMENT_MAX_S).all()) for name in MOMENTS):
         raise DelfimError("this state log is damaged: some of its times are not numbers")
     boxes = [file for file in files if file.suffix.startswith(".log")]
-    needed = {device(getattr(settings, driver).interface) for driver in settings.drivers if driver in PROTOCOLS}
+    needed = {device(getattr(settings, driver).interface) for driver in filter(has_bus, settings.drivers)}
     needed |= {device(settings.can.interface)} if OWN_NODES in (*settings.drivers, *settings.navigation.sources) else set()
     if missing := needed.difference(file.id for file in boxes):
         raise DelfimError(f"no black box of {', '.join(sorted(missing))} beside this state log")
     run = Rerun(settings, heard(boxes, files), starts[0], first_ns(columns), span)
-    unheard = [(i, row.name) for i, row in enumerate(settings.thrusters) if row.driver not in (OWN_NODES, *PROTOCOLS)]
+    unheard = [(i, row.name) for i, row in enumerate(settings.thrusters) if row.driver != OWN_NODES and not has_bus(row.driver)]
     # By the monotonic clock: the wall clock of what is no cycle is reckoned from both, and a busy machine reads them apart.
     due = sorted([*cycles(columns, unheard), *commands(told), *looks(columns, told)], key=lambda each: each.at_s)
     ended = any(event["event"] == "end" for event in told)

@@ -9,10 +9,10 @@ from typing import Final, Protocol, cast
 
 from delfim import config
 from delfim.canproxy.dsor.messages import Navigation
-from delfim.fusion import Hearer
 from delfim.vehicle.inputhealth import HEADING, NEVER_S, POSITION, RATE, VELOCITY
 from delfim.vehicle.navigation.estimator import LATE_MAX_S, Estimate, Estimator
 from delfim.vehicle.navigation.fixes import Fix, Source
+from delfim.vehicle.navigation.fusion import Hearer
 from delfim.vehicle.state import State
 
 STEP_S: Final = 0.5  # stamps that differ from the monotonic clock by more than they did come from a clock that was set

@@ -8,7 +8,7 @@ from delfim.base.errors import FormatError
 from delfim.base.slices import Sliced, Work
 from delfim.base.vessels import VesselFacts, VesselPosition
 from delfim.config import TrafficTable
-from delfim.nmea0183.aissentences import AisMessages
+from delfim.lines.nmea0183.aissentences import AisMessages
 from delfim.vehicle.state import Sighting, State
 from delfim.vehicle.target import NEVER_S, Target
 from delfim.vehicle.traffic.targets import MOST, Tracker

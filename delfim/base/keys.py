@@ -1,0 +1,32 @@
+"""A shared key in a file of its own, 64 hexadecimal digits, which its owner alone may read."""
+
+import os
+import secrets
+from pathlib import Path
+from typing import Final
+
+from delfim.base.errors import ConfigError
+from delfim.base.outside import read_file
+
+KEY_BYTES: Final = 32
+
+
+def new_key(path: str | Path) -> None:
+    """Write a new key, for its owner alone. Raises OSError, FileExistsError too: a key that boats know is not replaced."""
+    with open(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w", encoding="ascii") as file:
+        file.write(secrets.token_hex(KEY_BYTES) + "\n")
+
+
+def read_key(path: str | Path) -> bytes:
+    """The key in a file of 64 hexadecimal digits. Raises ConfigError, for a file that others may read, too."""
+    try:
+        if os.name == "posix" and Path(path).stat().st_mode & 0o077:
+            raise ConfigError(str(path), "key", "others may read it", "mode 0600")
+        key = bytes.fromhex(read_file(path).decode("ascii").strip())
+    except OSError as error:
+        raise ConfigError(str(path), "key", error.strerror or str(error)) from None
+    except ValueError:
+        raise ConfigError(str(path), "key", "no key", f"{2 * KEY_BYTES} hexadecimal digits") from None
+    if len(key) != KEY_BYTES:
+        raise ConfigError(str(path), "key", f"{len(key)} bytes", f"{2 * KEY_BYTES} hexadecimal digits")
+    return key

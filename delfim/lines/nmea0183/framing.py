@@ -1,0 +1,94 @@
+"""Bytes of an NMEA 0183 line to sentences: framing, checksum, and a count of everything that is refused."""
+
+from functools import reduce
+from operator import xor
+from typing import Final, NamedTuple
+
+from delfim.base.errors import FormatError
+from delfim.lines.nmea0183.sentences import ENCAPSULATED, READERS, Message
+
+LONGEST: Final = 200  # characters; the standard says 82, receivers with many decimals and multiplexers go beyond
+NAMES_MAX, NAME_MAX = 64, 6  # addresses that are counted one by one, and characters of each
+OTHERS: Final = "others"
+
+
+class Sentence(NamedTuple):
+    """A sentence that was understood."""
+
+    talker: str  # two characters
+    formatter: str  # three
+    message: Message
+
+
+def checksum(body: bytes) -> int:
+    """Of the characters between "$" and "*"."""
+    return reduce(xor, body, 0)
+
+
+def framed(body: str) -> bytes:
+    """The sentence as it goes over a line."""
+    raw = body.encode("ascii")
+    return b"$%s*%02X\r\n" % (raw, checksum(raw))
+
+
+class Sentences:
+    """One line. `heard` counts sound sentences by their address, read here or not; `refused` counts the others by their reason.
+    Both are bounded."""
+
+    def __init__(self, needs_checksum: bool = True) -> None:
+        """needs_checksum: a sentence without one is refused. A wrong one always is."""
+        self.heard, self.refused = dict[str, int](), dict[str, int]()
+        self._needs_checksum, self._rest = needs_checksum, b""
+
+    def feed(self, data: bytes) -> list[Sentence]:
+        """The sentences that end in these bytes, in their order. Never raises."""
+        *lines, rest = (self._rest + data).replace(b"\r", b"\n").split(b"\n")
+        if len(rest) > LONGEST:
+            rest = b""
+            self._refuse("line without an end")
+        self._rest = rest
+        found = []
+        for line in lines:
+            try:
+                if line and (one := self._sentence(line)) is not None:
+                    found.append(one)
+            except FormatError as error:
+                self._refuse(str(error))
+        return found
+
+    def reset(self) -> None:
+        """The line was lost: what comes next does not continue what came before."""
+        self._rest = b""
+
+    def _sentence(self, line: bytes) -> Sentence | None:
+        """None for a sentence that is not read here. Raises FormatError."""
+        start = max(line.rfind(b"$"), line.rfind(b"!"))  # noise, a tag block, or half of another one may stand before it
+        if start < 0:
+            raise FormatError("no sentence")
+        body, star, digits = line[start + 1 :].partition(b"*")
+        if len(body) > LONGEST:
+            raise FormatError("too long")
+        if star:
+            if digits.strip().upper() != b"%02X" % checksum(body):
+                raise FormatError("wrong checksum")
+        elif self._needs_checksum:
+            raise FormatError("no checksum")
+        text = body.decode("latin-1")
+        if not (text.isascii() and text.isprintable()):
+            raise FormatError("not text")
+        fields = text.split(",")
+        name = fields[0]
+        known = name[:NAME_MAX] if name[:NAME_MAX] in self.heard or len(self.heard) < NAMES_MAX else OTHERS
+        self.heard[known] = self.heard.get(known, 0) + 1
+        if len(name) != 5 or name[0] == "P" or name[2:] not in READERS or (line[start] == 33) != (name[2:] in ENCAPSULATED):
+            return None
+        least, reader = READERS[name[2:]]
+        try:
+            if len(fields) < least:
+                raise FormatError("too few fields")
+            return Sentence(name[:2], name[2:], reader(fields))
+        except FormatError as error:
+            raise FormatError(f"{name[2:]}: {error}") from None
+
+    def _refuse(self, reason: str) -> None:
+        self.refused[reason] = self.refused.get(reason, 0) + 1

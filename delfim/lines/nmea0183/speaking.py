@@ -1,0 +1,90 @@
+"""Navigation as NMEA 0183 sentences, for sonar and survey software. A value that is unknown is not told: an empty HDT makes
+more trouble than silence.
+
+Talker GP throughout, as the programs that read RMC and HDT expect it from a receiver with heading; TI for the rate of turn.
+"""
+
+import math
+from datetime import UTC, datetime
+from typing import Final
+
+from delfim.canproxy.dsor.messages import Navigation
+from delfim.lines.nmea0183.framing import framed
+from delfim.lines.nmea0183.sentences import KNOT
+
+COURSE_MPS: Final = 0.1  # a slower boat has no course over ground
+_QUALITY: Final = {2: 1, 3: 1, 4: 2, 5: 4, 6: 5}
+_MODE: Final = {2: "A", 3: "A", 4: "D", 5: "R", 6: "F"}
+
+
+def rmc(n: Navigation) -> bytes:
+    """Position, speed and course with date and time; empty while position or time is unknown."""
+    if (place := _place(n)) is None:
+        return b""
+    speed, course = _movement(n) or ("", "")
+    date = f"{_time(n):%d%m%y}"
+    return framed(f"GPRMC,{clock(n)},A,{place},{speed},{course},{date},,,{_MODE.get(n.fix, 'A')}")
+
+
+def gga(n: Navigation) -> bytes:
+    """Position with its quality; empty while position or time is unknown. The altitude is not known here."""
+    if (place := _place(n)) is None:
+        return b""
+    hdop = "" if n.hdop is None else f"{n.hdop:.1f}"
+    age = "" if n.corrections_s is None else f"{min(n.corrections_s, 999.0):.1f}"
+    return framed(f"GPGGA,{clock(n)},{place},{_QUALITY.get(n.fix, 1)},{n.satellites:02d},{hdop},,M,,M,{age},")
+
+
+def hdt(n: Navigation) -> bytes:
+    """True heading."""
+    return b"" if n.heading_rad is None else framed(f"GPHDT,{_degrees(n.heading_rad)},T")
+
+
+def vtg(n: Navigation) -> bytes:
+    """Course and speed over ground."""
+    if (movement := _movement(n)) is None:
+        return b""
+    speed, course = movement
+    kmh = math.hypot(n.north_mps or 0.0, n.east_mps or 0.0) * 3.6
+    return framed(f"GPVTG,{course},T,,M,{speed},N,{kmh:.3f},K,{_MODE.get(n.fix, 'A')}")
+
+
+def rot(n: Navigation) -> bytes:
+    """Rate of turn, degrees a minute, positive to starboard."""
+    return b"" if n.yaw_rate_radps is None else framed(f"TIROT,{math.degrees(n.yaw_rate_radps) * 60.0:.2f},A")
+
+
+SPEAKERS: Final = {"RMC": rmc, "HDT": hdt, "GGA": gga, "VTG": vtg, "ROT": rot}
+
+
+def _place(n: Navigation) -> str | None:
+    """Position as four fields, minutes with six decimals (2 mm)."""
+    if n.latitude_rad is None or n.longitude_rad is None or not n.utc_ns or not n.fix:
+        return None
+    return f"{_half(n.latitude_rad, 2, 'NS')},{_half(n.longitude_rad, 3, 'EW')}"
+
+
+def _half(angle_rad: float, digits: int, sides: str) -> str:
+    degrees, minutes_1e6 = divmod(round(abs(math.degrees(angle_rad)) * 60e6), 60_000_000)
+    return f"{degrees:0{digits}d}{minutes_1e6 // 1_000_000:02d}.{minutes_1e6 % 1_000_000:06d},{sides[angle_rad < 0.0]}"
+
+
+def _movement(n: Navigation) -> tuple[str, str] | None:
+    """Speed in knots, and course, which a boat at rest has not."""
+    if n.north_mps is None or n.east_mps is None:
+        return None
+    speed_mps = math.hypot(n.north_mps, n.east_mps)
+    return f"{speed_mps / KNOT:.3f}", _degrees(math.atan2(n.east_mps, n.north_mps)) if speed_mps >= COURSE_MPS else ""
+
+
+def _degrees(angle_rad: float) -> str:
+    return f"{round(math.degrees(angle_rad) * 100.0) % 36_000 / 100.0:06.2f}"
+
+
+def _time(n: Navigation) -> datetime:
+    return datetime.fromtimestamp(n.utc_ns // 1_000_000_000, UTC)
+
+
+def clock(n: Navigation) -> str:
+    """The time of day as a field."""
+    return f"{_time(n):%H%M%S}.{n.utc_ns // 10_000_000 % 100:02d}"

@@ -1,0 +1,1 @@
+"""DroneCAN: motors, receivers, compasses and batteries; numbers for devices that come without one."""

@@ -1,0 +1,1 @@
+"""The boat's own CAN nodes, those of the thesis: navigation and motors."""

@@ -1,0 +1,1 @@
+"""The boat at an MQTT broker."""

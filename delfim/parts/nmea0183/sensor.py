@@ -1,0 +1,59 @@
+"""Values beside navigation of instruments that speak NMEA 0183 (docs/nmea0183.md). Where these lines carry navigation, too, the
+source reads them, and leaves these values in the state.
+"""
+
+from delfim import config
+from delfim.lines.nmea0183.aissentences import AisPart
+from delfim.parts.nmea0183.source import AnyPort, Nmea0183Navigation, opened
+from delfim.vehicle.links import Links, Readable
+from delfim.vehicle.sensors import Sensor, Value
+from delfim.vehicle.state import State
+
+VALUES = (
+    Value("depth_m", "m", "below the transducer"),
+    Value("wind_apparent_rad", "rad", "where the apparent wind comes from, clockwise from the bow", "awa_rad"),
+    Value("wind_apparent_mps", "m/s", "apparent wind", "aws_mps"),
+    Value("wind_true_rad", "rad", "where the true wind comes from, clockwise from the bow", "twa_rad"),
+    Value("wind_true_mps", "m/s", "true wind", "tws_mps"),
+    Value("position_sigma_m", "m", "standard deviation of the position, as the receiver states it", "sigma_m"),
+    Value("corrections_age_s", "s", "since the receiver's last correction", "corr_s"),
+)
+
+
+class Instruments:
+    """Lines that carry no navigation."""
+
+    name = "nmea0183"
+
+    def __init__(
+        self, lines: Nmea0183Navigation, measured: dict[str, tuple[float, float]], heard: list[tuple[AisPart, str, float]]
+    ) -> None:
+        self.input: Readable = lines.input
+        self._lines, self._measured, self._heard = lines, measured, heard
+
+    def read(self, state: State, now_s: float) -> None:
+        self._lines.read(now_s)
+        state.measured.update(self._measured)
+        for each in self._heard:
+            state.hear(*each)
+        self._heard.clear()
+
+
+class ReadByTheSource:
+    """The lines have their one reader."""
+
+    name = "nmea0183"
+
+    def __init__(self) -> None:
+        self.input: Readable = AnyPort(())
+
+    def read(self, state: State, now_s: float) -> None:
+        pass
+
+
+def open_sensor(settings: config.Vehicle, links: Links) -> Sensor:
+    if "nmea0183" in settings.navigation.sources:
+        return ReadByTheSource()
+    measured, heard = dict[str, tuple[float, float]](), list[tuple[AisPart, str, float]]()
+    lines = opened(settings, links, measured, lambda *part: heard.append(part))
+    return Instruments(lines, measured, heard)

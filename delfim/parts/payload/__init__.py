@@ -1,0 +1,1 @@
+"""Outside programs that measure, and those that may command the boat."""

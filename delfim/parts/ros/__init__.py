@@ -1,0 +1,1 @@
+"""The boat in ROS 2, over Zenoh."""
