@@ -13,7 +13,7 @@ from bench.__main__ import main
 from bench.critical_path import LABELS, LONG_CYCLES, MOTORS, Plan, Slice
 from bench.report import PERCENTILES, STAGES, Cycle, over_budget
 from delfim.base.errors import DelfimError
-from tests.services.mosquitto import needs_mosquitto
+from tests.parts.fleet.mosquitto import needs_mosquitto
 
 pytestmark = pytest.mark.long
 

@@ -48,7 +48,7 @@ from delfim.vehicle.target import CourseOrder, Danger, Target, Traffic
 from tests.canproxy.pgn_of import pgn_of
 from tests.oracles.keeping import Lines
 from tests.oracles.voyages import DELFIMX, ROOT
-from tests.vehicle.mavlink_console import Console, Radio, messages
+from tests.parts.mavlink.mavlink_console import Console, Radio, messages
 
 UTC_NS: Final = 1_795_348_800_500_000_000
 NOW_S: Final = 1000.0

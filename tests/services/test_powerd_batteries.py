@@ -30,9 +30,9 @@ from delfim.vehicle.links import Links
 from delfim.vehicle.snapshot import snapshot
 from delfim.vehicle.state import Actuation, State
 from tests.canproxy.test_instruments import Bus
+from tests.parts.dronecan.test_dronecan_sensors import BATTERY, battery, heard
 from tests.services.test_powerd import batteries
 from tests.vehicle import test_drivers as drivers
-from tests.vehicle.test_dronecan_sensors import BATTERY, battery, heard
 
 NO_REVIEWS = SimpleNamespace(cancel=lambda why: None)
 OFF, AHEAD = Actuation((0.0, 0.0), (0.0, 0.0), False), Actuation((0.5, 0.5), (0.0, 0.0), True)

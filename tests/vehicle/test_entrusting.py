@@ -16,7 +16,7 @@ from delfim.vehicle.command import CommandServer
 from delfim.vehicle.plans.mission import Mission, Waypoint
 from delfim.vehicle.reviews import Reviews
 from delfim.vehicle.state import HANDSET, NoLog
-from tests.vehicle.mavlink_console import newest, texts
+from tests.parts.mavlink.mavlink_console import newest, texts
 from tests.vehicle.test_reviews import sea, turn, zones
 
 __all__ = ["sea"]

@@ -10,8 +10,8 @@ from delfim import config
 from delfim.parts.mavlink import ardupilot
 from delfim.parts.mavlink.wire import Sender, decode, frames
 from delfim.vehicle import sensors
-from tests.vehicle.mavlink_console import newest
-from tests.vehicle.test_mavlink_station import afloat, sail
+from tests.parts.mavlink.mavlink_console import newest
+from tests.parts.mavlink.test_mavlink_station import afloat, sail
 
 SENSORS = config.Sensors(names=("sysstat", "nmea0183"))
 PORTS = config.Nmea0183(ports={"sounder": config.Nmea0183Port(device="/dev/sounder")})

@@ -25,8 +25,8 @@ from delfim.vehicle.plans import fence
 from delfim.vehicle.plans.mission import Mission, PathPoint, Waypoint, canonical
 from delfim.vehicle.plans.zones import circle, polygon
 from delfim.vehicle.reviews import Reviews
-from tests.vehicle.mavlink_console import Console, Radio, newest, texts
-from tests.vehicle.test_mavlink_missions import fields
+from tests.parts.mavlink.mavlink_console import Console, Radio, newest, texts
+from tests.parts.mavlink.test_mavlink_missions import fields
 from tests.vehicle_fixtures import MOST_AT_ONCE
 
 OK, INVALID, DENIED = 0, 5, 14

@@ -17,8 +17,8 @@ from delfim.vehicle.state import State
 from delfim.vehicle.target import CourseOrder, Target
 from delfim.vehicle.traffic.encounter import BEGINNINGS, Duty, words
 from delfim.vehicle.traffic.lookout import LOOK_S
-from tests.vehicle.mavlink_console import Console
-from tests.vehicle.test_mavlink_station import afloat, sail
+from tests.parts.mavlink.mavlink_console import Console
+from tests.parts.mavlink.test_mavlink_station import afloat, sail
 
 MARIA = 244_660_123
 HERE = 38.6907, -9.2153

@@ -25,9 +25,9 @@ from delfim.services.guestdoor import GuestDoor
 from delfim.services.page.api import State
 from delfim.services.suite import services
 from delfim.vehicle.grex import Guest, HeadingReference, reference
+from tests.parts.fleet.test_fleetd import loaded_by_delfimx
+from tests.parts.gnss.caster import free_port
 from tests.services.boat import STATE, served, vehicle, vehicle_file
-from tests.services.caster import free_port
-from tests.services.test_fleetd import loaded_by_delfimx
 
 zenoh = pytest.importorskip("zenoh", reason="make formats brings it")
 AT = msgspec.convert(

@@ -19,7 +19,7 @@ from delfim.lines.ubx import ubxframes, ubxmessages
 from delfim.parts.nmea0183.combining import Combined
 from delfim.parts.nmea0183.mixedline import Antennas, MixedLine
 from tests.mutations import cut, dropped, flipped, spliced
-from tests.ubx.receiver import dop, message, pvt, relposned
+from tests.parts.nmea0183.receiver import dop, message, pvt, relposned
 
 GGA = framed("GNGGA,120005.00,3841.4000,N,00912.0000,W,4,20,0.9,10.0,M,50.0,M,1.5,0000")
 AT_NS = int(datetime(2026, 11, 22, 12, 0, 5, tzinfo=UTC).timestamp()) * 1_000_000_000

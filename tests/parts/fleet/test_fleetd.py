@@ -29,10 +29,10 @@ from delfim.services.access.doors import doors
 from delfim.services.page.api import State
 from delfim.services.suite import services
 from tests.console.fakeboat import FakeBoat
-from tests.services.caster import free_port
-from tests.services.mosquitto import broker, certified, needs_mosquitto
+from tests.parts.fleet.mosquitto import broker, certified, needs_mosquitto
+from tests.parts.gnss.caster import free_port
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 STATE = State(mode="play", reason="operator", boat="Otter", latitude_deg=38.7, longitude_deg=-9.2, age_s={"navigation": 0.1})
 
 

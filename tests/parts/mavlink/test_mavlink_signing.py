@@ -16,7 +16,7 @@ from delfim.parts.mavlink import wire
 from delfim.parts.mavlink.signing import Kept, Signing, read_stamps, write_stamps
 from delfim.parts.mavlink.station import Station
 from delfim.parts.mavlink.wire import dialect
-from tests.vehicle.mavlink_console import Console, Radio, newest
+from tests.parts.mavlink.mavlink_console import Console, Radio, newest
 
 KEY, OTHER = bytes(range(32)), bytes(range(1, 33))
 AFAR = ("192.0.2.7", 14550)

@@ -17,9 +17,9 @@ import pytest
 from delfim.canproxy.dsor.messages import Navigation
 from delfim.lines.rtcm import RtcmFrames, framed
 from delfim.parts.mavlink.wire import Sender, dialect
-from tests.services.caster import casting, free_port, needs_str2str
-from tests.test_nmea0183_afloat import Pty, at_sea, port
-from tests.ubx.receiver import MOVING, message, pvt
+from tests.parts.gnss.caster import casting, free_port, needs_str2str
+from tests.parts.nmea0183.receiver import MOVING, message, pvt
+from tests.parts.nmea0183.test_nmea0183_afloat import Pty, at_sea, port
 
 BASE = framed((1005 << 4).to_bytes(2, "big") + bytes(17))
 OBSERVED = framed((1077 << 4).to_bytes(2, "big") + bytes(300))

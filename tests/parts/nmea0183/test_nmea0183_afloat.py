@@ -31,7 +31,7 @@ from delfim.vehicle.links import Links
 from delfim.vehicle.state import State
 from tests.afloat import running
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[3]
 PATIENCE_S = 200.0
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.services.caster import free_port
+from tests.parts.gnss.caster import free_port
 
 PROGRAM = shutil.which("mosquitto", path="/usr/sbin:/usr/bin:/usr/local/sbin:/usr/local/bin")
 needs_mosquitto = pytest.mark.skipif(PROGRAM is None, reason="needs mosquitto")

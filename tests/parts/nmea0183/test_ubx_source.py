@@ -7,8 +7,8 @@ import pytest
 
 from delfim import config
 from delfim.vehicle.navigation.fixes import take
-from tests.nmea0183.test_source import Boat
-from tests.ubx.receiver import pvt, relposned
+from tests.parts.nmea0183.receiver import pvt, relposned
+from tests.parts.nmea0183.test_source import Boat
 
 
 def test_a_u_blox_pair_gives_position_heading_accuracy_and_the_age_of_corrections():

@@ -15,7 +15,7 @@ from delfim.parts.mavlink.peers import PEERS
 from delfim.parts.mavlink.signing import Signing
 from delfim.parts.mavlink.station import Station
 from delfim.vehicle import console
-from tests.vehicle.mavlink_console import Console, Radio, newest, texts
+from tests.parts.mavlink.mavlink_console import Console, Radio, newest, texts
 
 ACCEPTED, LATER = 0, 1
 KEY = bytes(range(32))

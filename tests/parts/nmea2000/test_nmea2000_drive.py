@@ -30,7 +30,7 @@ from delfim.vehicle.loop import VehicleLoop
 from delfim.vehicle.propulsion import Propulsion
 from delfim.vehicle.state import NoLog, State
 
-RECORDING = Path(__file__).parents[1] / "data/nmea2000/raymarine-p70.candump.log.gz"
+RECORDING = Path(__file__).parents[2] / "data/nmea2000/raymarine-p70.candump.log.gz"
 SECONDS = 5.0
 POSITION_SOURCE = 43  # the only one with PGN 129025 on this boat
 

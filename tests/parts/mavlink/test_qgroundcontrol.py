@@ -12,8 +12,8 @@ import pytest
 from delfim.base.modes import Mode
 from delfim.parts.mavlink import params
 from delfim.parts.mavlink.wire import dialect
-from tests.vehicle.mavlink_console import Console, newest
-from tests.vehicle.test_mavlink_station import afloat, sail
+from tests.parts.mavlink.mavlink_console import Console, newest
+from tests.parts.mavlink.test_mavlink_station import afloat, sail
 
 ACCEPTED, UNSUPPORTED = 0, 3
 NAN = math.nan

@@ -17,7 +17,7 @@ from delfim.lines.nmea0183.sentences import Bearing, Located, Turning
 from delfim.parts.nmea0183.combining import Combined
 from tests.canproxy.test_recordings import BUSY, Newest, recording, utc_ns
 
-FILE = Path(__file__).parents[1] / "data/nmea0183/can0-1.sentences.gz"
+FILE = Path(__file__).parents[2] / "data/nmea0183/can0-1.sentences.gz"
 RECEIVER, COMPASS = 127, 128
 MINUTE_RAD = math.radians(1.0 / 60.0)
 PLACE_RAD = 0.51e-4 * MINUTE_RAD  # four decimals of a minute are written

@@ -17,8 +17,8 @@ from delfim.parts.mavlink.plans import FENCE, MISSION, RALLY, Item
 from delfim.vehicle import console
 from delfim.vehicle.plans.mission import CARRIED, HOLD_MAX_S, Mission, PathPoint, Waypoint, canonical, parse_mission
 from delfim.vehicle.plans.missionreader import gathered, written
-from tests.vehicle.mavlink_console import Console, messages, newest, texts
-from tests.vehicle.test_mavlink_station import afloat, sail
+from tests.parts.mavlink.mavlink_console import Console, messages, newest, texts
+from tests.parts.mavlink.test_mavlink_station import afloat, sail
 
 OK, INVALID, DENIED, UNSUPPORTED = 0, 5, 14, 3
 

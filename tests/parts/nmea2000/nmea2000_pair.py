@@ -1,4 +1,5 @@
-"""Two boats as devices of one bus of the kernel's, which goes down and comes back: python -m tests.nmea2000_pair INTERFACE
+"""Two boats as devices of one bus of the kernel's, which goes down and comes back: python -m tests.parts.nmea2000.nmea2000_pair
+INTERFACE
 
 Prints one JSON object: the addresses before and after, what they said of the bus meanwhile, and how many claims were on it.
 """

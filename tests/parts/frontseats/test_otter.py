@@ -7,8 +7,8 @@ import pytest
 from delfim.base.geodesy import wrap
 from delfim.base.modes import Mode
 from delfim.vehicle.state import Setpoint
+from tests.parts.frontseats.otter import DESCRIBED, FULL_MPS, Otter
 from tests.vehicle.closed_loop import DOCA, Boat, current, errors, path_errors
-from tests.vehicle.otter import DESCRIBED, FULL_MPS, Otter
 
 
 def otter(seed: int, of: int) -> Boat:

@@ -13,7 +13,7 @@ from delfim.parts.mavlink.wire import dialect
 from delfim.vehicle import console
 from delfim.vehicle.control.hull import filled
 from delfim.vehicle.loop import VehicleLoop
-from tests.vehicle.mavlink_console import Console, Radio, newest, texts
+from tests.parts.mavlink.mavlink_console import Console, Radio, newest, texts
 
 ACCEPTED, LATER, DENIED, UNSUPPORTED = 0, 1, 2, 3
 SMART_RTL = 12

@@ -32,7 +32,7 @@ from delfim.vehicle.payloadlines import LINE_BYTES, VALUES, ActionTold, BoundedL
 from tests.afloat import running
 from tests.services.boat import STATE, served, vehicle, vehicle_file
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 PYTHON = "/usr/bin/python3" if os.getuid() == 0 else sys.executable  # one that nobody in particular may run
 as_root = pytest.mark.skipif(os.getuid() != 0, reason="only root can become another user")
 needs_python = pytest.mark.skipif(not os.access(PYTHON, os.X_OK), reason=f"needs {PYTHON}")

@@ -22,8 +22,8 @@ from delfim.parts.mavlink.station import FRAMES, PENDING, Station
 from delfim.parts.mavlink.stationsocket import MavlinkLink
 from delfim.parts.mavlink.wire import dialect
 from delfim.vehicle.console import Stop, Take
-from tests.vehicle.mavlink_console import HOME, Console, Radio
-from tests.vehicle.test_mavlink_station import afloat, sail
+from tests.parts.mavlink.mavlink_console import HOME, Console, Radio
+from tests.parts.mavlink.test_mavlink_station import afloat, sail
 
 ONCE = settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 

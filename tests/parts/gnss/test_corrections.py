@@ -23,8 +23,8 @@ from delfim.parts.gnss.receiverport import WAITING_BYTES, ReceiverPort
 from delfim.services.priority import Account
 from delfim.services.runtime import Runtime
 from delfim.services.servicestatus import ServiceStatus
+from tests.parts.gnss.caster import Base, casting, free_port, needs_str2str
 from tests.services.boat import STATE, served, vehicle, vehicle_file
-from tests.services.caster import Base, casting, free_port, needs_str2str
 
 SECRET = "ana:secret"
 
