@@ -3,22 +3,28 @@
 from typing import Final
 
 _FILES: Final = (
-    *("gate", "failsafe", "fence", "propulsion", "control/control", "kills", "killswitch"),
-    *("zones", "troubles", "checks", "helm"),
+    *("gate", "failsafe", "plans/fence", "propulsion", "control/control", "kills", "killswitch"),
+    *("plans/zones", "troubles", "checks", "helm"),
 )
-_HANDS: Final = "hands", "handset/__init__", "handset/channels", "handset/crsf", "handset/sbus", "mavlink/signing"
+_HANDS: Final = "hands", "handset/__init__", "handset/channels", "handset/crsf", "handset/sbus"
 _TRAFFIC: Final = (
     *("alarm", "beside", "cpa", "encounter", "judged", "keepclear", "leash", "reckoning", "routeahead", "shoreline", "targets"),
     *("trialways", "watchkeeper"),
 )
-_SERVICES: Final = "supervisor", "stop", "watchdog", "outlet", "door", "doors"
+_SERVICES: Final = (
+    *("supervision/supervisor", "supervision/stop", "supervision/watchdog"),
+    *("outlet", "access/door", "access/doors"),
+)
 CORE: Final = (
     *map("delfim/vehicle/{}.py".format, (*_FILES, *_HANDS)),
     *map("delfim/vehicle/traffic/{}.py".format, _TRAFFIC),
     *map("delfim/services/{}.py".format, _SERVICES),
+    "delfim/parts/mavlink/signing.py",
 )
 TESTS: Final = (  # files that take long, and see nothing that others do not see, are not asked
     "tests/vehicle/test_*.py",
+    *("tests/parts/mavlink/test_*.py", "tests/parts/dronecan/test_*.py", "tests/parts/frontseats/test_*.py"),
+    "tests/parts/nmea2000/test_nmea2000_drive.py",
     *("tests/services/test_outlet.py", "tests/services/test_supervisor.py", "tests/services/test_shutdown.py"),
     *(
         "tests/services/test_door.py",

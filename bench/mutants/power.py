@@ -27,7 +27,7 @@ from typing import Any, Final, NamedTuple
 
 from bench.mutants.changes import Change, changed, changes
 
-FILES: Final = ("failsafe", "troubles", "fence", "zones", "gate", "propulsion", "kills", "helm", "control/*")
+FILES: Final = ("failsafe", "troubles", "plans/fence", "plans/zones", "gate", "propulsion", "kills", "helm", "control/*")
 LEDGER: Final = Path("run/mutants/power.jsonl")
 VEHICLE: Final = "etc/delfimx.toml"
 CHANGES, SEEDS, DRAW = 12, 60, 1

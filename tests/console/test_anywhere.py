@@ -19,8 +19,8 @@ anywhere.hide()
 for name in sys.argv[1:]:
     importlib.import_module(name)
 """
-READERS = ["candump", "canexport", "export", "fetch", "liblog", "plot", "progress", "reading", "repair", "statelog", "summary"]
-READERS += ["systemlines", "table", "tree"]
+READERS = ["candump", "liblog", "reading", "statelog", *(f"ashore.{name}" for name in ("canexport", "export", "fetch", "plot"))]
+READERS += [f"ashore.{name}" for name in ("progress", "repair", "summary", "systemlines", "table", "tree")]
 COMMANDS = ["can", "check", "commission", "console", "describe", "log", "new", "password", "sim"]
 TESTS = ["console/test_fleet.py", "console/test_charts.py", "logging/test_candump.py"]
 DESK = (
