@@ -144,10 +144,10 @@ class Escs:
 
 
 def devices_of(settings: config.Vehicle, model: Model, seed: int) -> Escs | None:
-    return Escs(settings, model) if settings.simulation.motors and "dronecan" in settings.drivers else None
+    return Escs(settings, model) if settings.simulation.motors else None
 
 
-class BusCommands:
+class DronecanCommands:
     """The commands of the boat to its motors, for a replay to compare."""
 
     def __init__(self, settings: config.Vehicle) -> None:
@@ -162,3 +162,7 @@ class BusCommands:
     def command(self, frame: Frame) -> tuple[str, bytes] | None:
         transfer = self._receiver.feed(frame, frame.t_ns / 1e9)
         return None if transfer is None else (self._names[transfer.type], transfer.payload)
+
+
+def commands_of(settings: config.Vehicle) -> DronecanCommands:
+    return DronecanCommands(settings)

@@ -96,10 +96,10 @@ class PlayedVescs:
 
 
 def devices_of(settings: config.Vehicle, model: Model, seed: int) -> PlayedVescs | None:
-    return PlayedVescs(settings, model) if settings.simulation.motors and "vesc" in settings.drivers else None
+    return PlayedVescs(settings, model) if settings.simulation.motors else None
 
 
-class BusCommands:
+class VescCommands:
     """The commands of the boat to its motors, for a replay to compare."""
 
     def __init__(self, settings: config.Vehicle) -> None:
@@ -113,3 +113,7 @@ class BusCommands:
 
     def command(self, frame: Frame) -> tuple[str, bytes]:
         return self._names[frame.arb], bytes((frame.identifier >> 8 & 0xFF,)) + frame.data
+
+
+def commands_of(settings: config.Vehicle) -> VescCommands:
+    return VescCommands(settings)

@@ -118,7 +118,8 @@ def nodes_of(settings: config.Vehicle, seed: int, model: Model | None = None) ->
     for kind in NODES:
         named |= import_module(f"{__name__}.{kind}").nodes(settings, model, seed)
     others = (import_module(f"{__name__}.{kind}").devices_of(settings, model, seed) for kind in OTHER_BUSES)
-    of_parts = [parts.load(part, part.played) for part in (*parts.OWN.values(), *settings.aboard) if part.played]
+    own = (part for part in parts.OWN.values() if part.name in settings.drivers)
+    of_parts = [parts.load(part, part.played) for part in (*own, *settings.aboard) if part.played]
     on_buses = (each.devices_of(settings, model, seed) for each in of_parts if hasattr(each, "devices_of"))
     beside = tuple(each for each in (*others, *on_buses) if each is not None)
     ais = next((each.sentences for each in beside if isinstance(each, Shipping)), None)

@@ -50,7 +50,7 @@ class Findings:
 
 
 class Commands(Protocol):
-    """The commands of a protocol: `BusCommands` of the module that plays its devices."""
+    """The commands of a protocol: `commands_of` of the module that plays its devices."""
 
     hears: tuple[CanAddress, ...]  # the frames that may be commands
 
@@ -64,7 +64,7 @@ def has_bus(driver: str) -> bool:
 
 
 def _commands(driver: str, settings: config.Vehicle) -> Commands:
-    made: Commands = load(OWN[driver], OWN[driver].played).BusCommands(settings)
+    made: Commands = load(OWN[driver], OWN[driver].played).commands_of(settings)
     return made
 
 
