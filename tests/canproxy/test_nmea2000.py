@@ -417,20 +417,6 @@ def test_an_attitude_of_yaw_alone_leaves_the_word_to_another_sensor() -> None:
     assert said(bus, 9, LISBON, 0.0).roll_rad == pytest.approx(0.2)
 
 
-def test_each_kind_has_a_source_of_its_own() -> None:
-    bus = source(7, 4)
-    say(bus, 7, VesselHeading(1.0, None, None, NorthReference.TRUE), 0.0)
-    say(bus, 4, VesselHeading(2.0, None, None, NorthReference.TRUE), 0.0)
-    say(bus, 4, RateOfTurn(0.1), 0.0)
-    n = said(bus, 9, LISBON, 0.5)
-    assert n.heading_rad == pytest.approx(1.0)
-    kinds = bus.status(0.5).kinds
-    assert kinds["heading"] == (7, 0.5)
-    assert kinds["rate"] == (4, 0.5)
-    assert kinds["position"] == (9, 0.0)
-    assert kinds["velocity"] == (None, None)
-
-
 def test_the_full_gnss_position_counts_only_where_no_rapid_one_comes() -> None:
     bus = source()
     assert said(bus, 2, gnss(), 0.0).latitude_rad == pytest.approx(LISBON.latitude_rad)
