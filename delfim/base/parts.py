@@ -1,7 +1,7 @@
 """Parts: drivers of motors, sources of navigation and sensors, each a row. The rows of the boat's own are OWN.
 
 A laboratory's own part is a Python package outside the project, which a boat has because its file names it. The package's
-entry point in the group `delfim.base.parts` is its row. The vehicle's file names it in `[parts]` with its version; only then it
+entry point in the group `delfim.parts` is its row. The vehicle's file names it in `[parts]` with its version; only then it
 is imported. No other file pays for the look among the installed packages, which takes some 30 ms.
 """
 
@@ -20,7 +20,7 @@ from delfim.base.tables import Table
 if TYPE_CHECKING:  # its import takes as long as that of all tables, and few files name a part
     from importlib.metadata import EntryPoint
 
-GROUP: Final = "delfim.base.parts"
+GROUP: Final = "delfim.parts"
 API: Final = 1  # of the rows and of `delfim.api`: a part that was made for another one is refused
 TROUBLES: Final = range(25, 32)  # numbers for the troubles of parts: bits in the state log, of which the boat's own are lower
 

@@ -121,7 +121,7 @@ def test_the_page_shows_it_too(sail: Sail) -> None:
             for each in gateway.vessels:
                 each["boats"] = [near | {"boat": 1} for near in each["boats"]]
             await gateway.look()
-            await shown(page, gateway, f"delfim.base.vessels().length === {len(seen['vessels'])}")
+            await shown(page, gateway, f"delfim.vessels().length === {len(seen['vessels'])}")
             await shown(page, gateway, f"{said}.test(document.querySelector('#traffic').textContent)")
 
     sail(story)

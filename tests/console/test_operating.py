@@ -103,7 +103,7 @@ def test_a_boat_that_falls_silent_under_way_leaves_the_map_to_all(sail: Sail) ->
         try:
             await page.until("document.querySelector('[data-boat=\"1\"]').dataset.age === 'lost'")
             await page.value("new Promise(done => setTimeout(done, 1100))")
-            assert await page.value("delfim.base.frames()") > 0, "of the last second"
+            assert await page.value("delfim.frames()") > 0, "of the last second"
             assert await page.value("document.getElementById('failed').hidden")
         finally:
             sea.radios[0].mend()

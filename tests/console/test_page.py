@@ -892,7 +892,7 @@ async def second_of_moving(page: Page, gateway: Standin, how: str) -> int:
         else:
             turned = math.copysign(40, math.sin(6 * since_s))
             await page.call("Input.dispatchMouseEvent", type="mouseWheel", x=x, y=y, deltaX=0, deltaY=turned)
-    drawn: int = await page.value("delfim.base.frames()")
+    drawn: int = await page.value("delfim.frames()")
     if how == "dragged":
         await page.pointer("mouseReleased", (x, y), 0)
     return drawn

@@ -67,7 +67,7 @@ async def replayed(place: Path, picture: Callable[[Console], Awaitable[None]]) -
         await page.until(f"{TEXT.format('#traffic')}.includes({WORDS!r})")
         said = f"{TEXT.format('#traffic')}.match(/AIS: 3 targets, last report [0-9]+ s ago. Sees only who transmits./)"
         await page.until(f"Boolean({said})")
-        assert sorted(await page.value("delfim.base.vessels().map(([name]) => name)")) == ["MARIA", "PILAR 7", "TEJO"]
+        assert sorted(await page.value("delfim.vessels().map(([name]) => name)")) == ["MARIA", "PILAR 7", "TEJO"]
         strip = await page.value(TEXT.format(".chip"))
         assert "from the boat's own log" in strip
         assert not [words for words in ("not ready", "not read", "signed", "% ·", "wifi") if words in strip], strip

@@ -41,7 +41,7 @@ async def met(folder: Path) -> None:
         await page.open(url, width=1300, height=800, scale=1.0)
         with afloat(folder / "1", 1, port, MEET) as boat:
             await boat.until(lambda state: names(state) == {"MARIA", "TEJO"})
-            await page.until("delfim.base.vessels().length === 2", PATIENCE_S)
+            await page.until("delfim.vessels().length === 2", PATIENCE_S)
             await page.until(f"/AIS: 2 targets, last report [0-9]+ s ago. Sees only who transmits./.test({TEXT})", PATIENCE_S)
             with Link(boat.place / "command") as link:
                 await boat.until(lambda state: link.ask("alive") and all(check["ok"] for check in state["checks"]))
@@ -51,7 +51,7 @@ async def met(folder: Path) -> None:
                 assert words.startswith("giving way to MARIA, head-on, port to port")
                 await page.until(f"{TEXT}.includes('giving way to MARIA, head-on, port to port')", PATIENCE_S)
                 await page.until(
-                    "delfim.base.vessels().some(([name, gravity]) => name === 'MARIA' && gravity !== 'none')", PATIENCE_S
+                    "delfim.vessels().some(([name, gravity]) => name === 'MARIA' && gravity !== 'none')", PATIENCE_S
                 )
                 await boat.until(lambda state: link.ask("alive") and logged(folder) == {"MARIA", "TEJO"})
                 link.ask("stop")

@@ -82,7 +82,7 @@ def test_the_table_is_in_the_order_of_the_gateway_and_a_row_tells_all(sail: Sail
 def test_a_click_on_a_vessel_tells_of_it(sail: Sail) -> None:
     async def story(page: Page, gateway: Standin) -> None:
         await tell(gateway, vessel("MARIA", north_m=60, lost=True, age_s=90.0))
-        await shown(page, gateway, "delfim.base.vessels().length === 1")
+        await shown(page, gateway, "delfim.vessels().length === 1")
         await page.mouse(await pixel(page, 60, 0))
         await shown(page, gateway, "document.querySelector('.popup b').textContent === 'MARIA'")
         await shown(page, gateway, "document.querySelector('.popup').textContent.includes('LOST: last report 90 s ago')")
@@ -108,7 +108,7 @@ def test_a_danger_sounds_until_somebody_takes_note_and_stays_red(sail: Sail, by_
         await shown(page, gateway, f"{seen('danger')} && document.querySelector('#traffic .main').hidden")
         told = await page.value(TONES)
         await tell(gateway, vessel("MARIA", boats=[nearness(1, 20.0, 50.0, "danger")]))
-        await shown(page, gateway, "delfim.base.vessels().join() === 'MARIA,danger'")
+        await shown(page, gateway, "delfim.vessels().join() === 'MARIA,danger'")
         assert await page.value(TONES) == told
         await tell(gateway, vessel("MARIA"))
         await shown(page, gateway, seen("calm"))
@@ -124,7 +124,7 @@ def test_a_guard_zone_of_the_page_marks_whom_nobody_else_finds_near(sail: Sail) 
         await shown(page, gateway, seen("calm"))
         await page.mouse(await pixel(page, 80, 80))
         await choose(page, "Screen", "Guard zone", "50 m")
-        await shown(page, gateway, f"{seen('near')} && delfim.base.vessels().join() === 'MARIA,near'")
+        await shown(page, gateway, f"{seen('near')} && delfim.vessels().join() === 'MARIA,near'")
         await tell(gateway, vessel("MARIA", north_m=-37, east_m=-60))  # 53 m: at its edge nothing flickers
         await shown(page, gateway, seen("near"))
         await tell(gateway, vessel("MARIA", north_m=0, east_m=-60))
@@ -159,7 +159,7 @@ def test_the_map_with_two_hundred_vessels_follows_the_hand(sail: Sail, how: str,
             vessel(f"V{i}", north_m=60 * (i // 20) - 300, east_m=60 * (i % 20) - 600, course_deg=float(i)) for i in range(200)
         ]
         await tell(gateway, *(each | ({"boats": near} if i % 4 == 0 else {}) for i, each in enumerate(crowd)))
-        await shown(page, gateway, "delfim.base.vessels().length === 200")
+        await shown(page, gateway, "delfim.vessels().length === 200")
         drawn = [0]
         async with asyncio.timeout(200):
             while max(drawn) < wanted:

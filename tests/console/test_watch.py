@@ -46,7 +46,7 @@ async def a_boat_falls_silent(sea: Sea, picture: Picture) -> None:
     sea.radios[0].cut()
     await alarm(sea, "link lost", "lasts")
     await page.value("new Promise(done => setTimeout(done, 1100))")
-    assert await page.value("delfim.base.frames()") > 0, "of the last second"
+    assert await page.value("delfim.frames()") > 0, "of the last second"
     await picture("silent")
     await page.press("k")
     await alarm(sea, "link lost", "seen")

@@ -30,7 +30,7 @@ def known(place: Path, name: str, entry: str, version: str = "1.0", package: str
     info = place / f"{package}-{version}.dist-info"
     info.mkdir(parents=True, exist_ok=True)
     (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {package}\nVersion: {version}\n")
-    (info / "entry_points.txt").write_text(f"[delfim.base.parts]\n{name} = {entry}\n")
+    (info / "entry_points.txt").write_text(f"[delfim.parts]\n{name} = {entry}\n")
 
 
 @pytest.fixture

@@ -9,7 +9,7 @@ import type { Watch } from "./watch";
 import type { Boat, Vessel } from "./wire";
 
 const ROWS_MOST = 10;
-const KEPT = "delfim.base.vessels";
+const KEPT = "delfim.vessels";
 
 export class Traffic {
   private readonly line = make("button.said");
