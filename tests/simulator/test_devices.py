@@ -12,6 +12,7 @@ from delfim.base import geodesy
 from delfim.base.clock import ManualClock
 from delfim.base.errors import ConfigError
 from delfim.base.modes import Mode
+from delfim.base.parts import OWN
 from delfim.canproxy.nmea2000.pgns import NorthReference, VesselHeading, encode
 from delfim.simulator.lockstep import Lockstep
 from delfim.simulator.nodes.devices import COMPASS, NAMES, RECEIVER, Devices
@@ -199,7 +200,7 @@ def test_a_boat_with_a_navigation_node_has_no_estimator():
 
 def test_the_sources_that_may_be_estimated_are_those_that_tell_their_sensors():
     for name in get_args(config.SourceName):
-        text = (ROOT / f"delfim/vehicle/sources/{name}.py").read_text()
+        text = (ROOT / OWN[name].source.replace(".", "/")).with_suffix(".py").read_text()
         assert ("def tell(self, hearer: Hearer)" in text) == (name in config.ESTIMATED), name
 
 
