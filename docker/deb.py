@@ -3,6 +3,7 @@
     python docker/deb.py run/deb                 for this machine's release of Debian and its processor
     python docker/deb.py run/deb --debian 13     for another release, whose Python is another one
     python docker/deb.py run/deb --arch arm64    for another processor
+    python docker/deb.py run/deb --part WHEEL    with a laboratory's own part aboard
     python docker/deb.py run/deb --try           and try them in new roots of that release, below both inits; needs root
 
 Both are one environment of Python in /opt/delfim: the wheel of delfim and the wheels of requirements/, pinned and hashed, as
@@ -23,7 +24,21 @@ import time
 from pathlib import Path
 from typing import Final
 
-from image import EPOCH_S, KEPT, MACHINES, SOURCES, environment, files, install_python, own_architecture, tree_bytes
+from image import (
+    EPOCH_S,
+    KEPT,
+    MACHINES,
+    SOURCES,
+    ask_for_parts,
+    check_needs,
+    check_parts,
+    environment,
+    files,
+    install_parts,
+    install_python,
+    own_architecture,
+    tree_bytes,
+)
 
 from delfim import __version__
 
@@ -85,13 +100,15 @@ def main() -> int:
     asked.add_argument("--arch", choices=MACHINES, default=own_architecture(), help="the processor (%(default)s)")
     asked.add_argument("--debian", choices=RELEASES, default=own_release(), help="the release (%(default)s)")
     asked.add_argument("--try", dest="trial", action="store_true", help="try them, as docker/debian/life.sh and boot.sh say")
+    ask_for_parts(asked)
     words = asked.parse_args()
     began_s = time.monotonic()
+    check_parts(words.parts)
     output = words.output.resolve()
     work = output / "work"
     shutil.rmtree(work, ignore_errors=True)
     boat, ground = work / "delfim", work / "delfim-ground"
-    lay_out(boat, ground, RELEASES[words.debian], MACHINES[words.arch], output / "cache")
+    lay_out(boat, ground, RELEASES[words.debian], MACHINES[words.arch], output / "cache", words.parts)
     packages = [packed(tree, output, words.debian, words.arch) for tree in (boat, ground)]
     for package in packages:
         digest = hashlib.sha256(package.read_bytes()).hexdigest()
@@ -130,12 +147,13 @@ def interpreter(version: str) -> str:
     return f"python3 (>= {version}), python3 (<< {major}.{int(minor) + 1})"
 
 
-def lay_out(boat: Path, ground: Path, version: str, machine: str, cache: Path) -> None:
+def lay_out(boat: Path, ground: Path, version: str, machine: str, cache: Path, parts: list[Path]) -> None:
     """The files of both packages: ashore, what the boat does not have."""
     library = Path("opt/delfim/lib") / f"python{version}" / "site-packages"
     site = boat / library
     cache.mkdir(parents=True, exist_ok=True)
     install_python(site, version, machine, cache, "boat.txt", "services.txt")
+    install_parts(site, version, machine, parts)
     install_python(ground / library, version, machine, cache, "ground.txt")
     for path in list(files(ground)):
         if (boat / path.relative_to(ground)).exists():
@@ -146,6 +164,7 @@ def lay_out(boat: Path, ground: Path, version: str, machine: str, cache: Path) -
         for name in ("RECORD", "direct_url.json", "INSTALLER", "REQUESTED"):  # they tell of the machine that built it
             for path in top.glob(f"*.dist-info/{name}"):
                 path.unlink()
+    check_needs(site, version, machine, parts)
     for folder in sorted((path for path in ground.rglob("*") if path.is_dir()), reverse=True):
         if not any(folder.iterdir()):
             folder.rmdir()

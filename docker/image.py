@@ -3,11 +3,12 @@
     python docker/image.py run/image                 all of it; prints how large each part is
     python docker/image.py run/image --arch arm64    the same for another computer, such as a Raspberry Pi
     python docker/image.py run/image --root-only     the root file system alone, which is also the container
+    python docker/image.py run/image --part WHEEL    with a laboratory's own part
 
 Debian packages are named, never addressed: they come from where this machine's own apt gets them. They are unpacked, not
 installed: no maintainer's script runs, no root is needed, and the same packages give the same bytes. Python packages are
-those of requirements/, pinned and hashed. Dates of files are SOURCE_DATE_EPOCH, owners root, order alphabetical. How it is
-used, and what is in it: docs/image.md.
+those of requirements/, pinned and hashed, and the wheels of a laboratory's own parts that are given. Dates of files are
+SOURCE_DATE_EPOCH, owners root, order alphabetical. How it is used, and what is in it: docs/image.md.
 """
 
 import argparse
@@ -21,11 +22,19 @@ import stat
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+import zipfile
+from collections.abc import Iterable, Iterator
+from importlib.metadata import Distribution, distributions
 from pathlib import Path
 from typing import BinaryIO, Final
 
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
+
 from delfim import __version__
+from delfim.base.errors import FormatError, did_you_mean
+from delfim.base.outside import parse_toml, read_text
+from delfim.base.parts import GROUP
 from delfim.services.image.imagefile import PARTS, pack
 
 SOURCES: Final = Path(__file__).parents[1]
@@ -53,6 +62,7 @@ KEPT: Final = {  # and nothing else in these: of MAVLink the messages that are s
     "usr/lib/python3/dist-packages/pymavlink/dialects": {"__init__.py", "v20"},
     "usr/lib/python3/dist-packages/pymavlink/dialects/v20": {"__init__.py", "common.py", "development.py"},
 }
+PIP: Final = [sys.executable, "-m", "pip", "-qq", "--disable-pip-version-check"]
 DIRECTORIES: Final = "boot dev etc log proc root run sys tmp usr/bin usr/sbin usr/lib usr/lib64"
 FILES: Final = {
     "etc/passwd": "root:x:0:0:root:/root:/bin/sh\nnobody:x:65534:65534:nobody:/:/bin/false\n",
@@ -78,11 +88,13 @@ def main() -> int:
     )
     asked.add_argument("--sign", type=Path, metavar="KEY", help="also pack what is uploaded to boats; ssh-keygen's ed25519 key")
     asked.add_argument("--vehicle", type=Path, default=SOURCES / "etc/delfimx.toml", help="the vehicle's file (%(default)s)")
+    ask_for_parts(asked)
     words = asked.parse_args()
     began_s = time.monotonic()
+    check_parts(words.parts, words.vehicle)
     output = words.output.resolve()
     output.mkdir(parents=True, exist_ok=True)
-    parts = build_root(output / "root", output / "cache", words.vehicle, words.arch)
+    parts = build_root(output / "root", output / "cache", words.vehicle, words.arch, words.parts)
     for kernel in [] if words.root_only else words.kernel or ["debian"]:
         parts |= build_image(output, kernel, words.arch)
     if words.sign:
@@ -119,7 +131,7 @@ def build_image(output: Path, kernel: str, arch: str) -> dict[str, int]:
 # The root file system.
 
 
-def build_root(root: Path, cache: Path, vehicle: Path, arch: str) -> dict[str, int]:
+def build_root(root: Path, cache: Path, vehicle: Path, arch: str, parts: list[Path]) -> dict[str, int]:
     """Lay it out anew. Returns the bytes of its parts."""
     shutil.rmtree(root, ignore_errors=True)
     for name in DIRECTORIES.split():
@@ -135,12 +147,15 @@ def build_root(root: Path, cache: Path, vehicle: Path, arch: str) -> dict[str, i
                 path.unlink()
     library = max((root / "usr/lib").glob("python3.*"))
     site = root / "usr/lib/python3/dist-packages"
-    install_python(site, library.name.removeprefix("python"), MACHINES[arch], cache, "boat.txt", "services.txt")
+    version = library.name.removeprefix("python")
+    install_python(site, version, MACHINES[arch], cache, "boat.txt", "services.txt")
+    install_parts(site, version, MACHINES[arch], parts)
     pruned = [path for folder, names in PRUNED.items() for name in names for path in root.glob(f"{folder}/{name}")]
     pruned += [path for folder, names in KEPT.items() for path in (root / folder).iterdir() if path.name not in names]
     for path in pruned:
         shutil.rmtree(path) if path.is_dir() and not path.is_symlink() else path.unlink(missing_ok=True)
-    configure(root, vehicle, packages)
+    check_needs(site, version, MACHINES[arch], parts)
+    configure(root, vehicle, [*packages, *parts])
     compile_python(root, library)
     complete(root)
     return {
@@ -203,20 +218,18 @@ def install_python(site: Path, version: str, machine: str, cache: Path, *locks: 
     shutil.copytree(SOURCES / "delfim", source / "delfim", ignore=shutil.ignore_patterns("__pycache__", "etc"))
     for name in ("pyproject.toml", "README.md", "LICENSE"):
         shutil.copy(SOURCES / name, source)
-    pip = [sys.executable, "-m", "pip", "-qq", "--disable-pip-version-check"]
-    subprocess.run([*pip, "wheel", "--no-deps", "--no-build-isolation", "-w", wheels, source], check=True, env=environment())
-    target = [
-        f"--target={site}",
-        f"--python-version={version}",
-        "--implementation=cp",
-        "--only-binary=:all:",
-        "--no-deps",
-        "--no-compile",
-    ]
-    platforms = [f"--platform=manylinux_2_{minor}_{machine}" for minor in (5, 12, 17, 24, 26, 27, 28, 31, 34)]
+    subprocess.run([*PIP, "wheel", "--no-deps", "--no-build-isolation", "-w", wheels, source], check=True, env=environment())
+    install = install_words(site, version, machine)
     pinned = [f"--requirement={SOURCES / 'requirements' / name}" for name in locks]
-    subprocess.run([*pip, "install", *target, *platforms, "--require-hashes", *pinned], check=True)
-    subprocess.run([*pip, "install", *target, *wheels.glob("delfim-*.whl")], check=True)
+    subprocess.run([*install, "--require-hashes", *pinned], check=True)
+    subprocess.run([*install, *wheels.glob("delfim-*.whl")], check=True)
+
+
+def install_words(site: Path, version: str, machine: str) -> list[str]:
+    """pip's, for wheels of this Python of the target's and its processor, and nothing that they need."""
+    target = [f"--target={site}", f"--python-version={version}", "--implementation=cp", "--only-binary=:all:"]
+    platforms = [f"--platform=manylinux_2_{minor}_{machine}" for minor in (5, 12, 17, 24, 26, 27, 28, 31, 34)]
+    return [*PIP, "install", *target, "--no-deps", "--no-compile", *platforms]
 
 
 def configure(root: Path, vehicle: Path, packages: list[Path]) -> None:
@@ -281,6 +294,78 @@ def environment(**variables: str) -> dict[str, str]:
         "LC_ALL": "C.UTF-8",
         **variables,
     }
+
+
+# Parts of a laboratory's own.
+
+
+def ask_for_parts(asked: argparse.ArgumentParser) -> None:
+    about = "with a laboratory's own part, or what one needs; again for each"
+    asked.add_argument("--part", action="append", type=Path, default=[], dest="parts", metavar="WHEEL", help=about)
+
+
+def check_parts(wheels: list[Path], vehicle: Path | None = None) -> None:
+    """Each wheel must have a part or be needed by one that has; the parts that the vehicle's file names must be among them."""
+    packages = {wheel: package_of(wheel) for wheel in wheels}
+    needed = {canonicalize_name(each.name) for package in packages.values() for each in needs(package)}
+    aboard: dict[str, Path] = {}
+    for wheel, package in packages.items():
+        names = package.entry_points.select(group=GROUP).names
+        if not names and canonicalize_name(package.name) not in needed:
+            raise SystemExit(f"{wheel.name} has no part (entry point in the group {GROUP}), and no other wheel needs it")
+        for name in names:
+            if (other := aboard.setdefault(name, wheel)) is not wheel:
+                raise SystemExit(f"{wheel.name} and {other.name} both have a part {name}: leave one out")
+    for name, version in named_parts(vehicle).items() if vehicle else ():
+        if name not in aboard:
+            raise SystemExit(f"{vehicle}: parts.{name}: no wheel of --part has it{did_you_mean(name, aboard)}")
+        if (there := packages[aboard[name]].version) != version:
+            raise SystemExit(f"{vehicle}: parts.{name}: the file is made for {version}, and {aboard[name].name} is {there}")
+
+
+def named_parts(vehicle: Path) -> dict[str, object]:
+    """The versions of those that the file names. What else is wrong with it, `delfim check` tells."""
+    try:
+        named = parse_toml(read_text(vehicle)).get("parts")
+    except (OSError, FormatError) as error:
+        raise SystemExit(f"{vehicle}: {error}") from None
+    return named if isinstance(named, dict) else {}
+
+
+def package_of(wheel: Path) -> Distribution:
+    packages = list(distributions(path=[str(wheel)])) if wheel.suffix == ".whl" and zipfile.is_zipfile(wheel) else []
+    if len(packages) != 1:
+        raise SystemExit(f"{wheel} is no wheel that can be read: pip wheel --no-deps ./FOLDER makes one")
+    return packages[0]
+
+
+def needs(package: Distribution) -> Iterable[Requirement]:
+    return map(Requirement, package.requires or ())
+
+
+def install_parts(site: Path, version: str, machine: str, wheels: list[Path]) -> None:
+    """These wheels alone; nothing is fetched."""
+    for wheel in wheels:
+        with zipfile.ZipFile(wheel) as archive:
+            tops = {name.partition("/")[0] for name in archive.namelist()}
+        if taken := sorted(name for name in tops if (site / name).exists()):  # pip would leave these out in silence
+            raise SystemExit(f"{wheel.name} brings {', '.join(taken)}, which another package has brought already")
+        if subprocess.run([*install_words(site, version, machine), "--no-index", wheel]).returncode:
+            raise SystemExit(f"{wheel.name} cannot be installed for Python {version} on {machine}")
+
+
+def check_needs(site: Path, version: str, machine: str, wheels: list[Path]) -> None:
+    """What these wheels need must be there, once all is laid out and pruned."""
+    present = {canonicalize_name(each.name): each.version for each in distributions(path=[str(site)])}
+    target = {"python_version": version, "platform_machine": machine, "extra": ""}
+    for wheel in wheels:
+        for need in needs(package_of(wheel)):
+            there = present.get(canonicalize_name(need.name))
+            if need.marker and not need.marker.evaluate(target):
+                continue
+            if there is None or not need.specifier.contains(there, prereleases=True):
+                found = f"version {there} is there" if there else "it is not there; give its wheel by --part, too"
+                raise SystemExit(f"{wheel.name} needs {need}: {found}")
 
 
 # The kernel.

@@ -15,6 +15,7 @@ from types import ModuleType
 import pytest
 
 from delfim import __version__
+from tests.parts.laboratory import wheel
 
 ROOT = Path(__file__).parents[1]
 PARTS = ROOT / "docker/debian"
@@ -35,7 +36,13 @@ def installed(site: Path, _version: str, _machine: str, _cache: Path, *locks: st
     """In place of what asks PyPI."""
     for name in WHEELS[locks[0]].split():
         (site / name).parent.mkdir(parents=True, exist_ok=True)
-        (site / name).write_text("")
+        (site / name).write_text(f"Name: {name.partition('-')[0]}\nVersion: 1\n" if name.endswith("METADATA") else "")
+
+
+def unpacked(site: Path, _version: str, _machine: str, wheels: list[Path]) -> None:
+    """In place of pip, whose work on a part tests/parts has."""
+    for each in wheels:
+        shutil.unpack_archive(each, site, "zip")
 
 
 @pytest.fixture(scope="module")
@@ -44,12 +51,15 @@ def deb() -> Iterator[ModuleType]:
         patch.syspath_prepend(ROOT / "docker")
         module = importlib.import_module("deb")
         patch.setattr(module, "install_python", installed)
+        patch.setattr(module, "install_parts", unpacked)
         yield module
 
 
-def made(deb: ModuleType, folder: Path, release: str = "13", arch: str = "arm64") -> tuple[Path, Path]:
+def made(deb: ModuleType, folder: Path, release: str = "13", arch: str = "arm64", needs: str = "msgspec") -> tuple[Path, Path]:
     boat, ground = folder / "delfim", folder / "delfim-ground"
-    deb.lay_out(boat, ground, deb.RELEASES[release], deb.MACHINES[arch], folder / "cache")
+    deb.lay_out(
+        boat, ground, deb.RELEASES[release], deb.MACHINES[arch], folder / "cache", [wheel(folder, "lab", needs, part="acme")]
+    )
     return deb.packed(boat, folder, release, arch), deb.packed(ground, folder, release, arch)
 
 
@@ -100,6 +110,7 @@ def test_the_boats_package_holds_the_environment_the_command_the_service_and_its
     assert f"{SITE}/pymavlink/dialects/v20/common.py" in names
     assert not [name for name in names if any(each in name for each in ("lxml", "share/man", "generator", "v10", "RECORD"))]
     assert not [name for name in names if name.startswith("log") or "vehicle.toml" in name], "those are the owner's"
+    assert {f"{SITE}/lab.py", f"{SITE}/lab-1.0.dist-info/entry_points.txt"} <= names.keys(), "a part that was given"
     assert ask("--info", packages[0], "conffiles") == "/etc/default/delfim\n/etc/init.d/delfim\n"
 
 
@@ -109,6 +120,11 @@ def test_the_grounds_package_adds_what_the_boat_does_not_have(packages: tuple[Pa
         f"{SITE}/matplotlib/__init__.py",
         f"{SITE}/matplotlib-1.dist-info/METADATA",
     }
+
+
+def test_a_part_that_needs_what_is_left_out_is_refused(deb: ModuleType, tmp_path: Path) -> None:
+    with pytest.raises(SystemExit, match="needs lxml: it is not there"):
+        made(deb, tmp_path, needs="lxml")
 
 
 def test_every_file_has_its_sum(packages: tuple[Path, Path], tmp_path: Path) -> None:
