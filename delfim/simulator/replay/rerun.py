@@ -58,6 +58,7 @@ from delfim.vehicle.state import NoLog, StartConditions, State
 COMMANDS: Final = (PROPELLER_STARBOARD, PROPELLER_PORT, BATTERIES_STARBOARD, BATTERIES_PORT)
 LATER_NS: Final = 50_000_000  # the black box may stamp a frame this much later than the vehicle
 SHOWN: Final = 10  # differences shown
+WAITING: Final = 1000  # messages of a source since its last cycle, of which a part might never come to an end
 REFUSALS: Final = ("navigation_jumps", "navigation_repeated", "navigation_malformed")  # counts
 MOMENTS: Final = ("monotonic_s", "watchdog_s", "console_s", "guest_s")  # columns
 
@@ -235,16 +236,17 @@ class Rerun:
         """Positions that were refused since the last look of the watchdog; they made no record."""
         self.state.jumping_s, self.state.jumped_s = jumping_s, jumped_s
         for source in self.vehicle.sources:
-            while source.read(jumped_s) is not None:
-                pass
+            for _ in range(WAITING):
+                if source.read(jumped_s) is None:
+                    break
 
     def _navigate(self, due: Due) -> None:
         """The cycle of a record. The black box may have stamped its last frame after the vehicle read it."""
         self._ask(due.what)
-        refused = self._refused()
+        refused, waiting = self._refused(), WAITING
         while not any(self.vehicle.on_navigation(source) for source in self.vehicle.sources[due.source :]):
-            if (again := self._refused()) != refused:  # the message of the record comes after it
-                refused = again
+            if waiting and (again := self._refused()) != refused:  # the message of the record comes after it
+                refused, waiting = again, waiting - 1
                 continue
             if not self._inputs or self._inputs[0].t_ns > due.t_ns + LATER_NS:
                 break
