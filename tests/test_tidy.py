@@ -254,6 +254,38 @@ def test_the_core_names_no_part() -> None:
     assert all(any(inside.glob(f"{pattern}.py")) for pattern in CORE)
 
 
+KNOWN = {  # parts that others import, with the reason; a row that goes does not come back
+    "commands/check.py: nmea2000",  # which messages the boat sends
+    "console/boats.py: mavlink",  # the console is the other end of the link
+    "console/exchange.py: mavlink",
+    "console/fleet.py: mavlink",
+    "console/gateway.py: fleet",  # and of the broker
+    "console/mavlink.py: mavlink",
+    "console/othervessels.py: mavlink",
+    "console/plan.py: mavlink",
+    "console/serving.py: fleet",
+    "console/statetape.py: nmea0183",  # the short names of measured values, as the link tells them
+    "console/statetape.py: nmea2000",
+    "console/tape.py: mavlink",
+    "console/transfer.py: mavlink",
+    "console/ways.py: mavlink",
+    "desk/firstcontact.py: nmea0183",  # a line on a desk is heard as the boat hears it
+    "parts/nmea2000/sensor.py: nmea0183",  # the values that both measure
+}
+
+
+def test_a_part_is_imported_by_itself_alone() -> None:
+    """Others load what its row names. The list only shrinks."""
+    found = set[str]()
+    for at, node in _nodes(MODULES):
+        if isinstance(node, ast.Import | ast.ImportFrom):
+            file = at.removeprefix("delfim/").partition(":")[0]
+            base = f"{node.module}." if isinstance(node, ast.ImportFrom) else ""
+            parts = {each[2] for name in node.names if (each := f"{base}{name.name}".split("."))[:2] == ["delfim", "parts"]}
+            found |= {f"{file}: {part}" for part in parts if not file.startswith(f"parts/{part}/")}
+    assert found == KNOWN
+
+
 def test_the_vehicles_state_is_changed_by_the_loop_alone() -> None:
     """By the loop and what it calls; a replay puts in what was recorded. To count what was refused is no change."""
     called = (
