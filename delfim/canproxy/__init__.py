@@ -1,1 +1,1 @@
-"""CAN: frames in and out, the DSOR protocol, the loopback bus, NMEA 2000, the proxy and the time service."""
+"""CAN: frames in and out, the loopback bus, the proxy; the protocols DSOR, NMEA 2000 and DroneCAN, and the time on the bus."""

@@ -1,2 +1,4 @@
-"""Parts: a folder is a thing that somebody owns; a row of `delfim.base.parts` or of the services names it
-(docs/decisions/0015)."""
+"""Parts: a folder is a thing that somebody owns, with its driver, source, sensor, simulated device and daemons, as it has them.
+
+A row names it: of `OWN` in `delfim.base.parts`, or of `SERVICES` in `delfim.services.suite` (docs/decisions/0015-folders.md).
+"""

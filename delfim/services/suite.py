@@ -1,8 +1,8 @@
 """The composition root: the services, the ones that a vehicle's file enables, and the process of each.
 
-SERVICES is the suite, one row a service. To add one: write its coroutine in a file of its own, add a row, add a test. A row
-names its coroutine, and only the process that runs it loads it, before its loop turns: the supervisor needs none of them.
-A large service that can wait is loaded `late`, while the loop already controls the boat.
+SERVICES is the suite, one row a service. To add one: its coroutine in the folder of its subject, or of its part in
+`delfim/parts`, a row, a test. A row names its coroutine, and only the process that runs it loads it, before its loop turns:
+the supervisor needs none of them. A large service that can wait is loaded `late`, while the loop already controls the boat.
 """
 
 import contextlib

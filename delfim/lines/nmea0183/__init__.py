@@ -1,2 +1,2 @@
-"""NMEA 0183: sentences of sensors to values, values to navigation, and navigation to sentences (docs/nmea0183.md). No sockets,
-no clock."""
+"""NMEA 0183: sentences to values, and navigation to sentences (docs/nmea0183.md); no sockets, no clock. What the boat makes of
+the values is in `delfim/parts/nmea0183`."""

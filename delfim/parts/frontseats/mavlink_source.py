@@ -1,7 +1,7 @@
 """Position, heading and motion of a Pixhawk or another board with ArduPilot or PX4, by MAVLink (docs/front-seat.md).
 
 The board has combined its sensors itself: each GLOBAL_POSITION_INT is a message of navigation, with the newest ATTITUDE and
-GPS_RAW_INT beside it. Where it drives the motors, too, its line is shared with `actuators/mavlink_front_seat.py`.
+GPS_RAW_INT beside it. Where it drives the motors, too, its line is shared with `mavlink_motors.py`.
 """
 
 import math

@@ -1,4 +1,5 @@
-"""The other nodes of the boat (thesis figure 3-2) around a model, a file a kind, named in NODES.
+"""The other nodes of the boat (thesis figure 3-2) around a model, a file a kind, named in NODES; and what is
+played beside them: files named in OTHER_BUSES, and the devices of parts, named by their rows.
 
 Every node is a clocked object without socket or task: `step(now_s, utc_ns)` returns the frames that it puts on the bus now,
 `feed(frame, now_s)` hands it a frame, `due_s` is when it sends next. `now_s` is monotonic and never goes back.
@@ -20,9 +21,8 @@ from delfim.simulator.nodes.navigation import NavigationNode
 from delfim.simulator.nodes.shipping import Shipping
 from delfim.simulator.nodes.talkers import SimulatedInstruments, instruments_of
 
-# Files of this folder; `nodes` in it makes those of its kind.
 NODES: Final = ("gps", "navigation", "propeller", "pulsefiles", "batteries")  # files of this folder, with `nodes` in each
-OTHER_BUSES: Final = ("devices", "cansensors", "sounders", "shipping")  # of other buses, with `devices_of` in each
+OTHER_BUSES: Final = ("devices", "cansensors", "sounders", "shipping")  # files for other buses, with `devices_of` in each
 _ARBITRATION: Final = itemgetter(0)
 STALL_S: Final = 1.0  # longer pauses of the whole simulator are left out of the modelled world
 

@@ -1,4 +1,4 @@
-"""A board with ArduRover that tells where it is by MAVLink, as `sources/mavlink_front_seat.py` hears it."""
+"""A board with ArduRover that tells where it is by MAVLink, as `parts/frontseats/mavlink_source.py` hears it."""
 
 import math
 from typing import Any, Final

@@ -1,7 +1,8 @@
-"""The drivers of the boat's thrusters, a file each, named as `driver` in `[[thrusters]]` of the vehicle's file.
+"""What drivers of thrusters keep, and how one is opened: by the row of its part, named as `driver` in `[[thrusters]]`
+of the vehicle's file (CONTRIBUTING.md, "A part is a folder"). The supervisor opens it, too, for the dead-man.
 
-To add one: a file here with a function `open_actuator(settings, links)`, and its row in `OWN` of
-`delfim/base/parts.py` (CONTRIBUTING.md, "How to add an actuator"). The supervisor opens it, too, for the dead-man.
+A row of a thruster that is `reversed` is commanded, and reports, with the other sign. What a driver hears of a thruster
+goes into `State.thrusters` under the row's name; `refuses` there says why it does not obey, which is a trouble.
 """
 
 from typing import Any, Protocol
@@ -27,11 +28,11 @@ class Actuator(Protocol):
 
 
 def open_actuator(name: str, settings: config.Vehicle, links: Links) -> Actuator:
-    """Opens an actuator, and loads its file only then. Raises DelfimError."""
+    """Opens an actuator, and loads its module only then. Raises DelfimError."""
     actuator: Actuator = module(name, settings).open_actuator(settings, links)
     return actuator
 
 
 def module(name: str, settings: config.Vehicle) -> Any:
-    """The file of a driver. Raises PermanentFailure for a part's that cannot be imported."""
+    """The module of a driver. Raises PermanentFailure for a part's that cannot be imported."""
     return parts.module(settings.aboard, "driver", name)

@@ -1,8 +1,7 @@
 """Navigation sources: each input puts together complete navigation messages.
 
-Sources stand in order of preference; a message of a less preferred source counts only while every better one is silent. To add
-a source: a file in `delfim/vehicle/sources/` with a function `open_source`, and its row in `OWN` of `delfim/base/parts.py`
-(CONTRIBUTING.md, "How to add a sensor").
+Sources stand in order of preference; a message of a less preferred source counts only while every better one is silent. A
+source is a module of a part, named by its row (CONTRIBUTING.md, "A part is a folder").
 """
 
 import math
@@ -38,7 +37,7 @@ class Source(Protocol):
 
 
 def open_sources(settings: config.Vehicle, links: Links, state: State) -> tuple[Source, ...]:
-    """The vehicle's sources in order of preference. A source's file is loaded only when it is used. Raises DelfimError."""
+    """The vehicle's sources in order of preference. A source's module is loaded only when it is used. Raises DelfimError."""
     names = settings.navigation.sources
     return tuple(open_source(name, settings, links, state) for name in names)
 

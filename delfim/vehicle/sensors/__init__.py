@@ -1,7 +1,5 @@
-"""Sensors other than navigation, a file each, named as in `sensors.names` of the vehicle's file.
-
-To add a sensor: a file here with `VALUES` and a function `open_sensor(settings, links)`, and its row in `OWN` of
-`delfim/base/parts.py` (CONTRIBUTING.md, "How to add a sensor").
+"""What sensors other than navigation keep, and how they are opened: by the rows of their parts, named in `sensors.names` of the
+vehicle's file (CONTRIBUTING.md, "A part is a folder"). Here is only that of the boat's own computer, `sysstat`.
 """
 
 from typing import Any, NamedTuple, Protocol
@@ -31,8 +29,8 @@ class Sensor(LoopInput, Protocol):
 
 
 def open_sensors(settings: config.Vehicle, links: Links) -> tuple[Sensor, ...]:
-    """Opens a sensor, and loads its file only then. Raises DelfimError, ConfigError where the file relies on a value that none
-    measures."""
+    """Opens the sensors, and loads their modules only then. Raises DelfimError, ConfigError where the file relies on a value
+    that none measures."""
     known = {value.name for value in values(settings)}
     needed = [("sensors.required", name) for name in settings.sensors.required]
     needed += [("failsafe.shallow.min_depth_m", "depth_m")] if settings.failsafe.shallow.min_depth_m else []
@@ -48,5 +46,5 @@ def values(settings: config.Vehicle) -> tuple[Value, ...]:
 
 
 def module(name: str, settings: config.Vehicle) -> Any:
-    """The file of a sensor. Raises PermanentFailure for a part's that cannot be imported."""
+    """The module of a sensor. Raises PermanentFailure for a part's that cannot be imported."""
     return parts.module(settings.aboard, "sensor", name)
