@@ -31,6 +31,7 @@ TESTS: Final = (  # files that take long, and see nothing that others do not see
         "tests/test_deadman.py",
         "tests/test_security.py",
         "tests/parts/test_misbehaving_parts.py",
+        "tests/parts/test_orders.py",
     ),
     *("tests/services/test_supervisor_turns.py", "tests/services/test_stop.py", "tests/services/test_doors.py"),
 )
