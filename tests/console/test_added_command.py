@@ -74,10 +74,12 @@ async def _ordered(sea: Sea, path: str) -> list[float]:
     return out
 
 
+@pytest.mark.long
 def test_the_order_comes_from_the_page_by_mavlink_and_from_a_terminal(sailed: Sailed) -> None:
     assert sailed.out == [6.0, 7.0, 8.0]
 
 
+@pytest.mark.long
 def test_what_came_of_it_is_in_the_log_in_its_export_and_in_a_replay(sailed: Sailed, tmp_path: Path) -> None:
     file = tmp_path / "state.csv"
     command("log", "export", "csv", "--output", str(file), str(sailed.log), path=str(ROOT))
