@@ -2,13 +2,17 @@
 and tests hand in their own.
 """
 
-from collections.abc import Callable
-from typing import NamedTuple, Protocol
+from collections.abc import Callable, Iterator
+from typing import Final, NamedTuple, Protocol
 
+from delfim.base.errors import BusError
+from delfim.base.frames import Frame
 from delfim.canproxy.socket import CanAddress, CanSocket
 from delfim.lines.gpio import Bias, GpioLine
 from delfim.lines.serialform import Form
 from delfim.vehicle.state import State
+
+FRAMES_PER_READ: Final = 64  # bounds one call on a flooded input; the rest stays readable
 
 
 class Readable(Protocol):
@@ -53,3 +57,16 @@ class Links(NamedTuple):
 
     gpio: OpenGpio | None = None
     """A pin of the computer; None: there are none, as in lock step, and in a replay, whose log has the orders of a switch."""
+
+
+def received(socket: CanSocket, state: State, name: str) -> Iterator[Frame]:
+    """The frames that wait, FRAMES_PER_READ at most. A bus that fails is counted, as NAME_bus_errors."""
+    for _ in range(FRAMES_PER_READ):
+        try:
+            frame = socket.receive()
+        except BusError:
+            state.count(f"{name}_bus_errors")
+            return
+        if frame is None:
+            return
+        yield frame

@@ -32,9 +32,7 @@ class Located(NamedTuple):
     day_s: float | None  # time of the UTC day
     latitude_rad: float | None
     longitude_rad: float | None
-    fix: (
-        int | None
-    )  # as delfim.canproxy.dsor.messages.Navigation.fix, 2 where the sentence does not tell more than that there is one
+    fix: int | None  # as `Navigation.fix`, 2 where the sentence does not tell more than that there is one
     satellites: int | None = None
     hdop: float | None = None
     utc_ns: int | None = None  # since 1970; RMC alone has the date

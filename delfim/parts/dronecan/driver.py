@@ -9,11 +9,11 @@ from collections import Counter
 from typing import Final
 
 from delfim import config
-from delfim.base.errors import BusError, FormatError
 from delfim.canproxy.dronecan import datatypes
-from delfim.canproxy.dronecan.datatypes import OFF, ON, CommandKind, EscStatus, NodeStatus, decode
+from delfim.canproxy.dronecan.datatypes import OFF, ON, CommandKind, EscStatus, NodeStatus
 from delfim.canproxy.dronecan.transfers import COMMAND, SENSOR, STATUS, Publisher, TransferReceiver
 from delfim.canproxy.socket import BATCH, CanAddress, CanSocket
+from delfim.parts.dronecan.receiving import messages
 from delfim.vehicle.links import Links, LoopInput, Readable
 from delfim.vehicle.state import Actuation, State, ThrusterReport
 
@@ -21,7 +21,6 @@ ZERO_S: Final = 0.15  # armed, a controller wants to see a command of zero befor
 ARMING_S: Final = 0.5  # between two words on whether motors may turn
 STATUS_S: Final = 1.0  # between two words of this node on itself
 TWINS_S: Final = 2.0  # two nodes that report one motor within this time are one too many
-FRAMES_PER_READ: Final = 64
 HEALTH: Final = ("", "warns", "reports an error", "reports a critical error")
 
 
@@ -111,28 +110,13 @@ class DronecanMotors:
 
     def read(self, state: State, now_s: float) -> None:
         """Take the reports of the devices; malformed ones are counted."""
-        for _ in range(FRAMES_PER_READ):
-            try:
-                frame = self._socket.receive()
-            except BusError:
-                state.count("dronecan_bus_errors")
-                break
-            if frame is None:
-                break
-            transfer = self._receiver.feed(frame, now_s)
-            if transfer is None:
-                continue
-            try:
-                message = decode(transfer)
-            except FormatError:
-                state.count("dronecan_malformed")
-                continue
-            if transfer.source == self._node:
+        for node, message in messages(self._socket, self._receiver, state, now_s):
+            if node == self._node:
                 self._errors["another device has the number of this computer"] += 1
             elif isinstance(message, EscStatus):
-                self._hear(state, transfer.source, message, now_s)
+                self._hear(state, node, message, now_s)
             elif isinstance(message, NodeStatus):
-                self._nodes[transfer.source] = message
+                self._nodes[node] = message
 
     def _hear(self, state: State, node: int, status: EscStatus, now_s: float) -> None:
         row = self._named.get(status.motor)

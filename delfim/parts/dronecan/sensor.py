@@ -3,19 +3,18 @@
 from typing import Final
 
 from delfim import config
-from delfim.base.errors import BusError, FormatError
 from delfim.base.newest import Newest
-from delfim.canproxy.dronecan.datatypes import BATTERY_INFO, BatteryInfo, decode
+from delfim.canproxy.dronecan.datatypes import BATTERY_INFO, BatteryInfo
 from delfim.canproxy.dronecan.transfers import TransferReceiver
 from delfim.canproxy.dsor.messages import BatteriesStatus, Fault, Node, Status
 from delfim.canproxy.socket import CanSocket
+from delfim.parts.dronecan.receiving import messages
 from delfim.vehicle.links import Links
 from delfim.vehicle.sensors import Value
 from delfim.vehicle.sensors.sysstat import NAMES
 from delfim.vehicle.state import State
 
 VALUES: tuple[Value, ...] = ()  # record.py has the logged fields
-FRAMES_PER_READ: Final = 64
 SIDES: Final = tuple(NAMES[node] for node in (Node.BATTERIES_STARBOARD, Node.BATTERIES_PORT))
 HOT, OVERLOAD, BAD, FAULTY = 8, 32, 64, 256  # flags
 
@@ -32,24 +31,9 @@ class DronecanBatteries:
 
     def read(self, state: State, now_s: float) -> None:
         """Malformed reports, and those of a third battery, are counted."""
-        for _ in range(FRAMES_PER_READ):
-            try:
-                frame = self.input.receive()
-            except BusError:
-                state.count("dronecan_bus_errors")
-                break
-            if frame is None:
-                break
-            transfer = self._receiver.feed(frame, now_s)
-            if transfer is None:
-                continue
-            try:
-                told = decode(transfer)
-            except FormatError:
-                state.count("dronecan_malformed")
-                continue
+        for node, told in messages(self.input, self._receiver, state, now_s):
             if isinstance(told, BatteryInfo):
-                self._hear(state, transfer.source, told, now_s)
+                self._hear(state, node, told, now_s)
 
     def _hear(self, state: State, node: int, told: BatteryInfo, now_s: float) -> None:
         if told.battery >= len(SIDES):

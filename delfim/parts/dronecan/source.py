@@ -20,9 +20,9 @@ from delfim.canproxy.dronecan.datatypes import (
 from delfim.canproxy.dronecan.transfers import TransferReceiver
 from delfim.canproxy.dsor.messages import Navigation
 from delfim.canproxy.socket import CanSocket
-from delfim.vehicle.links import Links
+from delfim.vehicle.links import FRAMES_PER_READ, Links
 from delfim.vehicle.navigation.compass import FLAT, Calibration, FieldCircle, Tilt, Vector, attitude, magnetic_heading
-from delfim.vehicle.navigation.fixes import FRAMES_PER_READ, Fix
+from delfim.vehicle.navigation.fixes import Fix
 from delfim.vehicle.navigation.fusion import MOVING, SLOW_S, SQRT2, Fusion, Hearer
 from delfim.vehicle.state import State
 

@@ -6,8 +6,8 @@ from delfim.canproxy.dsor.messages import NAVIGATION_ID, Navigation, Node, unpac
 from delfim.canproxy.dsor.protocol import Message, message_filter
 from delfim.canproxy.dsor.receiver import Receiver
 from delfim.canproxy.socket import CanAddress, CanSocket
-from delfim.vehicle.links import Links
-from delfim.vehicle.navigation.fixes import FRAMES_PER_READ, Fix
+from delfim.vehicle.links import FRAMES_PER_READ, Links
+from delfim.vehicle.navigation.fixes import Fix
 from delfim.vehicle.state import State
 
 LOOKS = 8  # polls for the next frame of a message, 20 us in all: many adapters deliver frames in bursts

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from typing import Final
 
 from delfim import config
-from delfim.base.errors import BusError, FormatError
+from delfim.base.errors import FormatError
 from delfim.base.frames import CAN_IDE, Frame, extended
 from delfim.base.newest import Newest
 from delfim.canproxy.dsor.messages import BatteriesStatus, Fault, Node, Status
@@ -17,8 +17,7 @@ from delfim.canproxy.nmea2000.pgns import ADDRESS_MAX
 from delfim.canproxy.socket import CanAddress, CanSocket
 from delfim.parts.nmea0183 import sensor as nmea0183
 from delfim.parts.nmea2000.source import opened
-from delfim.vehicle.links import Links
-from delfim.vehicle.navigation.fixes import FRAMES_PER_READ
+from delfim.vehicle.links import Links, received
 from delfim.vehicle.sensors import Value
 from delfim.vehicle.sensors.sysstat import NAMES
 from delfim.vehicle.state import State
@@ -54,14 +53,7 @@ class Nmea2000Instruments:
 
     def read(self, state: State, now_s: float) -> None:
         """Malformed messages are counted."""
-        for _ in range(FRAMES_PER_READ):
-            try:
-                frame = self.input.receive()
-            except BusError:
-                state.count("nmea2000_bus_errors")
-                break
-            if frame is None:
-                break
+        for frame in received(self.input, state, self.name):
             self.hear(state, frame, now_s)
 
     def hear(self, state: State, frame: Frame, now_s: float) -> None:

@@ -10,8 +10,8 @@ from delfim.canproxy.nmea2000.device import device_name, facts_of
 from delfim.canproxy.nmea2000.parcels import ROLL_CALL, frames
 from delfim.canproxy.socket import CanAddress, CanSocket
 from delfim.parts.nmea2000.combining import Nmea2000Source
-from delfim.vehicle.links import Links
-from delfim.vehicle.navigation.fixes import FRAMES_PER_READ, Fix
+from delfim.vehicle.links import FRAMES_PER_READ, Links
+from delfim.vehicle.navigation.fixes import Fix
 from delfim.vehicle.navigation.fusion import Hearer
 from delfim.vehicle.state import State
 

@@ -13,10 +13,10 @@ from collections.abc import Sequence
 from typing import Final, NamedTuple
 
 from delfim import config
-from delfim.base.errors import BusError, FormatError
+from delfim.base.errors import FormatError
 from delfim.base.frames import extended
 from delfim.canproxy.socket import BATCH, CanAddress, CanSocket
-from delfim.vehicle.links import Links
+from delfim.vehicle.links import Links, received
 from delfim.vehicle.state import Actuation, State, ThrusterReport
 
 SET_DUTY, SET_CURRENT, SET_RPM = 0, 1, 3  # commands
@@ -78,9 +78,6 @@ def unpack_status(identifier: int, data: bytes) -> VescStatus | None:
     return None
 
 
-FRAMES_PER_READ: Final = 64
-
-
 class Vescs:
     """The controllers of the rows that name them."""
 
@@ -116,17 +113,12 @@ class Vescs:
 
     def read(self, state: State, now_s: float) -> None:
         """Status frames into `State.thrusters`. Malformed ones are counted."""
-        for _ in range(FRAMES_PER_READ):
+        for frame in received(self._socket, state, self.name):
             try:
-                if (frame := self._socket.receive()) is None:
-                    break
                 if (told := unpack_status(frame.identifier, frame.data)) is not None and told.controller in self._rows:
                     self._take(told, state, now_s)
             except FormatError:
                 state.count("vesc_malformed")
-            except BusError:
-                state.count("vesc_bus_errors")
-                break
 
     def report(self) -> dict[str, object]:
         return {}

@@ -14,7 +14,6 @@ from delfim.vehicle.links import Links, Readable
 from delfim.vehicle.state import Motion, State
 
 BACK_S = 0.5  # age to which a reserve's heading and velocity serve the source that takes over, until it knows its own
-FRAMES_PER_READ = 64  # bounds one call on a flooded input; the rest stays readable
 
 
 class Fix(NamedTuple):

@@ -19,13 +19,12 @@ from delfim.canproxy.dsor.messages import (
 from delfim.canproxy.dsor.protocol import message_filter
 from delfim.canproxy.dsor.receiver import Receiver
 from delfim.canproxy.socket import CanAddress, CanSocket
-from delfim.vehicle.links import Links
+from delfim.vehicle.links import FRAMES_PER_READ, Links
 from delfim.vehicle.sensors import Value
 from delfim.vehicle.state import State, ThrusterReport
 from delfim.vehicle.target import NEVER_S
 
 VALUES: tuple[Value, ...] = ()  # record.py has the logged fields
-FRAMES_PER_READ = 64
 PROPELLERS = (Node.PROPELLER_STARBOARD, Node.PROPELLER_PORT)  # by address of the driver dsor
 NAMES: dict[int, str] = {
     Node.GPS: "gps",

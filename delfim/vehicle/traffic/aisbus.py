@@ -4,14 +4,13 @@ from collections import Counter
 from typing import Final
 
 from delfim import config
-from delfim.base.errors import BusError, FormatError
+from delfim.base.errors import FormatError
 from delfim.base.frames import CAN_IDE, Frame, extended
 from delfim.canproxy.nmea2000 import ais
 from delfim.canproxy.nmea2000.fastpacket import FastPacket
 from delfim.canproxy.nmea2000.pgns import ADDRESS_MAX
 from delfim.canproxy.socket import CanAddress, CanSocket
-from delfim.vehicle.links import Links, Readable
-from delfim.vehicle.navigation.fixes import FRAMES_PER_READ
+from delfim.vehicle.links import Links, Readable, received
 from delfim.vehicle.state import State
 
 FILTERS: Final = tuple(CanAddress(extended(pgn << 8), extended(7 << 26 | 0xFF) & ~CAN_IDE) for pgn in sorted(ais.PGNS))
@@ -27,14 +26,7 @@ class AisBus:
 
     def read(self, state: State, now_s: float) -> None:
         """Malformed messages are counted."""
-        for _ in range(FRAMES_PER_READ):
-            try:
-                frame = self._socket.receive()
-            except BusError:
-                state.count("nmea2000_bus_errors")
-                break
-            if frame is None:
-                break
+        for frame in received(self._socket, state, NAME):
             self.hear(state, frame, now_s)
 
     def hear(self, state: State, frame: Frame, now_s: float) -> None:
