@@ -325,7 +325,7 @@ READ_BY = {  # function: the readers above that come by it
     "campaign/store.py: head_of": {"head of a campaign's results", "a campaign's results"},
     "parts/nmea2000/nmea2000d.py: __init__": {"address on NMEA 2000"},
     "parts/dronecan/numbering.py: known_numbers": {"numbers of DroneCAN devices"},
-    "base/outside.py: read_credentials": {"password at a caster"},
+    "base/outside.py: read_private": {"password at a caster", "signing key"},
     "services/supervision/supervisorfile.py: last_deadman": {"supervisor's record"},
     "services/image/slots.py: environment": {"boot environment"},
     "services/image/slots.py: manifest": {"manifest of a slot"},
@@ -335,7 +335,6 @@ READ_BY = {  # function: the readers above that come by it
     "simulator/scenarios/encounters.py: read_encounters": {"encounters"},
     "simulator/scenarios/scenario.py: mission_of": {"scenario's mission"},
     "services/suite.py: _told": {"supervisor's record"},
-    "base/keys.py: read_key": {"signing key"},
     "parts/mavlink/signing.py: read_stamps": {"stamps"},
 }
 OTHERS = {  # what the kernel tells, and what is only copied or digested

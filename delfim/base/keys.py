@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Final
 
 from delfim.base.errors import ConfigError
-from delfim.base.outside import read_file
+from delfim.base.outside import read_private
 
 KEY_BYTES: Final = 32
 
@@ -20,11 +20,7 @@ def new_key(path: str | Path) -> None:
 def read_key(path: str | Path) -> bytes:
     """The key in a file of 64 hexadecimal digits. Raises ConfigError, for a file that others may read, too."""
     try:
-        if os.name == "posix" and Path(path).stat().st_mode & 0o077:
-            raise ConfigError(str(path), "key", "others may read it", "mode 0600")
-        key = bytes.fromhex(read_file(path).decode("ascii").strip())
-    except OSError as error:
-        raise ConfigError(str(path), "key", error.strerror or str(error)) from None
+        key = bytes.fromhex(read_private(path, "key"))
     except ValueError:
         raise ConfigError(str(path), "key", "no key", f"{2 * KEY_BYTES} hexadecimal digits") from None
     if len(key) != KEY_BYTES:

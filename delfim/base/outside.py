@@ -67,14 +67,21 @@ def parse_json(text: str | bytes) -> Any:
         raise FormatError(f"not JSON: {error}") from None
 
 
+def read_private(path: str | Path, key: str) -> str:
+    """The text of a file that nobody else may read, in ASCII. `key`: its name in a refusal. Raises ConfigError,
+    UnicodeDecodeError."""
+    try:
+        if os.name == "posix" and Path(path).stat().st_mode & 0o077:
+            raise ConfigError(str(path), key, "others may read it", "mode 0600")
+        return read_file(path).decode("ascii").strip()
+    except OSError as error:
+        raise ConfigError(str(path), key, error.strerror or str(error)) from None
+
+
 def read_credentials(path: str) -> str:
     """USER:PASSWORD, the one line of a file that nobody else may read. Raises ConfigError."""
     try:
-        if os.name == "posix" and Path(path).stat().st_mode & 0o077:
-            raise ConfigError(path, "credentials", "others may read it", "mode 0600")
-        text = read_file(path).decode("ascii").strip()
-    except OSError as error:
-        raise ConfigError(path, "credentials", error.strerror or str(error)) from None
+        text = read_private(path, "credentials")
     except ValueError:
         raise ConfigError(path, "credentials", "not ASCII", "USER:PASSWORD") from None
     if ":" not in text or not text.isprintable():
