@@ -1,8 +1,8 @@
 """Changes the safety core, one place at a time, and asks its tests: `make mutants` (docs/mutants.md).
 
-    python -m bench.mutants [FILE.py ...] [--since REVISION] [--at-most N] [-j N] [--cpu SECONDS]
+    python -m bench.mutants [FILE.py ...] [--since REVISION | --new] [--at-most N] [-j N] [--cpu SECONDS]
 
-Without files, the whole core. With --since only changes of lines that differ from that revision. The tests that import the file
+Without files, the whole core. With --since only changes that could not be made in that revision. The tests that import the file
 are asked first, and all others about what is left. What was tried of the same file by the same tests is not tried again
 (run/mutants). It fails at a change that no test notices and that has no reason in
 tests/survivors.toml, and at a reason for a change that does not survive any more.
@@ -10,7 +10,6 @@ tests/survivors.toml, and at a reason for a change that does not survive any mor
 
 import argparse
 import hashlib
-import re
 import subprocess
 import sys
 from collections.abc import Sequence
@@ -21,22 +20,28 @@ from typing import Final
 from bench.mutants.changes import MODULE, Change, changes
 from bench.mutants.choice import Choice, refreshed
 from bench.mutants.core import CORE
-from bench.mutants.ledger import Figures, Ledger, reasons, shown
+from bench.mutants.ledger import Figures, Ledger, measured, measured_now, reasons, shown
 from bench.mutants.workers import Worker, copied
+from delfim.base.errors import ConfigError
 
 ALL: Final = frozenset({MODULE})
 SAMPLE: Final = 9  # tests that have to pass without a change, before any is made
 CPU_S: Final = 5.0  # of tests for a change, those that are most likely to notice it first
 
 
-def touched(file: str, since: str) -> set[int]:
-    """The lines of a file that are not as they were in that revision."""
-    command = ["git", "diff", "--unified=0", since, "--", file]
-    differs = subprocess.run(command, capture_output=True, check=True, text=True).stdout
-    lines = set[int]()
-    for start, count in re.findall(r"^@@ \S+ \+(\d+)(?:,(\d+))? @@", differs, re.MULTILINE):
-        lines.update(range(int(start), int(start) + int(count or 1)))
-    return lines
+def _git(*words: str) -> str:
+    return subprocess.run(["git", *words], capture_output=True, check=True, text=True).stdout
+
+
+def known(since: str) -> tuple[set[str], set[str]]:
+    """The files that are not as they were in that revision, and the names of all changes that could be made there: a function
+    that moved to another file is no new one. Raises ConfigError for a revision that there is not."""
+    if subprocess.run(["git", "cat-file", "-e", f"{since}^{{commit}}"], capture_output=True, check=False).returncode:
+        raise ConfigError("--since", since, "there is no such commit in this checkout")
+    differs, names = ("diff", "--name-only", "--no-renames", since), set[str]()
+    for path in _git(*differs, "--diff-filter=MD", "--", "delfim/*.py").splitlines():
+        names |= {each.name for each in changes(_git("show", f"{since}:{path}"))[1]}
+    return set(_git(*differs, "--diff-filter=AM", "--", "delfim").splitlines()), names
 
 
 def tried(file: str, found: list[Change], numbers: list[int], choice: Choice, ledger: Ledger, jobs: int) -> None:
@@ -80,11 +85,10 @@ def answered(worker: Worker, number: int, asks: frozenset[str], choice: Choice) 
 def drawn(files: Sequence[str], since: str | None, at_most: int | None) -> dict[str, list[int]]:
     """The changes to try of each file; where there are too many, always the same ones of them."""
     names = list[tuple[str, int, str]]()
-    for file in files:
-        lines = None if since is None else touched(file, since)
-        for number, each in enumerate(changes(Path(file).read_text())[1]):
-            if lines is None or lines & set(range(each.line, each.end + 1)):
-                names.append((file, number, each.name))
+    differ, old = (set(files), set[str]()) if since is None else known(since)
+    for file in differ.intersection(files):
+        found = enumerate(changes(Path(file).read_text())[1])
+        names += [(file, number, each.name) for number, each in found if each.name not in old]
     if at_most is not None and len(names) > at_most:
         print(f"of {len(names)} changes {at_most} are tried", flush=True)
         names = sorted(sorted(names, key=lambda it: hashlib.sha256(f"{it[0]} {it[2]}".encode()).digest())[:at_most])
@@ -119,12 +123,17 @@ def main(words: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m bench.mutants", description=__doc__.split("\n\n")[0])
     parser.add_argument("files", nargs="*", default=list(CORE), metavar="FILE.py")
     parser.add_argument("--since", metavar="REVISION", help="only changes of lines that differ from it")
+    parser.add_argument("--new", action="store_true", help="the same, since the revision in tests/survivors.toml")
     parser.add_argument("--at-most", type=int, metavar="N", help="of more changes, a sample that is always the same")
     parser.add_argument("-j", type=int, default=2, help="so many side by side (%(default)s)")
     parser.add_argument("--cpu", type=float, default=CPU_S, help="seconds of tests for a change (%(default)s)")
     told = parser.parse_args(words)
-    numbers = drawn(told.files, told.since, told.at_most)
-    return run(numbers, told.j, told.cpu, whole=told.since is None and told.at_most is None)
+    since = measured() if told.new else told.since
+    numbers = drawn(told.files, since, told.at_most)
+    failed = run(numbers, told.j, told.cpu, whole=since is None and told.at_most is None)
+    if told.new and not failed and told.at_most is None and told.files == list(CORE) and not _git("status", "--porcelain"):
+        measured_now(_git("rev-parse", "HEAD").strip())
+    return failed
 
 
 if __name__ == "__main__":

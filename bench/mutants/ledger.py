@@ -26,7 +26,17 @@ class Figures(NamedTuple):
 
 def reasons(path: Path = REASONS) -> dict[str, dict[str, str]]:
     """File: name of a change: why no test can notice it."""
-    return tomllib.loads(path.read_text())
+    return {file: told for file, told in tomllib.loads(path.read_text()).items() if file != "measured"}
+
+
+def measured(path: Path = REASONS) -> str:
+    """The commit up to which all changes of the core were tried."""
+    return str(tomllib.loads(path.read_text())["measured"])
+
+
+def measured_now(commit: str, path: Path = REASONS) -> None:
+    text = path.read_text()
+    path.write_text(text.replace(f'measured = "{measured(path)}"', f'measured = "{commit}"'))
 
 
 def shown(rows: list[Figures]) -> str:

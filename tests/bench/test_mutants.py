@@ -11,11 +11,12 @@ from typing import Any
 import pytest
 
 from bench.mutants import choice, ledger, reach
-from bench.mutants.__main__ import answered
+from bench.mutants.__main__ import answered, drawn
 from bench.mutants.changes import changed, changes, functions
 from bench.mutants.choice import Choice
 from bench.mutants.core import CORE
-from bench.mutants.ledger import Figures, Ledger, reasons, shown
+from bench.mutants.ledger import Figures, Ledger, measured, measured_now, reasons, shown
+from delfim.base.errors import ConfigError
 
 ROOT = Path(__file__).parents[2]
 
@@ -98,6 +99,34 @@ def test_each_reason_is_one_of_a_change_that_there_is() -> None:
         names = {change.name for change in changes((ROOT / file).read_text())[1]}
         assert set(told) - names == set(), f"{file} has changed: its survivors are others now"
         assert all(told.values())
+
+
+def test_what_moved_to_another_file_is_no_new_change(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def git(*words: str) -> None:
+        subprocess.run(["git", "-c", "user.name=n", "-c", "user.email=n@example.org", *words], cwd=tmp_path, check=True)
+
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "delfim").mkdir()
+    (tmp_path / "delfim/helm.py").write_text("def f(x):\n    return x + 1\n\ndef g(x):\n    return x * 2\n")
+    git("init", "-q")
+    git("add", ".")
+    git("commit", "-qm", "before")
+    (tmp_path / "delfim/helm.py").write_text("def f(x):\n    return x + 1\n")
+    (tmp_path / "delfim/orders.py").write_text("LIMIT = 3\n\ndef g(x):\n    return x * 2\n")
+    git("add", ".")
+    git("commit", "-qm", "after")
+    assert drawn(["delfim/helm.py", "delfim/orders.py"], "HEAD~1", None) == {"delfim/helm.py": [], "delfim/orders.py": [0]}
+    assert drawn(["delfim/orders.py"], "HEAD", None) == {"delfim/orders.py": []}
+    with pytest.raises(ConfigError, match="no such commit"):
+        drawn(["delfim/orders.py"], "0123456", None)
+
+
+def test_the_commit_up_to_which_all_was_tried_is_kept(tmp_path: Path) -> None:
+    path = tmp_path / "survivors.toml"
+    path.write_text('# Why.\nmeasured = "abc"\n\n["delfim/gate.py"]\n"f | return" = "the same"\n')
+    assert (measured(path), reasons(path)) == ("abc", {"delfim/gate.py": {"f | return": "the same"}})
+    measured_now("def", path)
+    assert path.read_text() == '# Why.\nmeasured = "def"\n\n["delfim/gate.py"]\n"f | return" = "the same"\n'
 
 
 def row(**calls: list[str]) -> dict[str, Any]:
