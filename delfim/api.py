@@ -7,10 +7,11 @@ from delfim.base.errors import BusError, ConfigError, DelfimError, FormatError, 
 from delfim.base.frames import Frame, extended, standard
 from delfim.base.geodesy import from_plane
 from delfim.base.parts import API, Drives, ModeRow, OrderRow, Part, TroubleRow
+from delfim.base.ranges import Baud, Device, Fraction, Interface, Metres, Seconds, Speed
 from delfim.base.tables import Table, text
 from delfim.canproxy.dsor.messages import Navigation
 from delfim.canproxy.socket import CanAddress, CanSocket
-from delfim.config import ActionName, Baud, Device, Fraction, Interface, Metres, Seconds, Silence, Speed, Trouble, Vehicle
+from delfim.config import ActionName, Silence, Trouble, Vehicle
 from delfim.vehicle.actuators import Actuator
 from delfim.vehicle.console import Continue, Course, Goto, Heading, Pause, Play, SetMode, SetSpeed, Stop
 from delfim.vehicle.control.autopilot import entered, steer

@@ -17,31 +17,43 @@ from delfim.base import parts
 from delfim.base.errors import ConfigError
 from delfim.base.geodesy import polygon_fault
 from delfim.base.modes import Mode
-from delfim.base.parts import OWN, OWN_NODES, Drives, Part, named, of_kind
+from delfim.base.parts import OWN, OWN_NODES, Drives, Part, named, of_kind, table_of
+from delfim.base.ranges import (
+    PORT,
+    BatteryVoltage,
+    Baud,
+    BitRate,
+    Degrees,
+    Device,
+    DeviceName,
+    DsorNode,
+    Endpoint,
+    Fraction,
+    Interface,
+    LinuxInterface,
+    Listen,
+    Listeners,
+    Megabytes,
+    Metres,
+    Moment,
+    MountPoint,
+    Name,
+    Network,
+    Ports,
+    Seconds,
+    Speed,
+    address,
+    is_loopback,
+)
 from delfim.base.slices import Sliced, Work
-from delfim.base.tables import Table, decode, read_toml, text
+from delfim.base.tables import T, Table, decode, read_toml, text
 
-_PORT = "([0-9]{1,4}|[1-5][0-9]{4}|6[0-4][0-9]{3}|65[0-4][0-9]{2}|655[0-2][0-9]|6553[0-5])"  # 0 to 65535
-Name = Annotated[str, text("[A-Za-z][A-Za-z0-9_-]{0,31}", "a letter, then up to 31 letters, digits, _ or -")]
 PartName = Annotated[str, text("[a-z][a-z0-9_]{0,31}", "a small letter, then up to 31 small letters, digits or _")]
 PartVersion = Annotated[str, text("[0-9A-Za-z.+!_-]{1,40}", "the version of its package, as 1.0.2")]
-Fraction = Annotated[float, msgspec.Meta(ge=0.0, le=1.0)]
-BatteryVoltage = Annotated[float, msgspec.Meta(ge=0.0, le=1000.0)]
-Seconds = Annotated[float, msgspec.Meta(ge=0.001, le=3600.0)]
-Moment = Annotated[float, msgspec.Meta(ge=0.1, le=3600.0)]  # s: not below the period of the watchdog
-Metres = Annotated[float, msgspec.Meta(ge=0.01, le=10_000.0)]
-Speed = Annotated[float, msgspec.Meta(ge=0.05, le=30.0)]  # m/s: a slower boat does not move, and says that it does
 StickPulse = Annotated[float, msgspec.Meta(ge=800.0, le=2200.0)]  # us, of a channel of a hand-set
 STICK_US = 100.0  # the least way of a stick to either side
 Gain = Annotated[float, msgspec.Meta(ge=0.0, le=1e7)]
 Nice = Annotated[int, msgspec.Meta(ge=-20, le=19)]
-Interface = Annotated[
-    str,
-    text(
-        "([a-z][a-z0-9_.-]{0,14}|canloop:[A-Za-z0-9_.-]{1,32}|python-can:[^ ]+)",
-        "a Linux interface as can0, canloop:NAME, or python-can:INTERFACE:CHANNEL[@BITRATE]",
-    ),
-]
 NodeName = Literal["gps", "propeller_starboard", "propeller_port", "batteries_starboard", "batteries_port"]
 SOURCES, HEARD = (tuple(of_kind(OWN.values(), kind)) for kind in ("source", "vessels"))
 DRIVERS = tuple(sorted(of_kind(OWN.values(), "driver")))
@@ -68,28 +80,18 @@ Newtons = Annotated[float, msgspec.Meta(ge=-1e5, le=1e5)]
 Curve = Annotated[tuple[tuple[Annotated[float, msgspec.Meta(ge=-1.0, le=1.0)], Newtons], ...], msgspec.Meta(max_length=64)]
 Revolutions = Annotated[float, msgspec.Meta(ge=0.0, le=100_000.0)]
 ThrusterName = Annotated[str, text("[a-z][a-z0-9_]{0,15}", "a small letter, then up to 15 small letters, digits or _")]
-Degrees = Annotated[float, msgspec.Meta(ge=-180.0, le=180.0)]
 MicroTesla = Annotated[float, msgspec.Meta(ge=-500.0, le=500.0)]
 Stretch = Annotated[float, msgspec.Meta(ge=0.5, le=2.0)]
 Shear = Annotated[float, msgspec.Meta(ge=-0.2, le=0.2)]
 DriverAddress = Annotated[int, msgspec.Meta(ge=0, le=255)]
 Sources = Annotated[tuple[SourceName, ...], msgspec.Meta(min_length=1, max_length=len(SOURCES))]
-Device = Annotated[
-    str,
-    text(
-        rf"(/[^ ]+|tcp:([0-9.]+|\[[0-9A-Fa-f:]+\]):{_PORT})", "a serial port as /dev/ttyUSB0, or tcp:ADDRESS:PORT, in numbers"
-    ),
-]
-Baud = Annotated[int, msgspec.Meta(ge=1200, le=4_000_000)]
 Pulse = Annotated[float, msgspec.Meta(ge=400.0, le=2600.0)]  # us
 PwmNumber = Annotated[str, text("([0-9]|1[0-5])", "0 to 15")]
-DsorNode = Annotated[int, msgspec.Meta(ge=0, le=126)]
 OTHER_NODES = (0x01, 0x02, 0x10, 0x11, 0x20, 0x21)  # of `messages.Node`
 NODES_PROTOCOL = "DSOR"  # of the boat's own nodes
 PUSH_MIN = 0.1  # N and N·m: less is nothing
 TAKEN_VEHICLES = (0x40, 0xA0)  # commands to actuators, and reset, have these identifiers
 DsorVehicle = Annotated[int, msgspec.Meta(ge=0, le=0xF0, multiple_of=16)]
-BitRate = Annotated[int, msgspec.Meta(ge=10_000, le=1_000_000)]
 ActionName = Literal["warn", "hold", "back", "home", "stop"]
 ModeAction = Literal["same", "warn", "hold", "back", "home", "stop"]
 ReturnName = Literal["same", "hold", "resume", "home", "idle"]
@@ -101,14 +103,6 @@ CORNERS, ZONES, AREAS = 100, 100, 20  # of a polygon, to keep out of, and to kee
 Ring = Annotated[tuple[Position, ...], msgspec.Meta(max_length=CORNERS)]  # corners of a polygon, degrees north and east
 BatteryInstances = Annotated[tuple[Annotated[int, msgspec.Meta(ge=0, le=252)], ...], msgspec.Meta(max_length=2)]
 ValueName = Annotated[str, text("[a-z][a-z0-9_]{0,31}", "the name of a value, as depth_m")]
-Endpoint = Annotated[str, text(rf"[^ :]+:{_PORT}", "ADDRESS:PORT, port 0 to 65535")]
-Listen = Annotated[str, text(rf"([^ :]+|\[[0-9A-Fa-f:.]+\]):{_PORT}", "ADDRESS:PORT or [IPv6]:PORT, port 0 to 65535")]
-Listeners = Annotated[tuple[Listen, ...], msgspec.Meta(min_length=1, max_length=8)]
-Ports = Annotated[tuple[Listen, ...], msgspec.Meta(max_length=8)]
-LinuxInterface = Annotated[str, text("[^ /:]{1,15}", "a Linux interface")]
-MountPoint = Annotated[str, text(r"(/[^/\x00]+)*", "an absolute path, or empty")]
-Megabytes = Annotated[int, msgspec.Meta(ge=0, le=1 << 20)]
-Network = Annotated[str, text("[0-9A-Fa-f:.]+(/[0-9]{1,3})?", "an IP address, or ADDRESS/BITS")]
 Password = Annotated[  # hashed; a log shows a hash that no password has
     str,
     text("scrypt:[A-Za-z0-9+/=]+:[A-Za-z0-9+/=]+", "the output of `delfim password`", shown="scrypt:hidden:hidden"),
@@ -122,51 +116,48 @@ Identifiers = Annotated[  # one or a range; three digits are a standard identifi
 ]
 PublicKey = Annotated[str, text(r"ssh-ed25519 [A-Za-z0-9+/]+=*( [^\n]*)?\n?", "ssh-ed25519 KEY, as in a .pub file")]
 Carrier = Annotated[str, text("(none|dcd|file:/[^ ]+)", "none, dcd, or file:/PATH")]
-NETWORKED = ("udp:", "tcp:", "tcp-listen:", "gpsd:")  # devices that are none of this computer's
 LineDevice = Annotated[
     str,
     text(
-        rf"(/[^ ]+|(udp|tcp|tcp-listen|gpsd):([0-9.]+|\[[0-9A-Fa-f:.]+\]):{_PORT})",
+        rf"(/[^ ]+|(udp|tcp|tcp-listen|gpsd):([0-9.]+|\[[0-9A-Fa-f:.]+\]):{PORT})",
         "/DEVICE, or udp:, tcp:, tcp-listen: or gpsd: before ADDRESS:PORT, the address in numbers",
     ),
 ]
 PilotDevice = Annotated[
     str,
     text(
-        rf"((/[^ ]+|(udp|tcp|tcp-listen):([0-9.]+|\[[0-9A-Fa-f:.]+\]):{_PORT})?)",
+        rf"((/[^ ]+|(udp|tcp|tcp-listen):([0-9.]+|\[[0-9A-Fa-f:.]+\]):{PORT})?)",
         "/DEVICE, or udp:, tcp: or tcp-listen: before ADDRESS:PORT of this computer, or empty",
     ),
 ]
 OutDevice = Annotated[
     str,
-    text(rf"(/[^ ]+|udp:([0-9.]+|\[[0-9A-Fa-f:.]+\]):{_PORT})", "/DEVICE, or udp:ADDRESS:PORT, the address in numbers"),
+    text(rf"(/[^ ]+|udp:([0-9.]+|\[[0-9A-Fa-f:.]+\]):{PORT})", "/DEVICE, or udp:ADDRESS:PORT, the address in numbers"),
 ]
 SPOKEN_BYTES = {"RMC": 80, "HDT": 20, "GGA": 77, "VTG": 48, "ROT": 24}  # at most, of each sentence that is told
 SpokenName = Literal["RMC", "HDT", "GGA", "VTG", "ROT"]
 CorrectionsTo = Annotated[
     str,
     text(
-        rf"([A-Za-z][A-Za-z0-9_-]{{0,31}}|/[^ ]+|tcp:([0-9.]+|\[[0-9A-Fa-f:.]+\]):{_PORT})?",
+        rf"([A-Za-z][A-Za-z0-9_-]{{0,31}}|/[^ ]+|tcp:([0-9.]+|\[[0-9A-Fa-f:.]+\]):{PORT})?",
         "a name of nmea0183.ports, /DEVICE, tcp:ADDRESS:PORT, or empty",
     ),
 ]
 CasterPlace = Annotated[
     str,
     text(
-        rf"(ntrips?://([A-Za-z0-9.-]+|\[[0-9A-Fa-f:]+\]):{_PORT}/[!-~]{{1,100}})?",
+        rf"(ntrips?://([A-Za-z0-9.-]+|\[[0-9A-Fa-f:]+\]):{PORT}/[!-~]{{1,100}})?",
         "ntrip://HOST:PORT/MOUNTPOINT, or ntrips, or empty",
     ),
 ]
 FleetBroker = Annotated[
     str,
     text(
-        rf"(mqtts?://([A-Za-z0-9.-]+|\[[0-9A-Fa-f:]+\]):{_PORT}(/[A-Za-z0-9_-]{{1,40}})?)?",
+        rf"(mqtts?://([A-Za-z0-9.-]+|\[[0-9A-Fa-f:]+\]):{PORT}(/[A-Za-z0-9_-]{{1,40}})?)?",
         "mqtts://HOST:PORT or mqtts://HOST:PORT/FLEET, or mqtt, or empty",
     ),
 ]
-ZenohRouter = Annotated[
-    str, text(rf"((tcp|tls)/([^ :/]+|\[[0-9A-Fa-f:]+\]):{_PORT})?", "tcp/HOST:PORT, tls/HOST:PORT or empty")
-]
+ZenohRouter = Annotated[str, text(rf"((tcp|tls)/([^ :/]+|\[[0-9A-Fa-f:]+\]):{PORT})?", "tcp/HOST:PORT, tls/HOST:PORT or empty")]
 TalkerName = Annotated[
     str, text("[A-Za-z][A-Za-z0-9_-]{0,31}(:[A-Z0-9]{2})?", "a port's name, or PORT:TALKER with the talker's two letters")
 ]
@@ -178,22 +169,6 @@ INSTRUMENTS = ("receiver", "compass", "gyro", "sounder", "wind", "ais")
 InstrumentName = Annotated[
     str, text(rf"[A-Za-z][A-Za-z0-9_-]{{0,31}}:({'|'.join(INSTRUMENTS)})", f"PORT:INSTRUMENT, one of {', '.join(INSTRUMENTS)}")
 ]
-DeviceName = Annotated[str, text("[a-z][a-z0-9_.-]{0,14}", "a small letter, then up to 14 small letters, digits, _, . or -")]
-
-
-def address(text: str) -> tuple[str, int]:
-    """Host and port of an `Endpoint` or a `Listen`."""
-    host, _, port = text.rpartition(":")
-    return host.strip("[]"), int(port)
-
-
-def is_loopback(text: str) -> bool:
-    """Whether only this computer reaches an `Endpoint` or a `Listen`."""
-    host = address(text)[0]
-    try:
-        return ip_address(host).is_loopback
-    except ValueError:  # a name
-        return host == "localhost"
 
 
 class BoatTable(Table, frozen=True):
@@ -531,17 +506,6 @@ class Pwm(Table, frozen=True):
     arm_s: Annotated[float, msgspec.Meta(ge=0.0, le=60.0)] = 3.0  # neutral for so long after the start: an ESC arms by it
     channel: dict[PwmNumber, PwmChannel] = msgspec.field(default_factory=dict)  # those with other pulses than usual
     cut: PwmCut = PwmCut()
-
-
-class Vesc(Table, frozen=True):
-    """VESC motor controllers, on a bus where nobody else speaks (docs/vesc.md)."""
-
-    interface: Interface = "can1"  # the bus of the controllers
-    bitrate_bps: BitRate = 500_000  # of a Linux interface, as the controllers have it by default
-    command: Literal["rpm", "duty", "current"] = "rpm"  # what they are told; rpm: full command is rpm_max of the row
-    duty_max: Annotated[float, msgspec.Meta(gt=0.0, le=1.0)] = 0.95  # at full command: part of the battery's voltage
-    current_max_a: Annotated[float, msgspec.Meta(gt=0.0, le=1000.0)] = 20.0  # at full command, in the motor
-    pole_pairs: Annotated[int, msgspec.Meta(ge=1, le=100)] = 7  # of the motors: half of their magnets
 
 
 class OtterTable(Table, frozen=True):
@@ -1429,7 +1393,7 @@ class Simulation(Table, frozen=True):
     wind_hz: InstrumentRate = 1.0  # of a wind vane there; 0: none
     motors: bool = True  # motor controllers answer on buses of DroneCAN and VESC; false: you have your own there
     instruments: Annotated[tuple[InstrumentName, ...], msgspec.Meta(max_length=32)] = ()  # empty: all on the first port
-    external: Annotated[str, text(rf"([^ :]+:{_PORT})?", "ADDRESS:PORT, or empty")] = ""  # of a model in another program
+    external: Annotated[str, text(rf"([^ :]+:{PORT})?", "ADDRESS:PORT, or empty")] = ""  # of a model in another program
     sea: Sea = Sea()
     traffic: SimulatedTraffic = SimulatedTraffic()
 
@@ -1499,6 +1463,38 @@ def _moment(rows: Sequence[ThrusterTable], sign: float) -> float:
     return min(sum(max(m + weight * p for p, m in points) for points in each) for weight in weights)
 
 
+def _struct(name: str, fields: Sequence[tuple[Any, ...]], bases: tuple[type, ...], namespace: dict[str, Any] | None) -> Any:
+    settings: dict[str, Any] = {"frozen": True, "forbid_unknown_fields": True, "kw_only": True, "module": __name__}
+    return msgspec.defstruct(name, fields, bases=bases, namespace=namespace, **settings)
+
+
+def with_tables(kind: type[T]) -> type[T]:
+    """The class with a key for each table of the boat's own parts, behind the table that its row names: so documents and log
+    have them in one order."""
+    hints, rows = get_type_hints(kind, include_extras=True), [row for row in OWN.values() if row.table]
+    made_anew = {*kind.__struct_fields__, *vars(Table)} - {"__doc__"}
+    namespace = {name: value for name, value in vars(kind).items() if name not in made_anew}
+    fields = list[tuple[str, Any, Any]]()
+    for each in msgspec.structs.fields(kind):
+        value = msgspec.NODEFAULT if each.required else each.default
+        if each.default_factory is not msgspec.NODEFAULT:
+            value = msgspec.field(default_factory=each.default_factory)
+        fields.append((each.name, hints[each.name], value))
+        fields += _behind(each.name, rows)
+    made: type[T] = _struct(kind.__name__, fields, (Table,), namespace)
+    return made
+
+
+def _behind(name: str, rows: Sequence[Part]) -> Iterator[tuple[str, Any, Any]]:
+    """The keys of the parts whose tables stand behind this one, and behind theirs."""
+    for row in rows:
+        if row.after == name:
+            kind = table_of(row)
+            yield row.name, kind, kind() if isinstance(kind, type) else msgspec.field(default_factory=dict)
+            yield from _behind(row.name, rows)
+
+
+@with_tables
 class Vehicle(Table, frozen=True):
     """The whole file."""
 
@@ -1517,7 +1513,6 @@ class Vehicle(Table, frozen=True):
     dronecan: Dronecan = Dronecan()
     thrusters: Thrusters = DELFIMX
     pwm: Pwm = Pwm()
-    vesc: Vesc = Vesc()
     otter: OtterTable = OtterTable()
     heron: HeronTable = HeronTable()
     mavlink_front_seat: MavlinkFrontSeat = MavlinkFrontSeat()
@@ -1554,6 +1549,9 @@ class Vehicle(Table, frozen=True):
     simulation: Simulation = Simulation()
 
     def __post_init__(self) -> None:
+        for name in self.__struct_fields__:
+            if isinstance(table := getattr(self, name), Table) and (its := table.settled(self)) is not table:
+                msgspec.structs.force_setattr(self, name, its)
         if self.mavlink.serial and self.mavlink.serial == self.slipd.device:
             raise ValueError("mavlink.serial and slipd.device are one port: a radio carries MAVLink or IP")
         if self.fleet.broker:
@@ -1699,7 +1697,7 @@ def whole(aboard: tuple[Part, ...]) -> type[Vehicle]:
     thruster = _with(ThrusterTable, [("driver", Literal[(*DRIVERS, *of_kind(aboard, "driver"))])])
     rows = ("thrusters", Annotated[tuple[thruster, ...], get_args(Thrusters)[1]], DELFIMX)  # type: ignore[valid-type]
     tables = [("failsafe", failsafe, failsafe()), ("navigation", navigation, navigation()), ("sensors", sensors, sensors())]
-    own = [(part.name, part.table, part.table()) for part in aboard if part.table is not None]
+    own = [(part.name, its, its()) for part in aboard if part.table and (its := table_of(part))]
     kind: type[Vehicle] = _with(Vehicle, [*tables, rows, *own], {"aboard": aboard})
     return kind
 
@@ -1718,8 +1716,7 @@ def _in_modes(table: type[Table], modes: Sequence[str]) -> Any:
 
 def _with(table: type[Table], fields: Sequence[tuple[Any, ...]], namespace: dict[str, Any] | None = None) -> Any:
     """A table with more keys, or with others of the same name."""
-    settings: dict[str, Any] = {"frozen": True, "forbid_unknown_fields": True, "kw_only": True, "module": __name__}
-    return msgspec.defstruct(table.__name__, fields, bases=(table,), namespace=namespace, **settings)
+    return _struct(table.__name__, fields, (table,), namespace)
 
 
 def _names(key: str, own: tuple[str, ...], aboard: tuple[Part, ...], least: int) -> tuple[str, Any, tuple[str, ...]]:

@@ -69,7 +69,7 @@ class Part(NamedTuple):
     """A row. A text names a module, or a function as module:function, which is loaded when it is used."""
 
     name: str  # as the vehicle's file has it, small letters, digits and _
-    table: type[Table] | None = None  # its keys, in a table of its name
+    table: type[Table] | str | None = None  # its keys, in a table of its name; module:class
     driver: str = ""  # module with `open_actuator(settings, links)`
     source: str = ""  # module with `open_source(settings, links, state)`
     sensor: str = ""  # module with `VALUES` and `open_sensor(settings, links)`
@@ -87,6 +87,7 @@ class Part(NamedTuple):
     vessels: bool = False  # it tells of other vessels
     separate: bool = False  # its source reads separate sensors, which an estimator may take (docs/estimator.md)
     ports: bool = False  # its lines are `ports` of its table, by their names, of which it needs one
+    after: str = ""  # its table stands behind this one in the file
 
 
 OWN_NODES: Final = "dsor"  # the part of the boat's own nodes: their source and driver
@@ -142,6 +143,8 @@ OWN: Final = {  # in the order in which sources are listed
         Part("pwm", driver="delfim.parts.pwm.driver", drives=Drives(channels=CHANNELS, outlet=True)),
         Part(
             "vesc",
+            "delfim.parts.vesc.table:Vesc",
+            after="pwm",
             driver="delfim.parts.vesc.driver",
             played="delfim.parts.vesc.sim",
             protocol="VESC",
@@ -246,6 +249,11 @@ def load(part: Part, place: str) -> Any:
         return getattr(found, function) if function else found
     except (Exception, SystemExit) as error:
         raise PermanentFailure(f"part {part.name}: {place} cannot be imported: {in_words(error)}") from error
+
+
+def table_of(part: Part) -> Any:
+    """The class of a part's table. Raises PermanentFailure."""
+    return load(part, part.table) if isinstance(part.table, str) else part.table
 
 
 def find(aboard: Sequence[Part], name: str) -> Part | None:

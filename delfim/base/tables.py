@@ -28,6 +28,10 @@ class Table(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
                 return inner
         raise LookupError(f"{type(self).__name__} has no {kind.__name__}")
 
+    def settled(self, vehicle: Any) -> "Table":
+        """The table as it counts beside the others of its vehicle's file. Raises ValueError where it contradicts one."""
+        return self
+
 
 T = TypeVar("T", bound=Table)
 SHOWN = 60  # characters at most of a value that is refused

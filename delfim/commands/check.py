@@ -9,6 +9,7 @@ from ipaddress import IPv4Interface, ip_network
 from pathlib import Path
 
 from delfim import config
+from delfim.base.ranges import NETWORKED, address
 from delfim.commands import example_file
 
 TOLD = 50  # faults listed for one file
@@ -92,7 +93,7 @@ def _doubts(file: str, vehicle: config.Vehicle) -> Iterator[str]:
     files |= {"corrections.to": to} if (to := vehicle.corrections.to).startswith("/") else {}
     files |= {"slipd.device": vehicle.slipd.device} | vehicle.outside("device")
     for key, path in files.items():
-        if path and not path.startswith(config.NETWORKED) and not Path(path).exists():
+        if path and not path.startswith(NETWORKED) and not Path(path).exists():
             yield f"{key}: there is no file {path} on this computer"
     for name, payload in vehicle.payload.items():
         if not os.access(payload.command[0], os.X_OK):
@@ -108,7 +109,7 @@ def _on_the_bus(vehicle: config.Vehicle) -> Iterator[str]:
     """Addresses of the file that the network of canip takes from all others: what is sent to them goes onto the bus."""
     bus = IPv4Interface(vehicle.canip.address).network
     named = {"guest.networks": vehicle.guest.networks if vehicle.guest.enabled else (), "cantcpd.watch": vehicle.cantcpd.watch}
-    named |= {"mavlink.peers": tuple(config.address(peer)[0] for peer in vehicle.mavlink.peers)}
+    named |= {"mavlink.peers": tuple(address(peer)[0] for peer in vehicle.mavlink.peers)}
     named |= {"slipd.peer": (vehicle.slipd.peer,) if vehicle.slipd.device else ()}
     for key, places in named.items():
         for place in places:

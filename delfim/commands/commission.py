@@ -13,6 +13,7 @@ from typing import Any, Final, NamedTuple
 
 from delfim import config
 from delfim.base.errors import DelfimError, Refused
+from delfim.base.ranges import address, is_loopback
 from delfim.commands import overrides, shipped
 from delfim.services.access import commissioned
 from delfim.services.access.commissioned import BOAT
@@ -182,7 +183,7 @@ def _opened(settings: config.Vehicle) -> dict[str, Any]:
 
 
 def _everywhere(listen: str) -> str:
-    return f"0.0.0.0:{config.address(listen)[1]}" if config.is_loopback(listen) else listen
+    return f"0.0.0.0:{address(listen)[1]}" if is_loopback(listen) else listen
 
 
 def _mission(file: str, settings: config.Vehicle) -> dict[str, str]:
@@ -213,7 +214,7 @@ def _secrets(answers: Mapping[str, str], crew: Mapping[str, str], console_key: s
         each for each in (answers["radio-address"] if answers["radio"] else "", answers["network"].partition("/")[0]) if each
     ]
     host, tls = credentials.ssh_key(boat), credentials.certificate(boat, places, datetime.datetime.now(datetime.UTC))
-    known, port = " ".join(host.public.split()[:2]), config.address(file.sshd.listen)[1]
+    known, port = " ".join(host.public.split()[:2]), address(file.sshd.listen)[1]
     files = {
         "boat/mavlink.key": console_key,
         "boat/ftpd.pem": tls.certificate + tls.key,

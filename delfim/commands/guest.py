@@ -14,7 +14,8 @@ def run(asked: argparse.Namespace) -> int:
     import asyncio
 
     from delfim.base.keys import read_key
-    from delfim.config import address, load
+    from delfim.base.ranges import address
+    from delfim.config import load
     from delfim.simulator.guest import Zigzag, guest
 
     table = load(asked.file, asked.set).guest

@@ -10,6 +10,7 @@ from typing import Protocol
 
 from delfim import config
 from delfim.base.clock import Clock
+from delfim.base.ranges import address
 from delfim.lines.nmea0183.speaking import SPEAKERS
 from delfim.vehicle.links import ReadableLine
 from delfim.vehicle.state import State
@@ -25,7 +26,7 @@ class Datagrams:
     """Datagrams to one address, which may be a LAN's broadcast address."""
 
     def __init__(self, place: str) -> None:
-        self._to = config.address(place)
+        self._to = address(place)
         family = socket.AF_INET6 if ":" in self._to[0] else socket.AF_INET
         self._socket = socket.socket(family, socket.SOCK_DGRAM | socket.SOCK_NONBLOCK)
         self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)

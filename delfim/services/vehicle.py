@@ -17,6 +17,7 @@ from delfim.base import parts
 from delfim.base.allowance import SECOND_BYTES, Allowance
 from delfim.base.clock import Clock
 from delfim.base.errors import ConfigError, DelfimError
+from delfim.base.ranges import address
 from delfim.canproxy.dsor.messages import time_frame
 from delfim.canproxy.opening import open_bound
 from delfim.canproxy.socket import CanAddress, CanSocket
@@ -318,7 +319,7 @@ async def _serve_guest(boat: VehicleLoop, table: config.GuestTable, links: conte
     try:
         door = GuestDoor(table, boat.guest, boat.state, boat.clock)
         links.callback(door.close)
-        links.callback((await asyncio.get_running_loop().create_server(door.visitor, *config.address(table.listen))).close)
+        links.callback((await asyncio.get_running_loop().create_server(door.visitor, *address(table.listen))).close)
     except ConfigError as error:
         words.error("guest: no guest can connect: %s", error)
     except OSError as error:

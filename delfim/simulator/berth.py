@@ -23,6 +23,7 @@ from delfim import config
 from delfim.base import tables
 from delfim.base.errors import DelfimError
 from delfim.base.pulses import CHANNELS
+from delfim.base.ranges import address, is_loopback
 from delfim.logging.blackbox import device
 from delfim.logging.keptwriter import VOYAGE
 from delfim.simulator.nodes.talkers import BOARD
@@ -187,7 +188,7 @@ def _beside(vehicle: config.Vehicle, its: Berth) -> dict[str, str]:
 
 def _is_here(place: str) -> bool:
     """Whether it is nowhere, or an address of this computer."""
-    return not place or (not place.startswith("/") and config.is_loopback(place.partition(":")[2]))
+    return not place or (not place.startswith("/") and is_loopback(place.partition(":")[2]))
 
 
 def _corrected(vehicle: config.Vehicle) -> tuple[str, ...]:
@@ -213,7 +214,7 @@ def _device(name: str, device: str, its: Berth) -> str:
     if device.startswith("/"):
         return f"{its.folder.resolve()}/nmea0183-{name}"
     kind, _, place = device.replace("gpsd:", "tcp:").partition(":")
-    return f"{kind}:{its.address(f'127.0.0.1:{config.address(place)[1]}', udp=kind == 'udp')}"
+    return f"{kind}:{its.address(f'127.0.0.1:{address(place)[1]}', udp=kind == 'udp')}"
 
 
 def _by_pulses(vehicle: config.Vehicle) -> list[Any]:

@@ -19,6 +19,7 @@ from delfim import config
 from delfim.base.errors import DelfimError
 from delfim.base.geodesy import origin
 from delfim.base.outside import UNREADABLE
+from delfim.base.ranges import address
 from delfim.simulator.model import Hull, Model, hull_of
 
 DATAGRAMS: Final = 16  # taken at once
@@ -70,7 +71,7 @@ class ExternalModel(Model):
         self._idle = set[str]()  # thrusters that were not commanded since
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
-            self._socket.bind(config.address(listen))
+            self._socket.bind(address(listen))
         except OSError as error:
             self._socket.close()
             raise DelfimError(f"simulation.external: {listen}: {error.strerror}") from None

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Final, Protocol, Self
 
 from delfim import config
+from delfim.base.ranges import address, is_loopback
 from delfim.simulator.nodes.talkers import port_devices
 
 UNREAD_BYTES: Final = 2048  # of a pty that nobody reads, which would keep old positions for its next reader
@@ -144,7 +145,7 @@ def _end(device: str, run: Path) -> LineEnd | None:
     kind, _, place = device.partition(":")
     if device.startswith("/"):
         return PtyEnd(Path(device)) if Path(device).is_relative_to(run) else None
-    if not config.is_loopback(place):
+    if not is_loopback(place):
         return None
-    address = config.address(place)
-    return DatagramEnd(address) if kind == "udp" else ConnectionEnd(address, kind == "tcp-listen")
+    its = address(place)
+    return DatagramEnd(its) if kind == "udp" else ConnectionEnd(its, kind == "tcp-listen")

@@ -17,6 +17,7 @@ import pytest
 
 from delfim import config
 from delfim.__main__ import main
+from delfim.base.ranges import address
 from delfim.commands.new import MOTORS, SENSORS
 from delfim.services.access.doors import doors
 from delfim.services.suite import services
@@ -47,7 +48,7 @@ def test_whoever_types_what_was_told_finds_a_door_there(boat: str, tmp_path: Pat
     told = capsys.readouterr().out.partition("To the operator's computer")[2]
     settings = config.load(made / "boat/boat.toml")
     found = doors(settings, [row.name for row in services(settings)])
-    listening = {each.service: config.address(each.place.removesuffix(" UDP")) for each in found if each.reach != "here"}
+    listening = {each.service: address(each.place.removesuffix(" UDP")) for each in found if each.reach != "here"}
     typed = {"mavlink": 14555} if re.search(r"delfim console --boats 0.0.0.0:14550", told) else {}
     for service, usual, pattern in (
         ("sshd", 22, r"ssh (?:-p (\d+) )?.*ana@"),

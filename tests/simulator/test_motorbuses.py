@@ -29,6 +29,7 @@ from delfim.canproxy.dronecan.transfers import COMMAND, Publisher, TransferRecei
 from delfim.canproxy.opening import open_can
 from delfim.canproxy.socket import ANYTHING, CanAddress
 from delfim.parts.vesc import driver as vesc
+from delfim.parts.vesc.table import Vesc
 from delfim.simulator.berth import Berth, settings_of
 from delfim.simulator.faults import fault
 from delfim.simulator.lockstep import Lockstep
@@ -81,7 +82,7 @@ COMMANDS = [("dronecan", "raw"), ("dronecan", "rpm"), ("vesc", "duty"), ("vesc",
 @pytest.mark.parametrize("rate_hz", [2.0, 20.0])
 @pytest.mark.parametrize(("driver", "command"), COMMANDS)
 def test_they_obey_each_kind_of_command_at_each_rate_of_navigation(driver: str, command: str, rate_hz: float) -> None:
-    tables = {driver: {"dronecan": config.Dronecan, "vesc": config.Vesc}[driver](command=command)}
+    tables = {driver: {"dronecan": config.Dronecan, "vesc": Vesc}[driver](command=command)}
     settings = msgspec.structs.replace(boat(driver), navigation=config.NavigationTable(rate_hz=rate_hz), **tables)
     run = under_way(settings, 0.5)
     assert [drive.part for drive in run.nodes.model.drives.values()] == pytest.approx([0.5, 0.5], abs=0.02)

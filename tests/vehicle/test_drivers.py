@@ -17,6 +17,7 @@ from delfim.base.frames import extended
 from delfim.base.pulses import PulseAnswer, pack_answer, unpack_command
 from delfim.canproxy.opening import open_bound
 from delfim.canproxy.socket import ANYTHING, CanAddress, CanSocket
+from delfim.parts.vesc.table import Vesc
 from delfim.services.outlet import Guard
 from delfim.vehicle.actuators import Actuator, open_actuator
 from delfim.vehicle.links import Links
@@ -453,7 +454,7 @@ def test_a_vesc_is_told_duty_current_or_speed(command: str, full: float) -> None
             sent.extend(frames)
             return 0
 
-    boat = settings("vesc", vesc=config.Vesc(command=command))
+    boat = settings("vesc", vesc=Vesc(command=command))
     driver = open_actuator("vesc", boat, Links(lambda name, filters: Bus(), lambda device, baud: None))
     driver.send(AHEAD, 1.0)
     kind = {"duty": 0, "current": 1, "rpm": 3}[command]

@@ -15,6 +15,7 @@ import msgspec
 from delfim import config
 from delfim.base.clock import Clock
 from delfim.base.errors import PermanentFailure, in_words
+from delfim.base.ranges import address
 from delfim.parts.fleet.broker import DOWN, STATE, UP, BrokerLine, BrokerPlace
 from delfim.services.page.api import State
 from delfim.services.runtime import Runtime
@@ -30,7 +31,7 @@ class FleetMember:
     def __init__(self, settings: config.Vehicle, door: socket.socket, clock: Clock) -> None:
         table, self._name = settings.fleet, settings.boat.name
         place = BrokerPlace.of(table.broker)
-        self._door, self._vehicle = door, config.address(settings.mavlink.listen)
+        self._door, self._vehicle = door, address(settings.mavlink.listen)
         self._clock, self._period_s, self._due_s = clock, table.period_s, clock.monotonic_s()
         self._silence = "the vehicle has not answered yet"
         self._up, self._state = place.topic(self._name, UP), place.topic(self._name, STATE)
@@ -107,7 +108,7 @@ async def serve(runtime: Runtime) -> None:
     settings, status = runtime.config, runtime.status.get("fleetd")
     if status is not None and status.place == "runtime":
         raise PermanentFailure("fleetd: it reckons ciphers, for which the runtime has no time; write place = 'process'")
-    loop, listen = asyncio.get_running_loop(), config.address(settings.fleet.listen)
+    loop, listen = asyncio.get_running_loop(), address(settings.fleet.listen)
     family = socket.AF_INET6 if ":" in listen[0] else socket.AF_INET
     with contextlib.ExitStack() as links:
         door = links.enter_context(socket.socket(family, socket.SOCK_DGRAM | socket.SOCK_NONBLOCK))

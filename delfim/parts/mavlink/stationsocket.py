@@ -13,8 +13,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Final, Self
 
-from delfim import config
 from delfim.base.keys import read_key
+from delfim.base.ranges import address
 from delfim.lines.rtcm import doorstep
 from delfim.parts.mavlink.consoles import Obey, Review
 from delfim.parts.mavlink.signing import Kept, Signing, read_stamps, write_stamps
@@ -155,8 +155,8 @@ class MavlinkLink:
 
 
 def _bound(listen: str) -> socket.socket:
-    address = config.address(listen)
-    bound = socket.socket(socket.AF_INET6 if ":" in address[0] else socket.AF_INET, socket.SOCK_DGRAM)
+    place = address(listen)
+    bound = socket.socket(socket.AF_INET6 if ":" in place[0] else socket.AF_INET, socket.SOCK_DGRAM)
     try:
         bound.setblocking(False)
         bound.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, BUFFER_BYTES)
@@ -164,7 +164,7 @@ def _bound(listen: str) -> socket.socket:
             bound.setsockopt(socket.IPPROTO_IP, socket.IP_TOS, LOWDELAY)
         else:
             bound.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_TCLASS, LOWDELAY)
-        bound.bind(address)
+        bound.bind(place)
     except OSError as error:
         bound.close()
         log.error("mavlink: no console can connect on %s: %s", listen, error.strerror)

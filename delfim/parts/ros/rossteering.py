@@ -16,6 +16,7 @@ from delfim.base import geodesy
 from delfim.base.errors import FormatError, in_words
 from delfim.base.keys import read_key
 from delfim.base.outside import UNREADABLE
+from delfim.base.ranges import address
 from delfim.services.page.api import State
 from delfim.vehicle.grex import proof
 
@@ -101,7 +102,7 @@ class GuestLine:
     """The connection to the guest's door. `reason`: why there is none, or empty. Raises ConfigError for a bad key."""
 
     def __init__(self, table: config.GuestTable) -> None:
-        self._address = config.address(table.listen)
+        self._address = address(table.listen)
         self._key = read_key(table.key) if table.key else None
         self._writer: asyncio.StreamWriter | None = None
         self.reason = "not connected yet"

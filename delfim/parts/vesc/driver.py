@@ -16,6 +16,7 @@ from delfim import config
 from delfim.base.errors import FormatError
 from delfim.base.frames import extended
 from delfim.canproxy.socket import BATCH, CanAddress, CanSocket
+from delfim.parts.vesc.table import Vesc
 from delfim.vehicle.links import Links, received
 from delfim.vehicle.state import Actuation, State, ThrusterReport
 
@@ -86,9 +87,9 @@ class Vescs:
 
     def __init__(self, settings: config.Vehicle, socket: CanSocket) -> None:
         self._socket, self._send_many = socket, socket.send_many
-        self._table, self._last = settings.vesc, list[tuple[int, bytes]]()
+        self._table, self._last = settings.of(Vesc), list[tuple[int, bytes]]()
         rows = [(index, row) for index, row in enumerate(settings.thrusters) if row.driver == self.name]
-        self._motors = tuple((index, row.address, _full(settings.vesc, row)) for index, row in rows)
+        self._motors = tuple((index, row.address, _full(settings.of(Vesc), row)) for index, row in rows)
         self._stops = [pack_duty(row.address, 0.0) for _, row in rows]
         self._rows = {row.address: (row.name, -1.0 if row.reversed else 1.0) for _, row in rows}
         self.input, self.inputs = socket, (self,)
@@ -140,7 +141,7 @@ class Vescs:
         )
 
 
-def _full(table: config.Vesc, row: config.ThrusterTable) -> float:
+def _full(table: Vesc, row: config.ThrusterTable) -> float:
     """The full command of a row, as `table.command` says it."""
     full = {"duty": table.duty_max, "current": table.current_max_a, "rpm": row.rpm_max * table.pole_pairs}[table.command]
     return -full if row.reversed else full
@@ -150,4 +151,4 @@ def open_actuator(settings: config.Vehicle, links: Links) -> Vescs:
     """Raises DelfimError."""
     ids = [row.address for row in settings.thrusters if row.driver == Vescs.name]
     heard = [CanAddress(extended(kind << 8 | each)) for each in ids for kind in (STATUS_1, STATUS_4, STATUS_5)]
-    return Vescs(settings, links.bus(settings.vesc.interface, tuple(heard)))
+    return Vescs(settings, links.bus(settings.of(Vesc).interface, tuple(heard)))

@@ -20,6 +20,7 @@ from delfim.parts.vesc.driver import (
     VALUE,
     VOLTAGE,
 )
+from delfim.parts.vesc.table import Vesc
 from delfim.simulator.model import Model
 from delfim.simulator.nodes.period import TOLERANCE_S, Period, patience_s
 
@@ -31,7 +32,7 @@ _MOST: Final = (1 << 15) - 1
 class PlayedVesc:
     """The controller of a row."""
 
-    def __init__(self, model: Model, row: config.ThrusterTable, table: config.Vesc) -> None:
+    def __init__(self, model: Model, row: config.ThrusterTable, table: Vesc) -> None:
         self._model, self._row, self._drive, self._pole_pairs = model, row, model.drives[row.name], table.pole_pairs
         self._sign = -1.0 if row.reversed else 1.0
         full = {
@@ -73,8 +74,8 @@ class PlayedVescs:
     """All controllers of the bus."""
 
     def __init__(self, settings: config.Vehicle, model: Model) -> None:
-        self.interface = settings.vesc.interface
-        self._vescs = [PlayedVesc(model, row, settings.vesc) for row in settings.thrusters if row.driver == "vesc"]
+        self.interface = settings.of(Vesc).interface
+        self._vescs = [PlayedVesc(model, row, settings.of(Vesc)) for row in settings.thrusters if row.driver == "vesc"]
         self._commanded = {arb: each for each in self._vescs for arb in each.commands}
         self.hears = tuple(map(CanAddress, self._commanded))
         self._silent_s, self._period = patience_s(SILENT_S, settings), Period(REPORT_S)

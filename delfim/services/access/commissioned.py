@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Final
 
 from delfim import config
+from delfim.base.ranges import address, is_loopback
 
 BOAT: Final = "/log/.boat"  # aboard; names with a dot in front are given out by no service
 
@@ -62,24 +63,24 @@ def _commands(shore: Path, settings: config.Vehicle, own: str, user: str, runnin
     boat = line.address if line.device else own
     if line.device:
         yield from _shore(line)
-    if not config.is_loopback(mavlink.listen):
+    if not is_loopback(mavlink.listen):
         yield f"delfim console --boats 0.0.0.0:14550 --key {shore}/mavlink.key --vehicle {shore}/boat.toml"
-    if "sshd" in running and not config.is_loopback(listen := settings.sshd.listen):
+    if "sshd" in running and not is_loopback(listen := settings.sshd.listen):
         key = f"-i {shore}/{user}.key " if (shore / f"{user}.key").exists() else ""
         yield f"ssh {_port('-p', listen, 22)}{key}-o UserKnownHostsFile={shore}/known_hosts {user}@{boat}"
-    if "ftpd" in running and not config.is_loopback(listen := settings.ftpd.listen):
+    if "ftpd" in running and not is_loopback(listen := settings.ftpd.listen):
         tls = f"set ftp:ssl-force true; set ssl:ca-file {shore}/boat.crt"
         yield f"lftp {_port('-p', listen, 21)}-u {user} -e '{tls}' {boat}"
     watched = bus(settings)
-    if "cantcpd" in running and watched and not config.is_loopback(listen := settings.cantcpd.listen[0]):
-        yield f"delfim can dump socketcand:{boat}:{config.address(listen)[1]}:{bus_name(watched)}"
-    if "httpd" in running and not config.is_loopback(listen := settings.httpd.listen):
-        port = config.address(listen)[1]
+    if "cantcpd" in running and watched and not is_loopback(listen := settings.cantcpd.listen[0]):
+        yield f"delfim can dump socketcand:{boat}:{address(listen)[1]}:{bus_name(watched)}"
+    if "httpd" in running and not is_loopback(listen := settings.httpd.listen):
+        port = address(listen)[1]
         yield f"browser: http://{boat}{'' if port == 80 else f':{port}'}/"
 
 
 def _port(option: str, listen: str, usual: int) -> str:
-    port = config.address(listen)[1]
+    port = address(listen)[1]
     return "" if port == usual else f"{option} {port} "
 
 

@@ -9,6 +9,7 @@ from ipaddress import ip_network
 from typing import Final, Literal, NamedTuple
 
 from delfim import config
+from delfim.base.ranges import is_loopback
 
 EVERY: Final = "every program of this computer"
 
@@ -59,7 +60,7 @@ def unheard(settings: config.Vehicle) -> str:
         return "mavlink.enabled is false"
     if not mavlink.key:
         return "mavlink.key is empty, and without a key only this computer is heard"
-    if config.is_loopback(mavlink.listen) and not (mavlink.serial or settings.fleet.broker):
+    if is_loopback(mavlink.listen) and not (mavlink.serial or settings.fleet.broker):
         return f"mavlink.listen is {mavlink.listen}, which only this computer reaches"
     return ""
 
@@ -86,7 +87,7 @@ def _instruments(settings: config.Vehicle) -> Iterator[Entrance]:
         may = _STEER if key == "nmea0183.guest.device" else "tell the boat where it is"
         kind, _, place = device.partition(":")
         place = f"{place} UDP" if kind == "udp" else place
-        if config.is_loopback(place.removesuffix(" UDP")) or not beyond:
+        if is_loopback(place.removesuffix(" UDP")) or not beyond:
             yield Entrance("vehicle", place, "here", EVERY, may)
             continue
         many = [each for each in beyond if ip_network(each).num_addresses > 1]
@@ -98,7 +99,7 @@ def _cantcpd(settings: config.Vehicle) -> Iterator[Entrance]:
     table = settings.cantcpd
     for listen in (*table.listen, *table.slcan):
         watching, sending = _beyond(table.watch), _beyond(table.transmit)
-        if config.is_loopback(listen) or not watching:
+        if is_loopback(listen) or not watching:
             may = "read the buses and send frames" if table.transmit else "read the buses"
             yield Entrance("cantcpd", listen, "here", EVERY, may)
             continue
@@ -129,7 +130,7 @@ def _ftpd(settings: config.Vehicle) -> Iterator[Entrance]:
     writers = [name for name, user in table.users.items() if user.upload]
     may = f"read {table.root}" + (f"; upload: {', '.join(writers)}" if writers else "")
     how = "by password, over TLS" if table.certificate else "by password, in the clear"
-    in_clear = not table.certificate and not config.is_loopback(table.listen)
+    in_clear = not table.certificate and not is_loopback(table.listen)
     fault = "ftpd: whoever hears a password may upload; name a certificate (ftpd.certificate)" if in_clear and writers else ""
     yield Entrance("ftpd", table.listen, "known", f"{', '.join(table.users)}, {how}", may, fault)
 
@@ -175,7 +176,7 @@ SERVICES = {
 
 
 def _open(service: str, listen: str, may: str) -> Entrance:
-    if config.is_loopback(listen):
+    if is_loopback(listen):
         return Entrance(service, listen, "here", EVERY, may)
     return Entrance(service, listen, "anyone", "anyone who reaches this address", may)
 

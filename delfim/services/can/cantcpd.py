@@ -3,7 +3,7 @@
 import asyncio
 import contextlib
 
-from delfim import config
+from delfim.base.ranges import address
 from delfim.canproxy.cantcp.access import Access
 from delfim.canproxy.cantcp.server import CanServer
 from delfim.services.runtime import Runtime
@@ -17,10 +17,10 @@ async def serve(runtime: Runtime) -> None:
         access = Access(settings.cantcpd, settings.can, settings.closed_buses)
         server = CanServer(settings.cantcpd, interfaces, runtime, runtime.clock, settings.can.receive_buffer_bytes, access)
         links.callback(server.close)
-        asked = [(address, server.slcan_connection) for address in settings.cantcpd.slcan]
-        asked += [(address, server.connection) for address in settings.cantcpd.listen]
-        for address, connection in asked:
-            listening = await loop.create_server(connection, *config.address(address))
+        asked = [(listen, server.slcan_connection) for listen in settings.cantcpd.slcan]
+        asked += [(listen, server.connection) for listen in settings.cantcpd.listen]
+        for listen, connection in asked:
+            listening = await loop.create_server(connection, *address(listen))
             links.callback(listening.close)
         port = listening.sockets[0].getsockname()[1]
         links.enter_context(runtime.publishing("cantcpd", server.report))

@@ -19,6 +19,7 @@ import aioftp
 from delfim import config
 from delfim.base.clock import Clock
 from delfim.base.errors import DelfimError, PermanentFailure
+from delfim.base.ranges import address
 from delfim.services.access.door import Door, Patience, bulk, hashed, matches
 from delfim.services.files import ftpdata
 from delfim.services.files.ftpfiles import FtpFiles
@@ -97,7 +98,7 @@ class FtpServer(aioftp.Server):
     async def open(self) -> str:
         """Listen. Returns the address. Raises OSError."""
         await self._work(self._files.uploads.prepare)
-        await self.start(*config.address(self._table.listen), limit=LINE_BYTES, backlog=16)
+        await self.start(*address(self._table.listen), limit=LINE_BYTES, backlog=16)
         return "ftp://{}:{}/".format(*self.server.sockets[0].getsockname()[:2])
 
     async def close(self) -> None:

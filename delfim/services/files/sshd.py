@@ -21,6 +21,7 @@ import asyncssh
 from delfim import config
 from delfim.base.clock import Clock
 from delfim.base.errors import PermanentFailure
+from delfim.base.ranges import address
 from delfim.services.access.door import Door, Patience, bulk
 from delfim.services.files.jail import Jail
 from delfim.services.files.sshfiles import SftpFiles
@@ -69,7 +70,7 @@ class Daemon:
         await loop.run_in_executor(self.workers, self.uploads.prepare)
         acceptor = await asyncssh.create_server(
             self._visitor,
-            *config.address(table.listen),
+            *address(table.listen),
             backlog=16,
             server_host_keys=[host_key],
             kex_algs=KEX,

@@ -23,6 +23,7 @@ from aiohttp import web
 
 from delfim import config
 from delfim.base.errors import DelfimError, FormatError
+from delfim.base.ranges import address
 from delfim.logging import systemlog
 from delfim.logging.ashore.tree import readable
 from delfim.services.access.door import Door, bulk
@@ -268,12 +269,12 @@ async def serve(runtime: Runtime) -> None:
         links.push_async_callback(look.close)
         links.callback(board.feed.close)
         links.callback(_hang_up, server)
-        place = config.address(settings.httpd.listen)
+        place = address(settings.httpd.listen)
         listener = await loop.create_server(lambda: HttpConnection(server, door), *place, backlog=BACKLOG)
         links.callback(listener.close)
-        address = "http://{}:{}/".format(*listener.sockets[0].getsockname()[:2])
-        links.enter_context(runtime.publishing("httpd", lambda: {"address": address, **board.figures()}))
-        log.warning("httpd: %s", address)
+        url = "http://{}:{}/".format(*listener.sockets[0].getsockname()[:2])
+        links.enter_context(runtime.publishing("httpd", lambda: {"address": url, **board.figures()}))
+        log.warning("httpd: %s", url)
         while True:
             with contextlib.suppress(OSError):  # no room for a child now: the page says how old the last look is
                 await look.start()

@@ -17,6 +17,7 @@ from delfim.base import geodesy
 from delfim.base.clock import SystemClock
 from delfim.base.errors import ConfigError, FormatError, PermanentFailure
 from delfim.base.keys import new_key
+from delfim.base.ranges import address
 from delfim.parts.ros import rosd, roskeys, rosmessages
 from delfim.parts.ros.cdr import HEAD, CdrReader, CdrWriter
 from delfim.parts.ros.rossteering import GOAL_S, TURN_MAX_RAD, TWIST_S, Steering
@@ -226,7 +227,7 @@ async def guests_door(table: config.GuestTable) -> AsyncIterator[list[bytes]]:
     guest, said = Guest(state, SystemClock()), list[bytes]()
     guest.on_line = said.append
     door = GuestDoor(table, guest, state, SystemClock())
-    host, port = config.address(table.listen)
+    host, port = address(table.listen)
     server = await asyncio.get_running_loop().create_server(door.visitor, host, port)
     try:
         yield said
