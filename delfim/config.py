@@ -24,7 +24,6 @@ from delfim.base.ranges import (
     Baud,
     BitRate,
     Degrees,
-    Device,
     DeviceName,
     DsorNode,
     Endpoint,
@@ -80,13 +79,8 @@ Newtons = Annotated[float, msgspec.Meta(ge=-1e5, le=1e5)]
 Curve = Annotated[tuple[tuple[Annotated[float, msgspec.Meta(ge=-1.0, le=1.0)], Newtons], ...], msgspec.Meta(max_length=64)]
 Revolutions = Annotated[float, msgspec.Meta(ge=0.0, le=100_000.0)]
 ThrusterName = Annotated[str, text("[a-z][a-z0-9_]{0,15}", "a small letter, then up to 15 small letters, digits or _")]
-MicroTesla = Annotated[float, msgspec.Meta(ge=-500.0, le=500.0)]
-Stretch = Annotated[float, msgspec.Meta(ge=0.5, le=2.0)]
-Shear = Annotated[float, msgspec.Meta(ge=-0.2, le=0.2)]
 DriverAddress = Annotated[int, msgspec.Meta(ge=0, le=255)]
 Sources = Annotated[tuple[SourceName, ...], msgspec.Meta(min_length=1, max_length=len(SOURCES))]
-Pulse = Annotated[float, msgspec.Meta(ge=400.0, le=2600.0)]  # us
-PwmNumber = Annotated[str, text("([0-9]|1[0-5])", "0 to 15")]
 OTHER_NODES = (0x01, 0x02, 0x10, 0x11, 0x20, 0x21)  # of `messages.Node`
 NODES_PROTOCOL = "DSOR"  # of the boat's own nodes
 PUSH_MIN = 0.1  # N and N·m: less is nothing
@@ -422,31 +416,6 @@ class ThrusterTable(Table, frozen=True):
         return (self.curve[0][1], self.curve[-1][1]) if self.curve else self.thrust_n
 
 
-class Dsor(Table, frozen=True):
-    """The propellers of DelfimX, on the bus of the boat's own nodes: address 0 is the starboard one, 1 the port one."""
-
-    rpm_max: Annotated[int, msgspec.Meta(ge=1, le=10_000)] = 1200  # at full command, ahead and astern
-
-
-class Dronecan(Table, frozen=True):
-    """Motor controllers, servos and sensors on a DroneCAN bus (docs/dronecan.md). A thruster's address is the index of its
-    controller (ESC_INDEX), that of what turns it the number of its actuator."""
-
-    interface: Interface = "can1"  # the bus of motors and sensors
-    bitrate_bps: BitRate = 1_000_000  # of a Linux interface, as DroneCAN has it
-    node: Annotated[int, msgspec.Meta(ge=1, le=125)] = 10  # number of this computer; no device may have it
-    rate_hz: Annotated[float, msgspec.Meta(ge=10.0, le=100.0)] = 20.0  # commands a second; most controllers stop after 0.2 s
-    command: Literal["raw", "rpm"] = "raw"  # a part of full power, or revolutions: rpm_max of a thruster at full command
-    steer: Literal["unitless", "position"] = "unitless"  # servos get a part of angle_max_deg, -1 to 1, or the angle in rad
-    numbers: bool = True  # give devices that have no number one
-    preferred_sources: tuple[Annotated[int, msgspec.Meta(ge=1, le=127)], ...] = ()  # sensors' numbers, best first; empty: any
-    antennas_deg: Degrees = 0.0  # of two antennas: where the second is, seen from the first, clockwise from the bow
-    compass_deg: Degrees = 0.0  # where the arrow of compass and gyro points, clockwise from the bow
-    variation_deg: Degrees = 0.0  # of the place, east positive: what is added to a magnetic heading
-    hard_iron_ut: tuple[MicroTesla, MicroTesla, MicroTesla] = (0.0, 0.0, 0.0)  # taken off the compass' x, y and z
-    soft_iron: tuple[Stretch, Stretch, Stretch, Shear, Shear, Shear] = (1.0, 1.0, 1.0, 0.0, 0.0, 0.0)  # then: xx yy zz xy xz yz
-
-
 class PropulsionTable(Table, frozen=True):
     """The propulsion as a whole."""
 
@@ -464,73 +433,6 @@ DELFIMX: Final = tuple(
     for address, (name, y_m) in enumerate((("starboard", 1.029), ("port", -1.029)))
 )
 Thrusters = Annotated[tuple[ThrusterTable, ...], msgspec.Meta(min_length=1, max_length=16)]
-
-
-class PwmChannel(Table, frozen=True):
-    """The pulses of a motor or a servo. Those of an ESC that only goes ahead have neutral and astern alike."""
-
-    astern_us: Pulse = 1100.0  # full astern; of a servo: as far to port as it goes
-    neutral_us: Pulse = 1500.0  # at rest; an ESC arms by it
-    ahead_us: Pulse = 1900.0  # full ahead; of a servo: as far to starboard as it goes
-
-    def __post_init__(self) -> None:
-        if self.ahead_us == self.neutral_us or (self.ahead_us - self.neutral_us) * (self.astern_us - self.neutral_us) > 0.0:
-            raise ValueError(f"neutral_us: {self.neutral_us:g} is not between {self.astern_us:g} and {self.ahead_us:g}")
-
-    def pulse_us(self, fraction: float) -> float:
-        """The pulse for -1 (astern) to 1 (ahead)."""
-        end_us = self.ahead_us if fraction > 0.0 else self.astern_us
-        return self.neutral_us + min(abs(fraction), 1.0) * (end_us - self.neutral_us)
-
-
-class PwmCut(Table, frozen=True):
-    """An output of the computer that takes the motors their pulses or their power: OE of a PCA9685, or a relay. The supervisor
-    sets it when the outlet hangs and cannot be ended (docs/pwm.md)."""
-
-    chip: Annotated[str, text("(/dev/gpiochip[0-9]+)?", "/dev/gpiochipNUMBER, or empty")] = ""  # of the pin; empty: none
-    line: Annotated[str, text("[^ ]{0,31}", "a name without blanks, as gpioinfo lists it")] = ""  # name of the pin
-    at: Literal["high", "low"] = "high"  # the level that cuts them off; the other one is held meanwhile
-
-    def __post_init__(self) -> None:
-        if bool(self.chip) != bool(self.line):
-            raise ValueError("an output needs both its chip and its line")
-
-
-class Pwm(Table, frozen=True):
-    """Motors and servos that are told by pulses: the kernel's PWM, or a PCA9685 (docs/pwm.md)."""
-
-    chip: Annotated[str, text("/[^ ]+", "an absolute path")] = "/sys/class/pwm/pwmchip0"  # or /dev/i2c-1; * as in a shell
-    i2c_address: Annotated[int, msgspec.Meta(ge=0x03, le=0x77)] = 0x40  # of the PCA9685
-    clock_hz: Annotated[float, msgspec.Meta(ge=1e6, le=50e6)] = 25e6  # of the PCA9685, whose own is some percent off
-    rate_hz: Annotated[float, msgspec.Meta(ge=40.0, le=330.0)] = 50.0  # pulses a second
-    arm_s: Annotated[float, msgspec.Meta(ge=0.0, le=60.0)] = 3.0  # neutral for so long after the start: an ESC arms by it
-    channel: dict[PwmNumber, PwmChannel] = msgspec.field(default_factory=dict)  # those with other pulses than usual
-    cut: PwmCut = PwmCut()
-
-
-class OtterTable(Table, frozen=True):
-    """The front seat of an Otter of Maritime Robotics (docs/front-seat.md)."""
-
-    device: Device = "tcp:192.168.53.2:2009"  # the boat's own computer
-    baud: Baud = 115_200  # of a serial port
-
-
-class HeronTable(Table, frozen=True):
-    """The front seat of a Heron of Clearpath, or of a boat that speaks as it does (docs/front-seat.md)."""
-
-    device: Device = "tcp:192.168.1.100:29500"  # the boat's own computer
-    baud: Baud = 115_200  # of a serial port
-
-
-class MavlinkFrontSeat(Table, frozen=True):
-    """A board with ArduRover or PX4 (docs/front-seat.md): its motors, its position and heading, or both by one line."""
-
-    device: Device = "tcp:127.0.0.1:5760"  # the board, or a router of its messages
-    baud: Baud = 115_200  # of a serial port
-    autopilot: Literal["ardupilot", "px4"] = "ardupilot"  # what runs on it; they read the throttle in two ways
-    board: Annotated[int, msgspec.Meta(ge=1, le=255)] = 1  # its SYSID_THISMAV, or MAV_SYS_ID
-    system: Annotated[int, msgspec.Meta(ge=1, le=255)] = 255  # the number that we have there: SYSID_MYGCS of ArduRover
-    battery: bool = False  # its battery is the boat's, with the charge that it tells: its BATT_CAPACITY must be right
 
 
 class HeadingTable(Table, frozen=True):
@@ -1509,13 +1411,7 @@ class Vehicle(Table, frozen=True):
     traffic: TrafficTable = TrafficTable()
     estimator: EstimatorTable = EstimatorTable()
     propulsion: PropulsionTable = PropulsionTable()
-    dsor: Dsor = Dsor()
-    dronecan: Dronecan = Dronecan()
     thrusters: Thrusters = DELFIMX
-    pwm: Pwm = Pwm()
-    otter: OtterTable = OtterTable()
-    heron: HeronTable = HeronTable()
-    mavlink_front_seat: MavlinkFrontSeat = MavlinkFrontSeat()
     control: ControlTable = ControlTable()
     failsafe: Failsafe = Failsafe()
     fence: FenceTable = FenceTable()
@@ -1579,7 +1475,7 @@ class Vehicle(Table, frozen=True):
         if (fault := thrusters_fault(self.thrusters, self.aboard)) is not None:
             raise ValueError(f"thrusters: {fault}")
         for row in self.thrusters:
-            told = getattr(getattr(self, row.driver, None), "command", "")
+            told = getattr(self.table(row.driver), "command", "")
             if self.drives(row).revolves and told == "rpm" and not row.rpm_max:
                 words = f"{row.driver}.command is rpm: rpm_max must say the revolutions at full command"
                 raise ValueError(f"thrusters: {row.name}: {words}")
@@ -1587,6 +1483,15 @@ class Vehicle(Table, frozen=True):
         if self.sysstat.required is None:
             its = msgspec.structs.replace(self.sysstat, required=self._nodes())
             msgspec.structs.force_setattr(self, "sysstat", its)
+
+    def table(self, name: str) -> Any:
+        """A part's table by its name, for who knows no more of it than the rows say; None where it has none."""
+        return getattr(self, name, None)
+
+    def facts(self, key: str) -> list[Any]:
+        """The values of a key, or of what follows from several, in the tables of the boat's own parts that have it."""
+        found = (getattr(self, row.name) for row in OWN.values() if row.table)
+        return [getattr(table, key) for table in found if hasattr(table, key)]
 
     def drives(self, row: ThrusterTable) -> Drives:
         """The facts of a thruster's driver."""
@@ -1598,7 +1503,7 @@ class Vehicle(Table, frozen=True):
 
     def rpm_max(self, row: ThrusterTable) -> float:
         """Revolutions per minute of a thruster at full command; 0 where they are not known."""
-        return float(self.dsor.rpm_max) if self.drives(row).nodes else row.rpm_max
+        return float(getattr(self.table(row.driver), "rpm_max", row.rpm_max))
 
     @property
     def ports(self) -> dict[str, dict[str, Nmea0183Port]]:
@@ -1663,12 +1568,12 @@ class Vehicle(Table, frozen=True):
 
     def _parts(self) -> dict[str, Table | None]:
         """The tables of the boat's nodes and parts, by their names in the file."""
-        spoken = tuple(name for name in OWN if getattr(getattr(self, name, None), "joins", False))
+        spoken = tuple(name for name in OWN if getattr(self.table(name), "joins", False))
         names = ("can", "handset", *self.navigation.sources, *self.sensors.names, *self.drivers, *spoken)
         routed = {f"routing.buses.{name}": bus for name, bus in self.routing.buses.items()}
         lines = {f"{part}.ports.{name}": port for part, ports in self.ports.items() for name, port in ports.items()}
         pilot = {"nmea0183.guest": self.nmea0183.guest} if self.nmea0183.guest.device else {}
-        return {name: getattr(self, name, None) for name in names} | routed | lines | pilot
+        return {name: self.table(name) for name in names} | routed | lines | pilot
 
     @property
     def bit_rates(self) -> dict[str, int]:

@@ -19,7 +19,7 @@ from delfim.canproxy.dronecan.datatypes import NODE_STATUS, RAW_COMMAND
 from delfim.canproxy.dronecan.transfers import TransferReceiver
 from delfim.canproxy.opening import open_can
 from delfim.canproxy.socket import CanSocket
-from delfim.config import Dronecan
+from delfim.parts.dronecan.table import Dronecan
 from delfim.vehicle.link import Link
 from tests.afloat import ROOT, running
 

@@ -12,15 +12,16 @@ from pathlib import Path
 from typing import Any, Protocol
 
 import pytest
+from tests.services.test_outlet import chip, pulse_us
 
 from delfim import config
 from delfim.base.errors import DelfimError
 from delfim.canproxy.opening import open_can
 from delfim.canproxy.socket import ANYTHING
+from delfim.parts.frontseats.table import OtterTable
 from delfim.services.supervision.stop import PropellerStop
 from delfim.vehicle.link import Link
 from tests.afloat import running
-from tests.services.test_outlet import chip, pulse_us
 from tests.vehicle.played_devices import PlayedPx4, PlayedSeat, PlayedVesc
 
 PATIENCE_S = 200.0
@@ -249,7 +250,7 @@ def test_the_connection_of_a_stop_ends_with_it() -> None:
             for address, name in enumerate(("starboard", "port"))
         )
         device = motors.values[0].partition("=")[2].strip('"')
-        boat = config.Vehicle(boat=config.BoatTable(name="test"), thrusters=rows, otter=config.OtterTable(device=device))
+        boat = config.Vehicle(boat=config.BoatTable(name="test"), thrusters=rows, otter=OtterTable(device=device))
         with contextlib.closing(PropellerStop(boat)) as stop:
             for connections in (1, 2):
                 stop()

@@ -357,7 +357,7 @@ OTHERS = {  # what the kernel tells, and what is only copied or digested
         "services/supervision/processes.py: _all",
     ),
     "services/voyagekeeping.py: _boot",
-    *("services/clock/kernelclock.py: _read", "services/suite.py: _started", "simulator/nodes/pulsefiles.py: _part"),
+    *("services/clock/kernelclock.py: _read", "services/suite.py: _started", "parts/pwm/sim.py: _part"),
 }
 
 

@@ -13,19 +13,19 @@ _TRAFFIC: Final = (
 )
 _SERVICES: Final = (
     *("supervision/supervisor", "supervision/stop", "supervision/watchdog"),
-    *("outlet", "access/door", "access/doors"),
+    *("access/door", "access/doors"),
 )
 CORE: Final = (
     *map("delfim/vehicle/{}.py".format, (*_FILES, *_HANDS)),
     *map("delfim/vehicle/traffic/{}.py".format, _TRAFFIC),
     *map("delfim/services/{}.py".format, _SERVICES),
-    "delfim/parts/mavlink/signing.py",
+    *("delfim/parts/mavlink/signing.py", "delfim/parts/pwm/outlet.py"),
 )
 TESTS: Final = (  # files that take long, and see nothing that others do not see, are not asked
     "tests/vehicle/test_*.py",
     *("tests/parts/mavlink/test_*.py", "tests/parts/dronecan/test_*.py", "tests/parts/frontseats/test_*.py"),
     "tests/parts/nmea2000/test_nmea2000_drive.py",
-    *("tests/services/test_outlet.py", "tests/services/test_supervisor.py", "tests/services/test_shutdown.py"),
+    *("tests/parts/pwm/test_outlet.py", "tests/services/test_supervisor.py", "tests/services/test_shutdown.py"),
     *(
         "tests/services/test_door.py",
         "tests/test_deadman.py",

@@ -86,6 +86,7 @@ class Part(NamedTuple):
     # Facts of the boat's own alone:
     vessels: bool = False  # it tells of other vessels
     separate: bool = False  # its source reads separate sensors, which an estimator may take (docs/estimator.md)
+    outlet: str = ""  # of drivers whose motors are told by pulses: module:function of the process that writes them
     ports: bool = False  # its lines are `ports` of its table, by their names, of which it needs one
     after: str = ""  # its table stands behind this one in the file
 
@@ -97,6 +98,8 @@ OWN: Final = {  # in the order in which sources are listed
         Part("sysstat", sensor="delfim.vehicle.sensors.sysstat"),
         Part(
             OWN_NODES,
+            "delfim.parts.dsor.table:Dsor",
+            after="propulsion",
             driver="delfim.parts.dsor.driver",
             source="delfim.parts.dsor.source",
             drives=Drives(sides="each", nodes=True, played=True),
@@ -112,6 +115,8 @@ OWN: Final = {  # in the order in which sources are listed
         ),
         Part(
             "dronecan",
+            "delfim.parts.dronecan.table:Dronecan",
+            after="dsor",
             driver="delfim.parts.dronecan.driver",
             source="delfim.parts.dronecan.source",
             sensor="delfim.parts.dronecan.sensor",
@@ -133,14 +138,36 @@ OWN: Final = {  # in the order in which sources are listed
         Part("guest", vessels=True),
         Part(
             "mavlink_front_seat",
+            "delfim.parts.frontseats.table:MavlinkFrontSeat",
+            after="heron",
             driver="delfim.parts.frontseats.mavlink_motors",
             source="delfim.parts.frontseats.mavlink_source",
             drives=Drives(sides="mixed"),
             waits=True,
         ),
-        Part("heron", driver="delfim.parts.frontseats.heron", drives=Drives(sides="mixed")),
-        Part("otter", driver="delfim.parts.frontseats.otter", drives=Drives(sides="mixed")),
-        Part("pwm", driver="delfim.parts.pwm.driver", drives=Drives(channels=CHANNELS, outlet=True)),
+        Part(
+            "heron",
+            "delfim.parts.frontseats.table:HeronTable",
+            after="otter",
+            driver="delfim.parts.frontseats.heron",
+            drives=Drives(sides="mixed"),
+        ),
+        Part(
+            "otter",
+            "delfim.parts.frontseats.table:OtterTable",
+            after="vesc",
+            driver="delfim.parts.frontseats.otter",
+            drives=Drives(sides="mixed"),
+        ),
+        Part(
+            "pwm",
+            "delfim.parts.pwm.table:Pwm",
+            after="thrusters",
+            driver="delfim.parts.pwm.driver",
+            outlet="delfim.parts.pwm.outlet:serve",
+            played="delfim.parts.pwm.sim",
+            drives=Drives(channels=CHANNELS, outlet=True),
+        ),
         Part(
             "vesc",
             "delfim.parts.vesc.table:Vesc",

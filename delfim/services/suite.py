@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 from delfim import __version__, config
-from delfim.base import pulses
+from delfim.base import parts, pulses
 from delfim.base.errors import DelfimError, FormatError, PermanentFailure, in_words
 from delfim.base.outside import parse_json, read_file
 from delfim.logging import systemlog
@@ -181,12 +181,12 @@ def outlet(file: str, overrides: Sequence[str], *, beat_fd: int) -> int:
     """`delfim outlet`: the pulses of motors that would turn for ever, and nothing else. Raises DelfimError, OSError."""
     if beat_fd >= 0:
         faulthandler.register(STACKS_SIGNAL, beat_fd, chain=True)
-    from delfim.services.outlet import serve
-
     settings = config.load(file, overrides)
+    part = next(row for row in parts.OWN.values() if row.outlet)
+    serve = parts.load(part, part.outlet)
     systemlog.begin(settings.runtime.run_directory, "outlet", _levels(settings))
     _above(settings.runtime.fifo_priority)
-    serve(pulses.socket_path(settings.runtime.run_directory), settings.pwm, settings.channels, beat_fd)
+    serve(pulses.socket_path(settings.runtime.run_directory), settings.table(part.name), settings.channels, beat_fd)
     return 0
 
 
@@ -220,7 +220,9 @@ def supervise(
     from delfim.services.supervision.supervisor import Supervisor
 
     limits = settings.supervisor
-    with contextlib.closing(PropellerStop(settings)) as stop, contextlib.closing(CutOff(settings.pwm.cut)) as cut:
+    (its,) = settings.facts("cut")
+    cut_off = CutOff(its.chip, its.line, its.at == "high")
+    with contextlib.closing(PropellerStop(settings)) as stop, contextlib.closing(cut_off) as cut:
         supervisor = Supervisor(
             programs,
             stop=stop,

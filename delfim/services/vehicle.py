@@ -94,7 +94,7 @@ class OpenedLinks:
             table = settings.nmea0183
             ports, outs = (port.device for port in table.ports.values()), (out.to for out in table.out.values())
             waits = [name for name in settings.navigation.sources if parts.row(settings.aboard, name).waits]
-            boards = (getattr(settings, name).device for name in waits)
+            boards = (settings.table(name).device for name in waits)
             may_lack = device in {*ports, *outs, table.guest.device, *boards}
             line = SerialLine(device, baud, clock, log.heard, may_lack, form, Allowance(SECOND_BYTES, clock.monotonic_s))
         self._links.callback(line.close)

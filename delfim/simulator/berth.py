@@ -117,7 +117,7 @@ def settings_of(vehicle: config.Vehicle, its: Berth, named: Collection[str]) -> 
 
     bus = simulation.interface if "simulation.interface" in named else its.interface(simulation.interface)
     loop = bus if bus.startswith("canloop:") else its.interface(f"canloop:{device(bus)}")  # no motor of a real bus turns
-    motors = [name for name in vehicle.drivers if hasattr(getattr(vehicle, name), "interface")]
+    motors = [name for name in vehicle.drivers if hasattr(vehicle.table(name), "interface")]
     sensors = ["dronecan"] if "dronecan" in (*vehicle.navigation.sources, *vehicle.sensors.names) else []
     boat_id = vehicle.boat.id if "boat.id" in named else (vehicle.boat.id + its.number - 2) % 249 + 1
     page = free("simulation.httpd", simulation.httpd)
@@ -167,13 +167,13 @@ def settings_of(vehicle: config.Vehicle, its: Berth, named: Collection[str]) -> 
 
 def _board(vehicle: config.Vehicle, its: Berth) -> dict[str, str]:
     """Where a board is played that tells the boat its position; its motors are told by pulses here."""
-    table = vehicle.mavlink_front_seat
-    return {f"{BOARD}.device": _device("board", table.device, its)} if BOARD in vehicle.navigation.sources else {}
+    device = vehicle.table(BOARD).device
+    return {f"{BOARD}.device": _device("board", device, its)} if BOARD in vehicle.navigation.sources else {}
 
 
 def _of_parts(vehicle: config.Vehicle, place: Path, loop: str) -> dict[str, str]:
     """Where the devices of a laboratory's parts are played: none of them is a real one."""
-    tables = [(part.name, getattr(vehicle, part.name)) for part in vehicle.aboard if part.table is not None]
+    tables = [(part.name, vehicle.table(part.name)) for part in vehicle.aboard if part.table is not None]
     lines = {f"{name}.device": f"{place}/{name}" for name, table in tables if hasattr(table, "device")}
     return lines | {f"{name}.interface": f"{loop}-{name}" for name, table in tables if hasattr(table, "interface")}
 
@@ -218,7 +218,7 @@ def _device(name: str, device: str, its: Berth) -> str:
 
 
 def _by_pulses(vehicle: config.Vehicle) -> list[Any]:
-    """The rows, with motors whose devices are not simulated told by pulses, which `simulator/nodes/pulsefiles.py` reads. Raises
+    """The rows, with motors whose devices are not simulated told by pulses, which `parts/pwm/sim.py` reads. Raises
     DelfimError for more of them than there are channels."""
     channels, told = count(), list[Any]()
     for row in vehicle.thrusters:

@@ -14,6 +14,7 @@ from delfim.base.clock import ManualClock
 from delfim.base.frames import Frame
 from delfim.canproxy.socket import ANYTHING, CanAddress, CanSocket
 from delfim.lines.serialform import Form
+from delfim.parts.dronecan.table import Dronecan
 from delfim.simulator.line import LockstepLine
 from delfim.simulator.lockstep import Lockstep
 from delfim.simulator.lockstepbus import LockstepBus
@@ -45,7 +46,7 @@ def _turning() -> config.Vehicle:
     boat = settings("dronecan")
     rows = zip(boat.thrusters, (4, 5), strict=True)
     steered = [msgspec.structs.replace(row, steer=config.Steer(kind="azimuth", address=address)) for row, address in rows]
-    return msgspec.structs.replace(boat, thrusters=tuple(steered), dronecan=config.Dronecan(command="rpm"))
+    return msgspec.structs.replace(boat, thrusters=tuple(steered), dronecan=Dronecan(command="rpm"))
 
 
 BENCHES: Final = {name: known.settings for name, known in DRIVERS.items()} | {

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Self
 
 import pytest
+from tests.services.test_outlet import chip, pulse_us
 
 from delfim import config
 from delfim.base.errors import DelfimError
@@ -25,7 +26,6 @@ from delfim.services.bench import HELD_S, DeadMan, Trial, runs
 from delfim.vehicle.gate import GateLimits
 from delfim.vehicle.link import Link
 from tests.afloat import running
-from tests.services.test_outlet import chip, pulse_us
 from tests.vehicle.played_devices import PlayedVesc
 
 ROOT = Path(__file__).parents[2]

@@ -18,6 +18,7 @@ from delfim.canproxy.dsor.messages import BatteriesStatus, Fault, Status
 from delfim.canproxy.nmea2000 import instruments
 from delfim.canproxy.opening import open_bound
 from delfim.canproxy.socket import ANYTHING, CanAddress, CanSocket
+from delfim.parts.frontseats.table import MavlinkFrontSeat
 from delfim.services import powerd
 from delfim.services.page.api import State as ToldState
 from delfim.services.powerd import FRESH_S, Powerd, is_told_by_vehicle
@@ -104,7 +105,7 @@ def vesc() -> tuple[config.Vehicle, State]:
 def board() -> tuple[config.Vehicle, State]:
     return told_by_motors(
         "mavlink_front_seat",
-        mavlink_front_seat=config.MavlinkFrontSeat(battery=True),
+        mavlink_front_seat=MavlinkFrontSeat(battery=True),
         powerd=config.PowerdTable(battery_charge=0.8),
     )
 

@@ -7,7 +7,6 @@ from typing import Any
 
 import pytest
 
-from delfim import config
 from delfim.base.errors import DelfimError
 from delfim.canproxy.dsor.messages import SHUTDOWN_ACKNOWLEDGE, ShutdownAcknowledge, ShutdownStage, pack_shutdown_acknowledge
 from delfim.canproxy.socket import CanAddress
@@ -153,7 +152,7 @@ def test_the_cut_is_held_from_the_start_and_says_what_it_did(
 
     output = SimpleNamespace(put=put, close=lambda: told.append("closed"))
     monkeypatch.setattr(stop, "open_output", lambda *how: (told.append(how), output)[1])
-    cut = CutOff(config.PwmCut(chip="/dev/gpiochip0", line="RELAY", at=at))
+    cut = CutOff("/dev/gpiochip0", "RELAY", at == "high")
     assert told == [("/dev/gpiochip0", "RELAY", not high_when_off)]
     assert [cut(True), cut(False)] == ["RELAY cut them off", "RELAY lets them turn again"]
     assert told[1:] == [high_when_off, not high_when_off]
@@ -168,10 +167,10 @@ def test_a_cut_that_there_is_not_says_so(monkeypatch: pytest.MonkeyPatch, caplog
         raise DelfimError("no line RELAY")
 
     monkeypatch.setattr(stop, "open_output", refuse)
-    none = CutOff(config.PwmCut())
+    none = CutOff("", "", True)
     assert none(True) == none(False) == "the boat has no pwm.cut; use the kill switch"
     assert not caplog.records
-    broken = CutOff(config.PwmCut(chip="/dev/gpiochip0", line="RELAY"))
+    broken = CutOff("/dev/gpiochip0", "RELAY", True)
     assert broken(True) == "pwm.cut: no line RELAY"
     assert caplog.messages == ["pwm.cut: no line RELAY; nothing aboard can cut off the motors"]
     for each in (none, broken):

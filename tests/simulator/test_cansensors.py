@@ -8,6 +8,7 @@ import pytest
 
 from delfim import config
 from delfim.base.modes import Mode
+from delfim.parts.dronecan.table import Dronecan
 from delfim.simulator.berth import Berth, settings_of
 from delfim.simulator.faults import fault
 from delfim.simulator.lockstep import Lockstep
@@ -16,12 +17,12 @@ from delfim.vehicle import console
 from delfim.vehicle.state import NoLog, State
 
 FLOAT = Path(__file__).parents[2] / "etc/boats/float.toml"
-BENT = config.Dronecan(
+BENT = Dronecan(
     compass_deg=40.0, variation_deg=-1.5, hard_iron_ut=(12.0, -20.0, 3.0), soft_iron=(1.1, 0.9, 1.0, 0.05, 0.0, -0.1)
 )
 
 
-def boat(estimator: bool = True, gyro: bool = True, table: config.Dronecan = BENT) -> Lockstep:
+def boat(estimator: bool = True, gyro: bool = True, table: Dronecan = BENT) -> Lockstep:
     sea = config.Sea(current_mps=0.5, current_to_deg=250.0, wind_mps=6.0)
     settings = config.Vehicle(
         boat=config.BoatTable(name="test"),
@@ -120,7 +121,7 @@ def test_the_batteries_are_those_of_the_first_two_thrusters_and_low_ones_send_th
 
 
 def test_no_sensor_has_the_number_of_the_computer():
-    run = boat(table=config.Dronecan(node=FIRST_NODE + 1))
+    run = boat(table=Dronecan(node=FIRST_NODE + 1))
     list(run.cycles(3.0))
     told = run.vehicle.sources[0].report(run.elapsed_s)["devices"]
     assert list(told) == [str(FIRST_NODE + number) for number in (0, 2, 3)]

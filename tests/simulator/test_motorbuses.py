@@ -28,6 +28,7 @@ from delfim.canproxy.dronecan.fields import DataType
 from delfim.canproxy.dronecan.transfers import COMMAND, Publisher, TransferReceiver
 from delfim.canproxy.opening import open_can
 from delfim.canproxy.socket import ANYTHING, CanAddress
+from delfim.parts.dronecan.table import Dronecan
 from delfim.parts.vesc import driver as vesc
 from delfim.parts.vesc.table import Vesc
 from delfim.simulator.berth import Berth, settings_of
@@ -36,7 +37,7 @@ from delfim.simulator.lockstep import Lockstep
 from delfim.simulator.nodes import nodes_of
 from delfim.vehicle import console
 from delfim.vehicle.state import NoLog, ThrusterReport
-from tests.simulator.test_pulsefiles import rows, written
+from tests.parts.pwm.test_pulsefiles import rows, written
 
 FLOAT = Path(__file__).parents[2] / "etc/boats/float.toml"
 GPS = config.Sysstat(required=("gps",))
@@ -82,7 +83,7 @@ COMMANDS = [("dronecan", "raw"), ("dronecan", "rpm"), ("vesc", "duty"), ("vesc",
 @pytest.mark.parametrize("rate_hz", [2.0, 20.0])
 @pytest.mark.parametrize(("driver", "command"), COMMANDS)
 def test_they_obey_each_kind_of_command_at_each_rate_of_navigation(driver: str, command: str, rate_hz: float) -> None:
-    tables = {driver: {"dronecan": config.Dronecan, "vesc": Vesc}[driver](command=command)}
+    tables = {driver: {"dronecan": Dronecan, "vesc": Vesc}[driver](command=command)}
     settings = msgspec.structs.replace(boat(driver), navigation=config.NavigationTable(rate_hz=rate_hz), **tables)
     run = under_way(settings, 0.5)
     assert [drive.part for drive in run.nodes.model.drives.values()] == pytest.approx([0.5, 0.5], abs=0.02)
@@ -136,7 +137,7 @@ def test_what_turns_does_so_with_the_number_of_its_actuator() -> None:
     for way in ("unitless", "position"):
         row = config.ThrusterTable(name="outboard", driver="dronecan", x_m=-1.5, thrust_n=(-100.0, 150.0), steer=steer)
         settings = config.Vehicle(
-            boat=config.BoatTable(name="skiff"), thrusters=(row,), sysstat=GPS, dronecan=config.Dronecan(steer=way)
+            boat=config.BoatTable(name="skiff"), thrusters=(row,), sysstat=GPS, dronecan=Dronecan(steer=way)
         )
         run = Lockstep(settings, 1, lambda clock: NoLog())
         list(run.cycles(3.0))

@@ -16,7 +16,7 @@ from delfim.vehicle import console
 from delfim.vehicle.alone import KEPT_S
 from delfim.vehicle.state import HANDSET, NoLog
 from tests.logging.sailing import Day, logged
-from tests.simulator.test_pulsefiles import rows
+from tests.parts.pwm.test_pulsefiles import rows
 
 GPS = config.Sysstat(required=("gps",))
 TRY = console.Actuate("port", 0.2, 10.0)

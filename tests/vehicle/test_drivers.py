@@ -17,8 +17,9 @@ from delfim.base.frames import extended
 from delfim.base.pulses import PulseAnswer, pack_answer, unpack_command
 from delfim.canproxy.opening import open_bound
 from delfim.canproxy.socket import ANYTHING, CanAddress, CanSocket
+from delfim.parts.frontseats.table import MavlinkFrontSeat
+from delfim.parts.pwm.outlet import Guard
 from delfim.parts.vesc.table import Vesc
-from delfim.services.outlet import Guard
 from delfim.vehicle.actuators import Actuator, open_actuator
 from delfim.vehicle.links import Links
 from delfim.vehicle.state import Actuation, State, ThrusterReport
@@ -178,7 +179,7 @@ class Known(NamedTuple):
 
 
 PULSES = settings("pwm")
-PX4 = settings("mavlink_front_seat", mavlink_front_seat=config.MavlinkFrontSeat(autopilot="px4"))
+PX4 = settings("mavlink_front_seat", mavlink_front_seat=MavlinkFrontSeat(autopilot="px4"))
 DRIVERS = {
     "vesc": Known(settings("vesc"), VescDevice, ThrusterReport(7.0, 750.0, 5.5, 24.1, 31.4)),
     "otter": Known(
@@ -371,7 +372,7 @@ def test_the_gimbal_of_a_boat_is_not_taken_for_its_board() -> None:
 def test_only_the_autopilot_of_the_board_speaks_for_it() -> None:
     """A gimbal or a camera on it has its system number, and may say that it is an autopilot, or tell a battery of its own."""
     settings = DRIVERS["mavlink_front_seat"].settings
-    table = config.MavlinkFrontSeat(battery=True)
+    table = MavlinkFrontSeat(battery=True)
     wire, state = Wire(), State()
     links = Links(lambda name, filters: None, lambda device, baud: wire)
     driver = open_actuator("mavlink_front_seat", msgspec.structs.replace(settings, mavlink_front_seat=table), links)

@@ -25,6 +25,7 @@ from delfim.canproxy.dsor.messages import unpack_propeller_command
 from delfim.canproxy.socket import ANYTHING, CanSocket
 from delfim.lines.nmea0183.framing import framed
 from delfim.parts.dsor.driver import Propellers
+from delfim.parts.frontseats.table import MavlinkFrontSeat
 from delfim.simulator.lockstepbus import LockstepBus
 from delfim.vehicle.actuators import Actuator, open_actuator
 from delfim.vehicle.links import Links
@@ -181,7 +182,7 @@ KNOWN: Final = {
 def boat_of(driver: str) -> config.Vehicle:
     tables = {"handset": enumeration.SETTINGS.handset, "failsafe": FAILSAFE, "sysstat": config.Sysstat(stale_s=1.0)}
     if driver == "px4":
-        return settings("mavlink_front_seat", mavlink_front_seat=config.MavlinkFrontSeat(autopilot="px4"), **tables)
+        return settings("mavlink_front_seat", mavlink_front_seat=MavlinkFrontSeat(autopilot="px4"), **tables)
     return settings(driver, **tables)
 
 

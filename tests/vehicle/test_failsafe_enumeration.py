@@ -20,6 +20,7 @@ from delfim.canproxy.dsor import messages
 from delfim.canproxy.dsor.messages import BatteriesStatus, Fault, GpsStatus, Navigation, PropellerStatus, Status
 from delfim.canproxy.socket import ANYTHING, CanSocket
 from delfim.parts.dsor.driver import Propellers
+from delfim.parts.dsor.table import Dsor
 from delfim.simulator.lockstepbus import LockstepBus
 from delfim.vehicle import console
 from delfim.vehicle.actuators import Actuator
@@ -35,7 +36,7 @@ from delfim.vehicle.troubles import TURNING, Trigger
 SECONDS, NAVIGATION_S = 1.6, 0.2
 HERE = Navigation(0, 0.675, -0.16, 0.5, 0.0, 1.0, 0.0, 0.0, 0.0, 3, 9, 0.9, 0)
 PLAN = Plan("", (Waypoint(50.0, 0.0, 1.5, 5.0), Waypoint(50.0, 50.0, 1.5, 5.0)), (Line(0.0, 0.0, 50.0, 0.0, 1.5),))
-RPM_MAX = config.Dsor().rpm_max
+RPM_MAX = Dsor().rpm_max
 SETTINGS = config.Vehicle(
     boat=config.BoatTable(name="test"),
     handset=config.HandsetTable(device="/dev/receiver"),

@@ -10,6 +10,7 @@ from delfim.base.frames import Frame
 from delfim.canproxy.dsor import messages
 from delfim.config import Steer, ThrusterTable
 from delfim.parts.dsor.driver import Propellers
+from delfim.parts.dsor.table import Dsor
 from delfim.vehicle import thrusters
 from delfim.vehicle.state import Actuation, State, ThrusterReport
 from delfim.vehicle.troubles import astray, unstopped
@@ -101,7 +102,7 @@ def test_what_is_told_of_a_thruster_is_its_command_and_its_report():
 
 def test_a_propeller_of_delfimx_may_be_mounted_the_other_way(make_boat):
     starboard = msgspec.structs.replace(config.DELFIMX[0], reversed=True)
-    boat = make_boat(thrusters=(starboard, config.DELFIMX[1]), dsor=config.Dsor(rpm_max=1000))
+    boat = make_boat(thrusters=(starboard, config.DELFIMX[1]), dsor=Dsor(rpm_max=1000))
     (propellers,) = boat.vehicle.propulsion.actuators
     assert isinstance(propellers, Propellers)
     propellers.send(Actuation((0.5, 0.5), (0.0, 0.0), True), 0.0)

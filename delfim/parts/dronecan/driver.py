@@ -14,6 +14,7 @@ from delfim.canproxy.dronecan.datatypes import OFF, ON, CommandKind, EscStatus, 
 from delfim.canproxy.dronecan.transfers import COMMAND, SENSOR, STATUS, Publisher, TransferReceiver
 from delfim.canproxy.socket import BATCH, CanAddress, CanSocket
 from delfim.parts.dronecan.receiving import messages
+from delfim.parts.dronecan.table import Dronecan
 from delfim.vehicle.links import Links, LoopInput, Readable
 from delfim.vehicle.state import Actuation, State, ThrusterReport
 
@@ -30,7 +31,7 @@ class DronecanMotors:
     name = "dronecan"
 
     def __init__(self, settings: config.Vehicle, socket: CanSocket, receiver: TransferReceiver) -> None:
-        table = settings.dronecan
+        table = settings.of(Dronecan)
         rows = [(index, row) for index, row in enumerate(settings.thrusters) if row.driver == self.name]
         is_rpm = table.command == "rpm"
         self.period_s: float | None = 1.0 / table.rate_hz
@@ -158,4 +159,4 @@ class DronecanMotors:
 
 def open_actuator(settings: config.Vehicle, links: Links) -> DronecanMotors:
     receiver = TransferReceiver((datatypes.ESC_STATUS, datatypes.NODE_STATUS))
-    return DronecanMotors(settings, links.bus(settings.dronecan.interface, receiver.filters), receiver)
+    return DronecanMotors(settings, links.bus(settings.of(Dronecan).interface, receiver.filters), receiver)

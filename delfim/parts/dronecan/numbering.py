@@ -33,6 +33,7 @@ from delfim.canproxy.dronecan.nodeservices import Identity, NodeServices
 from delfim.canproxy.dronecan.transfers import SERVICE, STATUS, Publisher, TransferReceiver
 from delfim.canproxy.opening import open_bound
 from delfim.canproxy.socket import CanAddress, CanSocket
+from delfim.parts.dronecan.table import Dronecan
 from delfim.services.runtime import Runtime
 
 REBIND_S: Final = 1.0
@@ -140,9 +141,9 @@ def keep(place: Path, table: dict[bytes, int]) -> None:
 async def serve(runtime: Runtime) -> None:
     """Until it is cancelled."""
     settings = runtime.config
-    receiver, node = TransferReceiver((ALLOCATION, NODE_STATUS)), NodeServices(settings.dronecan.node, identity())
-    with open_bound(settings.can, settings.dronecan.interface, receiver.filters + node.filters) as bus:
-        place = Path(settings.log.directory) / "dronecan-numbers.json" if settings.dronecan.numbers else None
+    receiver, node = TransferReceiver((ALLOCATION, NODE_STATUS)), NodeServices(settings.of(Dronecan).node, identity())
+    with open_bound(settings.can, settings.of(Dronecan).interface, receiver.filters + node.filters) as bus:
+        place = Path(settings.log.directory) / "dronecan-numbers.json" if settings.of(Dronecan).numbers else None
         numbering = Numbering(bus, receiver, node, place, runtime.clock)
         with runtime.reading(bus.fileno(), numbering.on_frames), runtime.publishing("numbering", numbering.report):
             while True:

@@ -9,6 +9,7 @@ from delfim.canproxy.dronecan.transfers import TransferReceiver
 from delfim.canproxy.dsor.messages import BatteriesStatus, Fault, Node, Status
 from delfim.canproxy.socket import CanSocket
 from delfim.parts.dronecan.receiving import messages
+from delfim.parts.dronecan.table import Dronecan
 from delfim.vehicle.links import Links
 from delfim.vehicle.sensors import Value
 from delfim.vehicle.sensors.sysstat import NAMES
@@ -26,7 +27,7 @@ class DronecanBatteries:
 
     def __init__(self, settings: config.Vehicle, socket: CanSocket, receiver: TransferReceiver) -> None:
         self.input, self._receiver = socket, receiver
-        preferred, stale_s = settings.dronecan.preferred_sources, settings.sysstat.stale_s
+        preferred, stale_s = settings.of(Dronecan).preferred_sources, settings.sysstat.stale_s
         self._told = tuple(Newest[int, BatteryInfo](preferred, stale_s) for _ in SIDES)
 
     def read(self, state: State, now_s: float) -> None:
@@ -58,4 +59,4 @@ def status_of(told: BatteryInfo) -> BatteriesStatus:
 
 def open_sensor(settings: config.Vehicle, links: Links) -> DronecanBatteries:
     receiver = TransferReceiver((BATTERY_INFO,))
-    return DronecanBatteries(settings, links.bus(settings.dronecan.interface, receiver.filters), receiver)
+    return DronecanBatteries(settings, links.bus(settings.of(Dronecan).interface, receiver.filters), receiver)

@@ -26,6 +26,7 @@ from delfim.canproxy.dronecan.datatypes import (
 )
 from delfim.canproxy.dronecan.fields import unpack
 from delfim.canproxy.dronecan.transfers import STATUS, Publisher, TransferReceiver
+from delfim.parts.dronecan.table import Dronecan
 from delfim.simulator.model import Model
 from delfim.simulator.nodes.period import TOLERANCE_S, Period, patience_s
 
@@ -84,9 +85,9 @@ class Escs:
     """All controllers of the bus."""
 
     def __init__(self, settings: config.Vehicle, model: Model) -> None:
-        self.interface = settings.dronecan.interface
+        self.interface = settings.of(Dronecan).interface
         rows = [row for row in settings.thrusters if row.driver == "dronecan"]
-        numbers = [each for each in range(FIRST_NODE, FIRST_NODE + len(rows) + 1) if each != settings.dronecan.node]
+        numbers = [each for each in range(FIRST_NODE, FIRST_NODE + len(rows) + 1) if each != settings.of(Dronecan).node]
         escs = [Esc(model, row, number) for row, number in zip(rows, numbers, strict=False)]
         self._motors = {row.address: esc for row, esc in zip(rows, escs, strict=True)}
         self._servos = {row.steer.address: esc for row, esc in zip(rows, escs, strict=True) if row.steer is not None}
@@ -152,7 +153,7 @@ class DronecanCommands:
 
     def __init__(self, settings: config.Vehicle) -> None:
         kinds = (RAW_COMMAND, RPM_COMMAND, ARRAY_COMMAND, ARMING_STATUS)
-        self._names, self._node = {kind.id: kind.name for kind in kinds}, settings.dronecan.node
+        self._names, self._node = {kind.id: kind.name for kind in kinds}, settings.of(Dronecan).node
         self._receiver = TransferReceiver(kinds)
         self.hears = self._receiver.filters
 

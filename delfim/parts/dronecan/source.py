@@ -20,8 +20,9 @@ from delfim.canproxy.dronecan.datatypes import (
 from delfim.canproxy.dronecan.transfers import TransferReceiver
 from delfim.canproxy.dsor.messages import Navigation
 from delfim.canproxy.socket import CanSocket
+from delfim.parts.dronecan.compass import FLAT, Calibration, FieldCircle, Tilt, Vector, attitude, magnetic_heading
+from delfim.parts.dronecan.table import Dronecan
 from delfim.vehicle.links import FRAMES_PER_READ, Links
-from delfim.vehicle.navigation.compass import FLAT, Calibration, FieldCircle, Tilt, Vector, attitude, magnetic_heading
 from delfim.vehicle.navigation.fixes import Fix
 from delfim.vehicle.navigation.fusion import MOVING, SLOW_S, SQRT2, Fusion, Hearer
 from delfim.vehicle.state import State
@@ -49,7 +50,7 @@ class DronecanNavigation:
     name = "dronecan"
 
     def __init__(self, settings: config.Vehicle, socket: CanSocket, receiver: TransferReceiver, state: State) -> None:
-        table, stale_s = settings.dronecan, settings.navigation.stale_s
+        table, stale_s = settings.of(Dronecan), settings.navigation.stale_s
         self.input, self._receiver, self._state = socket, receiver, state
         self.heard_s, self.t_ns = -1e9, 0
         self._stale_s, self._calibration = stale_s, Calibration(table)
@@ -205,4 +206,4 @@ def fix_of(g: GnssFix) -> int:
 
 def open_source(settings: config.Vehicle, links: Links, state: State) -> DronecanNavigation:
     receiver = TransferReceiver(HEARD)
-    return DronecanNavigation(settings, links.bus(settings.dronecan.interface, receiver.filters), receiver, state)
+    return DronecanNavigation(settings, links.bus(settings.of(Dronecan).interface, receiver.filters), receiver, state)

@@ -12,6 +12,7 @@ from delfim.canproxy.dsor.messages import (
     PROPELLER_STARBOARD,
 )
 from delfim.canproxy.socket import CanAddress, CanSocket
+from delfim.parts.dsor.table import Dsor
 from delfim.vehicle.links import Links, LoopInput
 from delfim.vehicle.state import Actuation
 
@@ -29,7 +30,7 @@ class Propellers:
     def __init__(self, settings: config.Vehicle, socket: CanSocket) -> None:
         self._socket, self._send_many = socket, socket.send_many
         rows = [(index, row) for index, row in enumerate(settings.thrusters) if row.driver == self.name]
-        rpm_max = settings.dsor.rpm_max
+        rpm_max = settings.of(Dsor).rpm_max
         self._propellers = tuple((_ARBS[row.address][0], -rpm_max if row.reversed else rpm_max, i) for i, row in rows)
         self._batteries = tuple((_ARBS[row.address][1], True, row.name) for _, row in rows)  # contactor closed
         self._counter = 0

@@ -10,6 +10,7 @@ from delfim import config
 from delfim.lines.nmea0183.framing import framed
 from delfim.lines.nmea0183.proprietary import number
 from delfim.parts.frontseats.frontseat import FrontSeatLine, SeatSide, sides
+from delfim.parts.frontseats.table import HeronTable
 from delfim.vehicle.links import Links, ReadableLine
 from delfim.vehicle.state import Actuation, State, ThrusterReport
 
@@ -68,4 +69,4 @@ def _voltage_v(values: list[str]) -> float | None:
 
 def open_actuator(settings: config.Vehicle, links: Links) -> Heron:
     """Raises DelfimError."""
-    return Heron(*sides(settings, Heron.name), links.line(settings.heron.device, settings.heron.baud))
+    return Heron(*sides(settings, Heron.name), links.line(settings.of(HeronTable).device, settings.of(HeronTable).baud))

@@ -18,6 +18,7 @@ from delfim import config
 from delfim.base.allowance import PIECE_BYTES
 from delfim.canproxy.dsor.messages import BatteriesStatus, Fault, Node, Status
 from delfim.parts.frontseats.frontseat import FrontSeatLine, SeatSide, sides
+from delfim.parts.frontseats.table import MavlinkFrontSeat
 from delfim.vehicle.links import Links, ReadableLine
 from delfim.vehicle.sensors.sysstat import NAMES
 from delfim.vehicle.state import Actuation, State, ThrusterReport
@@ -56,7 +57,7 @@ class MavlinkBoard:
     name = "mavlink_front_seat"
     period_s: float | None = 0.2
 
-    def __init__(self, table: config.MavlinkFrontSeat, starboard: SeatSide, port: SeatSide, line: ReadableLine) -> None:
+    def __init__(self, table: MavlinkFrontSeat, starboard: SeatSide, port: SeatSide, line: ReadableLine) -> None:
         self._starboard, self._port, self._board, self._kind = starboard, port, table.board, KINDS[table.autopilot]
         self.input, self.inputs, self._line = line, (self,), line
         self._codec: Any = dialect.MAVLink(None, table.system, dialect.MAV_COMP_ID_MISSIONPLANNER)
@@ -178,5 +179,5 @@ class MavlinkBoard:
 
 def open_actuator(settings: config.Vehicle, links: Links) -> MavlinkBoard:
     """Raises DelfimError."""
-    table = settings.mavlink_front_seat
+    table = settings.of(MavlinkFrontSeat)
     return MavlinkBoard(table, *sides(settings, MavlinkBoard.name), links.line(table.device, table.baud))

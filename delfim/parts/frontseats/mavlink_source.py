@@ -12,6 +12,7 @@ from pymavlink.dialects.v20 import development as dialect
 from delfim import config
 from delfim.base.allowance import PIECE_BYTES
 from delfim.canproxy.dsor.messages import Navigation
+from delfim.parts.frontseats.table import MavlinkFrontSeat
 from delfim.vehicle.links import Links, LoopInput, ReadableLine
 from delfim.vehicle.navigation.fixes import Fix
 from delfim.vehicle.sharedline import SecondEnd
@@ -32,7 +33,7 @@ class BoardNavigation:
     name = "mavlink_front_seat"
 
     def __init__(self, settings: config.Vehicle, line: ReadableLine, state: State) -> None:
-        table, limits = settings.mavlink_front_seat, settings.navigation
+        table, limits = settings.of(MavlinkFrontSeat), settings.navigation
         self.input, self.device, self._state = line, table.device, state
         self._line, self._board, self._stale_s, self._rate_hz = line, table.board, limits.stale_s, limits.rate_hz
         self._codec: Any = dialect.MAVLink(None, table.system, dialect.MAV_COMP_ID_MISSIONPLANNER)
@@ -152,5 +153,5 @@ def _finite(attitude: Any, name: str) -> float | None:
 
 
 def open_source(settings: config.Vehicle, links: Links, state: State) -> BoardNavigation:
-    table = settings.mavlink_front_seat
+    table = settings.of(MavlinkFrontSeat)
     return BoardNavigation(settings, links.line(table.device, table.baud), state)

@@ -9,6 +9,7 @@ from delfim import config
 from delfim.lines.nmea0183.framing import framed
 from delfim.lines.nmea0183.proprietary import number
 from delfim.parts.frontseats.frontseat import FrontSeatLine, SeatSide, sides
+from delfim.parts.frontseats.table import OtterTable
 from delfim.vehicle.links import Links, ReadableLine
 from delfim.vehicle.state import Actuation, State, ThrusterReport
 
@@ -74,4 +75,4 @@ def _sentence(starboard: float, port: float) -> bytes:
 
 def open_actuator(settings: config.Vehicle, links: Links) -> Otter:
     """Raises DelfimError."""
-    return Otter(*sides(settings, Otter.name), links.line(settings.otter.device, settings.otter.baud))
+    return Otter(*sides(settings, Otter.name), links.line(settings.of(OtterTable).device, settings.of(OtterTable).baud))

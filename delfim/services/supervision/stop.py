@@ -92,12 +92,13 @@ class CutOff:
     """The output of the computer that takes motors their pulses or their power, for when nobody else can stop them. When
     called, sets it; returns what that came to, in words. It is held from the start."""
 
-    def __init__(self, settings: config.PwmCut) -> None:
-        self._at_high, self._name, self._trouble = settings.at == "high", settings.line, ""
+    def __init__(self, chip: str, line: str, at_high: bool) -> None:
+        """`chip`: empty, there is none."""
+        self._at_high, self._name, self._trouble = at_high, line, ""
         self._line: GpioOutput | None = None
-        if settings.chip:
+        if chip:
             try:
-                self._line = open_output(settings.chip, settings.line, not self._at_high)
+                self._line = open_output(chip, line, not at_high)
             except DelfimError as error:
                 self._trouble = f"pwm.cut: {error}"
                 log.error("%s; nothing aboard can cut off the motors", self._trouble)

@@ -71,7 +71,7 @@ class CommandedThrust:
             (math.radians(steer.angle_max_deg), math.radians(steer.rate_dps)) if steer else (0.0, 0.0) for steer in steers
         ]
         self._dsor = [
-            (i, run.nodes.model.drives[row.name], float(run.settings.dsor.rpm_max)) for i, row in run.settings.driven("nodes")
+            (i, run.nodes.model.drives[row.name], run.settings.rpm_max(row)) for i, row in run.settings.driven("nodes")
         ]
         self._quiet_s = 0.0
 

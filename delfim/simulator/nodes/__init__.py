@@ -21,7 +21,7 @@ from delfim.simulator.nodes.navigation import NavigationNode
 from delfim.simulator.nodes.shipping import Shipping
 from delfim.simulator.nodes.talkers import SimulatedInstruments, instruments_of
 
-NODES: Final = ("gps", "navigation", "propeller", "pulsefiles", "batteries")  # files of this folder, with `nodes` in each
+NODES: Final = ("gps", "navigation", "propeller", "batteries")  # files of this folder, with `nodes` in each
 OTHER_BUSES: Final = ("devices", "cansensors", "sounders", "shipping")  # files for other buses, with `devices_of` in each
 _ARBITRATION: Final = itemgetter(0)
 STALL_S: Final = 1.0  # longer pauses of the whole simulator are left out of the modelled world
@@ -114,12 +114,13 @@ def nodes_of(settings: config.Vehicle, seed: int, model: Model | None = None) ->
     if model is None:
         start = math.radians(there.latitude_deg), math.radians(there.longitude_deg)
         model = Model(hull_of(settings), there.sea, seed, *start, math.radians(there.heading_deg), settings.thrusters)
-    named = dict[str, SimulatedNode]()
-    for kind in NODES:
-        named |= import_module(f"{__name__}.{kind}").nodes(settings, model, seed)
-    others = (import_module(f"{__name__}.{kind}").devices_of(settings, model, seed) for kind in OTHER_BUSES)
     own = (part for part in parts.OWN.values() if part.name in settings.drivers)
     of_parts = [parts.load(part, part.played) for part in (*own, *settings.aboard) if part.played]
+    *first, last = (import_module(f"{__name__}.{kind}") for kind in NODES)
+    named = dict[str, SimulatedNode]()
+    for each in (*first, *(each for each in of_parts if hasattr(each, "nodes")), last):  # batteries: all others draw from them
+        named |= each.nodes(settings, model, seed)
+    others = (import_module(f"{__name__}.{kind}").devices_of(settings, model, seed) for kind in OTHER_BUSES)
     on_buses = (each.devices_of(settings, model, seed) for each in of_parts if hasattr(each, "devices_of"))
     beside = tuple(each for each in (*others, *on_buses) if each is not None)
     ais = next((each.sentences for each in beside if isinstance(each, Shipping)), None)

@@ -46,7 +46,7 @@ class CanSensors:
     hears: tuple[CanAddress, ...] = ()
 
     def __init__(self, settings: config.Vehicle, model: Model, seed: int) -> None:
-        table = settings.dronecan
+        table = settings.table("dronecan")
         self.interface, self._model, self._table = table.interface, model, table
         self._navigates = "dronecan" in settings.navigation.sources
         self._drives = [*model.drives.values()][:2] if "dronecan" in settings.sensors.names else []

@@ -121,7 +121,7 @@ class SimulatedInstruments:
 
     def _board(self, settings: config.Vehicle) -> Iterator[Instrument]:
         """A Pixhawk with a receiver and a compass that know where north is."""
-        says: SimulatedBoard = import_module(f"{__package__}.boards").PlayedBoard(settings.mavlink_front_seat.board)
+        says: SimulatedBoard = import_module(f"{__package__}.boards").PlayedBoard(settings.table(BOARD).board)
         if self._here.receiver_hz:
             receiver = GnssReceiver(self._model, self._here, self._seed, BOARD)
             self.receivers.append(receiver)
@@ -169,8 +169,8 @@ def placed(settings: config.Vehicle) -> tuple[str, ...]:
 def port_devices(settings: config.Vehicle) -> dict[str, str]:
     """The devices of all ports, by their names."""
     ports = {name: port.device.replace("gpsd:", "tcp:") for name, port in settings.nmea0183.ports.items()}
-    of_parts = {part.name: str(getattr(getattr(settings, part.name, None), "device", "")) for part in settings.aboard}
-    return ports | {BOARD: settings.mavlink_front_seat.device} | of_parts
+    of_parts = {part.name: str(getattr(settings.table(part.name), "device", "")) for part in settings.aboard}
+    return ports | {BOARD: settings.table(BOARD).device} | of_parts
 
 
 def _of_parts(settings: config.Vehicle, model: Model, seed: int) -> Iterator[Instrument]:

@@ -114,7 +114,7 @@ class MotorBus:
     """The commands on one bus."""
 
     def __init__(self, driver: str, settings: config.Vehicle, onlooker: CanSocket, findings: Findings) -> None:
-        self.name = device(getattr(settings, driver).interface)
+        self.name = device(settings.table(driver).interface)
         self._driver, self._findings = driver, findings
         self._then, self._now = _commands(driver, settings), _commands(driver, settings)
         self._onlooker = onlooker

@@ -129,7 +129,7 @@ class Rerun:
         self._found, self.refusals = Findings(span), list[str]()
         self._motors = dict[str, MotorBus]()  # by the names of their logs
         for driver in filter(has_bus, settings.drivers):
-            name = device(getattr(settings, driver).interface)
+            name = device(settings.table(driver).interface)
             self._motors[name] = MotorBus(driver, settings, self._bus(name).socket("onlooker"), self._found)
         links = Links(self._open_bus, self._open_line)
         self.vehicle, self._reports, *_ = build(settings, self.clock, self.state, links, self.log, DeafGuest)
@@ -339,7 +339,7 @@ def rerun(files: Sequence[LogFile], vehicle_file: str | None, span: Span = ALWAY
     if not all(bool((abs(columns[name]) < MOMENT_MAX_S).all()) for name in MOMENTS):
         raise DelfimError("this state log is damaged: some of its times are not numbers")
     boxes = [file for file in files if file.suffix.startswith(".log")]
-    needed = {device(getattr(settings, driver).interface) for driver in filter(has_bus, settings.drivers)}
+    needed = {device(settings.table(driver).interface) for driver in filter(has_bus, settings.drivers)}
     needed |= {device(settings.can.interface)} if OWN_NODES in (*settings.drivers, *settings.navigation.sources) else set()
     if missing := needed.difference(file.id for file in boxes):
         raise DelfimError(f"no black box of {', '.join(sorted(missing))} beside this state log")

@@ -23,8 +23,9 @@ from delfim.canproxy.dronecan.datatypes import (
 from delfim.canproxy.dronecan.fields import DataType, pack, unpack
 from delfim.canproxy.dronecan.transfers import Publisher, TransferReceiver
 from delfim.canproxy.socket import ANYTHING
-from delfim.config import Dronecan, Steer, ThrusterTable
+from delfim.config import Steer, ThrusterTable
 from delfim.parts.dronecan.driver import ARMING_S, TWINS_S, ZERO_S
+from delfim.parts.dronecan.table import Dronecan
 from delfim.simulator.lockstepbus import LockstepBus
 from delfim.vehicle.actuators import open_actuator
 from delfim.vehicle.links import Links

@@ -18,13 +18,14 @@ from delfim.base.frames import CAN_ERR, CAN_RTR, Frame, extended
 from delfim.base.modes import Mode
 from delfim.canproxy.dsor.messages import BatteriesStatus, Fault, Navigation, Status
 from delfim.canproxy.socket import ANYTHING
+from delfim.parts.dronecan.compass import Tilt
 from delfim.parts.dronecan.sensor import open_sensor
 from delfim.parts.dronecan.source import FLAT_S, DronecanNavigation, open_source
+from delfim.parts.dronecan.table import Dronecan
 from delfim.simulator.lockstepbus import LockstepBus
 from delfim.vehicle.build import build
 from delfim.vehicle.inputhealth import KINDS
 from delfim.vehicle.links import Links
-from delfim.vehicle.navigation.compass import Tilt
 from delfim.vehicle.state import NoLog, State
 
 EQ = uavcan.equipment
@@ -98,9 +99,7 @@ class Bench:
 
     def __init__(self, stale_s: float = STALE_S, **table: object) -> None:
         navigation = config.NavigationTable(sources=("dronecan",), stale_s=stale_s)
-        self.settings = config.Vehicle(
-            boat=config.BoatTable(name="test"), navigation=navigation, dronecan=config.Dronecan(**table)
-        )
+        self.settings = config.Vehicle(boat=config.BoatTable(name="test"), navigation=navigation, dronecan=Dronecan(**table))
         self.clock = ManualClock(100.0)
         self.bus = LockstepBus(self.clock)
         self.devices = self.bus.socket("devices")

@@ -12,6 +12,7 @@ from delfim.base.clock import ManualClock
 from delfim.base.modes import Mode
 from delfim.canproxy.dsor.messages import Navigation
 from delfim.parts.frontseats.mavlink_source import FIXES
+from delfim.parts.frontseats.table import MavlinkFrontSeat
 from delfim.simulator.line import LockstepLine
 from delfim.simulator.lockstep import Lockstep
 from delfim.vehicle import console
@@ -34,7 +35,7 @@ class Board:
         self.settings = config.Vehicle(
             boat=config.BoatTable(name="tried"),
             navigation=config.NavigationTable(sources=("mavlink_front_seat",), **navigation),
-            mavlink_front_seat=config.MavlinkFrontSeat(board=7, system=250),
+            mavlink_front_seat=MavlinkFrontSeat(board=7, system=250),
         )
         links = Links(lambda *_: pytest.fail("no bus"), lambda *_: self.line)
         (self.source,) = open_sources(self.settings, links, self.state)

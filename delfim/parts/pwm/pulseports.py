@@ -16,9 +16,9 @@ from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Final, Protocol
 
-from delfim import config
 from delfim.base.errors import DelfimError
 from delfim.base.pulses import CHANNELS
+from delfim.parts.pwm.table import Pwm
 
 # linux/i2c-dev.h, linux/i2c.h
 I2C_SLAVE: Final = 0x0703
@@ -128,7 +128,7 @@ class Pca9685Port:
         return buffer.tobytes()
 
 
-def open_port(pwm: config.Pwm, pulses_us: Mapping[int, float]) -> PulsePort:
+def open_port(pwm: Pwm, pulses_us: Mapping[int, float]) -> PulsePort:
     """The hardware of the vehicle's file, with these pulses already on its channels. Raises OSError, DelfimError."""
     found = glob.glob(pwm.chip)
     if len(found) != 1:

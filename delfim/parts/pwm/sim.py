@@ -8,11 +8,12 @@ from typing import Final
 
 from delfim import config
 from delfim.base.frames import Frame
+from delfim.parts.pwm.table import Pwm, PwmChannel
 from delfim.simulator.model import Model
 from delfim.simulator.nodes.period import Period
 
 READ_S: Final = 0.05
-USUAL: Final = config.PwmChannel()
+USUAL: Final = PwmChannel()
 
 
 class PulseMotor:
@@ -59,6 +60,6 @@ def _part(file: Path) -> float:
 
 def nodes(settings: config.Vehicle, model: Model, seed: int) -> dict[str, PulseMotor]:
     """None where the chip is a real one: that of a simulation is a folder of its own."""
-    chip = Path(settings.pwm.chip)
+    chip = Path(settings.of(Pwm).chip)
     rows = [row for row in settings.thrusters if row.driver == "pwm" and chip.is_relative_to(settings.runtime.run_directory)]
     return {row.name: PulseMotor(model, row, chip) for row in rows}

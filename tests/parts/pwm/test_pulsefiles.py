@@ -6,9 +6,10 @@ import pytest
 
 from delfim import config
 from delfim.base.errors import DelfimError
+from delfim.parts.pwm import sim as pulsefiles
+from delfim.parts.pwm.table import Pwm
 from delfim.simulator.berth import Berth, settings_of
 from delfim.simulator.lockstep import Lockstep
-from delfim.simulator.nodes import pulsefiles
 from delfim.vehicle import console
 from delfim.vehicle.state import NoLog
 
@@ -53,7 +54,7 @@ def test_pulses_in_files_push_the_model(tmp_path: Path) -> None:
     boat = config.Vehicle(
         boat=config.BoatTable(name="test"),
         thrusters=(row,),
-        pwm=config.Pwm(chip=f"{tmp_path}/pwmchip0"),
+        pwm=Pwm(chip=f"{tmp_path}/pwmchip0"),
         runtime=config.RuntimeTable(run_directory=str(tmp_path)),
     )
     model = Pushed()

@@ -16,7 +16,6 @@ from typing import Any
 
 import pytest
 
-from delfim import config
 from delfim.base.errors import DelfimError, FormatError
 from delfim.base.pulses import (
     CHANNELS,
@@ -29,11 +28,12 @@ from delfim.base.pulses import (
     unpack_answer,
     unpack_command,
 )
-from delfim.services.outlet import Channels, Guard, OutletServer, serve
-from delfim.services.pulseports import SysfsPort, open_port
+from delfim.parts.pwm.outlet import Channels, Guard, OutletServer, serve
+from delfim.parts.pwm.pulseports import SysfsPort, open_port
+from delfim.parts.pwm.table import Pwm, PwmChannel
 from tests.mutations import cut, flipped, spliced
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 PATIENCE_S = 200.0
 HALF = (0.5, -0.25, *(0.0,) * (CHANNELS - 2))
 REST = (0.0,) * CHANNELS
@@ -142,7 +142,7 @@ def test_garbage_changes_nothing_and_does_not_count_as_speech() -> None:
 
 
 def test_pulses_of_fractions() -> None:
-    usual, one_way = config.PwmChannel(), config.PwmChannel(astern_us=1000.0, neutral_us=1000.0, ahead_us=2000.0)
+    usual, one_way = PwmChannel(), PwmChannel(astern_us=1000.0, neutral_us=1000.0, ahead_us=2000.0)
     assert [usual.pulse_us(each) for each in (-2.0, -1.0, -0.5, 0.0, 0.5, 1.0, 2.0)] == [
         1100,
         1100,
@@ -153,10 +153,10 @@ def test_pulses_of_fractions() -> None:
         1900,
     ]
     assert [one_way.pulse_us(each) for each in (-1.0, 0.0, 0.5)] == [1000, 1000, 1500]
-    assert config.PwmChannel(astern_us=1900.0, ahead_us=1100.0).pulse_us(0.5) == 1300
+    assert PwmChannel(astern_us=1900.0, ahead_us=1100.0).pulse_us(0.5) == 1300
     for wrong in ({"neutral_us": 1950.0}, {"ahead_us": 1500.0}):
         with pytest.raises(ValueError, match="not between"):
-            config.PwmChannel(**wrong)
+            PwmChannel(**wrong)
 
 
 def chip(place: Path, *channels: int) -> Path:
@@ -191,8 +191,8 @@ def test_channels_of_the_kernel_start_with_neutral(tmp_path: Path) -> None:
 
 def test_a_chip_that_is_not_there_is_told_in_words(tmp_path: Path) -> None:
     with pytest.raises(DelfimError, match=r"pwmchip9 names 0 chips: is the driver"):
-        open_port(config.Pwm(chip=f"{tmp_path}/pwmchip9"), {0: 1500.0})
-    open_port(config.Pwm(chip=f"{chip(tmp_path / 'deep/pwmchip7', 0).parent}/pwmchip*"), {0: 1500.0}).close()
+        open_port(Pwm(chip=f"{tmp_path}/pwmchip9"), {0: 1500.0})
+    open_port(Pwm(chip=f"{chip(tmp_path / 'deep/pwmchip7', 0).parent}/pwmchip*"), {0: 1500.0}).close()
 
 
 class FlakyPort:
@@ -201,7 +201,7 @@ class FlakyPort:
     def __init__(self) -> None:
         self.written, self.fails, self.opened, self.closed = dict[int, float](), False, 0, 0
 
-    def open(self, pwm: config.Pwm, pulses_us: dict[int, float]) -> "FlakyPort":
+    def open(self, pwm: Pwm, pulses_us: dict[int, float]) -> "FlakyPort":
         self.opened += 1
         self.put(pulses_us)
         return self
@@ -218,7 +218,7 @@ class FlakyPort:
 def test_an_esc_is_armed_by_neutral_and_again_after_a_fault(caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level("INFO")
     port = FlakyPort()
-    channels = Channels(config.Pwm(arm_s=3.0, chip="pca9685:1"), (0, 1), port.open)
+    channels = Channels(Pwm(arm_s=3.0, chip="pca9685:1"), (0, 1), port.open)
     channels.put(HALF, 10.0)
     assert (channels.state, port.written) == ("arming", {0: 1500.0, 1: 1500.0})
     channels.put(HALF, 13.0)
@@ -240,9 +240,9 @@ def test_an_esc_is_armed_by_neutral_and_again_after_a_fault(caplog: pytest.LogCa
     assert (port.written, port.closed) == ({0: 1500.0, 1: 1500.0}, 2)
     told = [("INFO", "outlet: pca9685:1 is open"), ("ERROR", "outlet: Remote I/O error")]
     assert [(each.levelname, each.message) for each in caplog.records] == [*told, told[0]]
-    Channels(config.Pwm(), (0,), port.open).put(None, 0.0)
+    Channels(Pwm(), (0,), port.open).put(None, 0.0)
     port.fails = True
-    never = Channels(config.Pwm(), (0,), port.open)
+    never = Channels(Pwm(), (0,), port.open)
     never.close()
     assert (never.trouble, port.closed) == ("Remote I/O error", 2)
 
@@ -260,9 +260,9 @@ class Served:
             self.now_s += 0.0 if found[0] else wait_s
             return found
 
-        monkeypatch.setattr("delfim.services.outlet.time", clock)
-        monkeypatch.setattr("delfim.services.outlet.select", SimpleNamespace(select=waits))
-        self.channels = Channels(config.Pwm(arm_s=0.0), (0, 1), self.port.open)
+        monkeypatch.setattr("delfim.parts.pwm.outlet.time", clock)
+        monkeypatch.setattr("delfim.parts.pwm.outlet.select", SimpleNamespace(select=waits))
+        self.channels = Channels(Pwm(arm_s=0.0), (0, 1), self.port.open)
         self.path.touch()  # an outlet that was killed leaves its socket
         self.server = OutletServer(self.path, self.channels)
         assert not self.server._listening.getblocking()
@@ -440,7 +440,7 @@ def test_the_process_beats_until_a_signal_or_the_end_of_its_supervisor(
     handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
     caplog.set_level("INFO")
     try:
-        serve(tmp_path / "outlet", config.Pwm(), (0,), beat_fd)
+        serve(tmp_path / "outlet", Pwm(), (0,), beat_fd)
     finally:
         for number, handler in handlers.items():
             signal.signal(number, handler)
@@ -455,11 +455,11 @@ def test_the_process_beats_until_a_signal_or_the_end_of_its_supervisor(
 def test_a_pipe_may_be_file_0_and_without_one_there_is_no_beat(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     done = list[object]()
     played = {"write": lambda fd, data: done.append((fd, data)), "set_blocking": lambda fd, blocks: done.append((fd, blocks))}
-    monkeypatch.setattr("delfim.services.outlet.os", SimpleNamespace(chmod=os.chmod, **played))
-    monkeypatch.setattr("delfim.services.outlet.signal.signal", lambda number, handler: done.append(number))
+    monkeypatch.setattr("delfim.parts.pwm.outlet.os", SimpleNamespace(chmod=os.chmod, **played))
+    monkeypatch.setattr("delfim.parts.pwm.outlet.signal.signal", lambda number, handler: done.append(number))
     monkeypatch.setattr(OutletServer, "serve", lambda server, ended: done.append(ended()))
     for beat_fd in (0, -1):
-        serve(tmp_path / "outlet", config.Pwm(), (0,), beat_fd)
+        serve(tmp_path / "outlet", Pwm(), (0,), beat_fd)
     numbers = [signal.SIGTERM, signal.SIGINT]
     assert done == [*numbers, (0, False), (0, b"."), "", *numbers, ""]
 

@@ -24,10 +24,10 @@ from math import inf
 from pathlib import Path
 from typing import Final
 
-from delfim import config
 from delfim.base.errors import DelfimError, FormatError, in_words
 from delfim.base.pulses import SILENT_S, PulseAnswer, pack_answer, unpack_command
-from delfim.services.pulseports import PulsePort, open_port
+from delfim.parts.pwm.pulseports import PulsePort, open_port
+from delfim.parts.pwm.table import Pwm, PwmChannel
 
 TICK_S: Final = 0.1  # at most between two looks at the clock, and between two writes of standing pulses
 REOPEN_S: Final = 1.0  # between two attempts to open hardware that failed
@@ -74,9 +74,9 @@ class Guard:
 class Channels:
     """The hardware, opened again when it fails, and the pulses of its channels."""
 
-    def __init__(self, pwm: config.Pwm, channels: tuple[int, ...], opened: Callable[..., PulsePort] = open_port) -> None:
+    def __init__(self, pwm: Pwm, channels: tuple[int, ...], opened: Callable[..., PulsePort] = open_port) -> None:
         self._pwm, self._open = pwm, opened
-        self._tables = {each: pwm.channel.get(str(each), config.PwmChannel()) for each in channels}
+        self._tables = {each: pwm.channel.get(str(each), PwmChannel()) for each in channels}
         self._neutral = {each: table.neutral_us for each, table in self._tables.items()}
         self._port: PulsePort | None = None
         self._again_s = -inf
@@ -192,7 +192,7 @@ class OutletServer:
         client.close()
 
 
-def serve(path: Path, pwm: config.Pwm, channels: tuple[int, ...], beat_fd: int) -> None:
+def serve(path: Path, pwm: Pwm, channels: tuple[int, ...], beat_fd: int) -> None:
     """The life of the process, until SIGTERM, SIGINT or the end of the supervisor. `beat_fd`: its pipe, -1 for none. Raises
     OSError where it cannot listen."""
     asked = list[str]()
