@@ -20,11 +20,13 @@ from delfim.base import tables
 from delfim.base.modes import Mode
 from delfim.canproxy.dsor import messages
 from delfim.commands import GROUPS
-from delfim.console import orders, said
+from delfim.console import said
 from delfim.console.describe import describe
+from delfim.console.requests import HALTS
 from delfim.parts.mavlink import commands, handlers, params, telemetry
 from delfim.parts.mavlink.wire import dialect
 from delfim.services.page import api, metrics
+from delfim.vehicle import console
 
 ROOT: Final = Path(__file__).parents[1]
 COLUMNS: Final = "92"  # of the help of a command
@@ -138,16 +140,19 @@ def websocket_page() -> str:
             ("field", "", "without it", ""),
             [(f"`{each.name}`", _kind(hints[each.name]), _default(each), notes.get(each.name, "")) for each in fields],
         )
-    page += ["", "## The words of a command", "", "With any mode that the boat has (`modes`)."]
-    rows = orders.ORDERS.items()
-    page += [
-        "",
-        *_table(
-            ("`command`", "must have", "may have", "the boat is then in", "key"),
-            [(f"`{word}`", ", ".join(row.needs), ", ".join(row.takes), row.mode, row.key) for word, row in rows],
-        ),
-    ]
+    page += ["", "## The words of a command", "", "Those of the boat, and of its parts: `order`."]
+    page += ["", *_table(("`command`", "must have", "may have", "the boat is then in", "key"), _orders())]
     return "\n".join(page) + "\n"
+
+
+def _orders() -> Iterator[Sequence[object]]:
+    """The orders of a console."""
+    for word, kind in console.KINDS.items():
+        if issubclass(kind, console.OperatorOrder) or kind.TITLE:
+            fields = msgspec.structs.fields(kind)
+            needs, takes = (", ".join(each.name for each in fields if each.required is so) for so in (True, False))
+            takes = "" if word in HALTS else takes
+            yield f"`{word}`", needs, takes, kind.ENTERS, kind.KEY
 
 
 def _tag(kind: Any) -> str:

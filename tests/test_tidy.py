@@ -256,19 +256,11 @@ def test_the_core_names_no_part() -> None:
 
 KNOWN = {  # parts that others import, with the reason; a row that goes does not come back
     "commands/check.py: nmea2000",  # which messages the boat sends
-    "console/boats.py: mavlink",  # the console is the other end of the link
-    "console/exchange.py: mavlink",
-    "console/fleet.py: mavlink",
     "console/gateway.py: fleet",  # and of the broker
-    "console/mavlink.py: mavlink",
-    "console/othervessels.py: mavlink",
-    "console/plan.py: mavlink",
+    "console/mavlink.py: mavlink",  # the console is the other end of the link
     "console/serving.py: fleet",
     "console/statetape.py: nmea0183",  # the short names of measured values, as the link tells them
     "console/statetape.py: nmea2000",
-    "console/tape.py: mavlink",
-    "console/transfer.py: mavlink",
-    "console/ways.py: mavlink",
     "desk/firstcontact.py: nmea0183",  # a line on a desk is heard as the boat hears it
     "parts/nmea2000/sensor.py: nmea0183",  # the values that both measure
 }

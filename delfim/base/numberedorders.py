@@ -1,19 +1,16 @@
-"""Orders of a laboratory's parts as numbers, for MAVLink and a console's form: each key is a number with two limits."""
+"""Orders that are given in numbers, by a console's form or by MAVLink's seven numbers: each key has two limits."""
 
 import math
-import re
-from collections.abc import Sequence
-from typing import Annotated, Any, Final, NamedTuple, Self, get_args, get_origin
+from collections.abc import Iterator, Sequence
+from typing import Annotated, Any, Final, NamedTuple, get_args, get_origin
 
 import msgspec
+from msgspec.structs import FieldInfo
 
 from delfim.base import tables
 
 NUMBERS: Final = range(31010, 31015)  # MAV_CMD_USER_1 to MAV_CMD_USER_5
 KEYS_MAX: Final = 7  # that a MAVLink command carries
-TEXT_MAX: Final = 128  # characters of a MAVLink text
-OF_THE_PAGE: Final = ("t", "seq", "boat", "command")  # names that its messages have already
-PARAM: Final = "ORDER_"  # begins the name of the text that tells of an order; then comes its number
 
 
 class NumberKey(NamedTuple):
@@ -28,18 +25,8 @@ class NumberKey(NamedTuple):
 class NumberedOrder(NamedTuple):
     """An order by its number."""
 
-    number: int
     name: str
     keys: tuple[NumberKey, ...]
-
-    @property
-    def param(self) -> str:
-        return f"{PARAM}{self.number}"
-
-    @property
-    def text(self) -> str:
-        """It in words, as a boat tells it to a console: "pay_out metres 0 50 5"."""
-        return ", ".join([self.name, *(f"{key.name} {key.least:g} {key.most:g} {key.value:g}" for key in self.keys)])
 
     def values(self, numbers: Sequence[float]) -> dict[str, float]:
         """The keys of these numbers; NaN: not given. Raises ValueError for infinity, or a number without a key."""
@@ -50,37 +37,37 @@ class NumberedOrder(NamedTuple):
         given = zip(self.keys, numbers, strict=False)
         return {key.name: int(number) if number.is_integer() else number for key, number in given if not math.isnan(number)}
 
-    @classmethod
-    def told(cls, param: str, text: str) -> Self:
-        """Of a boat's text. Raises ValueError."""
-        name, *rows = text.split(", ")
-        number = int(param.removeprefix(PARAM))
-        if number not in NUMBERS or not re.fullmatch("[a-z][a-z0-9_]*", name) or len(rows) > KEYS_MAX:
-            raise ValueError("it is no order")
-        keys = list[NumberKey]()
-        for key, *numbers in (row.split(" ") for row in rows):
-            least, most, value = map(float, numbers)
-            if not -1e9 < least <= value <= most < 1e9:
-                raise ValueError("its numbers make no sense")
-            keys.append(NumberKey(key, least, most, value))
-        return cls(number, name, tuple(keys))
-
 
 def numbered(number: int, name: str, table: type[tables.Table]) -> NumberedOrder:
     """Raises ValueError for an order that numbers cannot give."""
     if number not in NUMBERS:
         raise ValueError(f"order {name} has number {number}; MAVLink has {NUMBERS[0]} to {NUMBERS[-1]} for users")
-    fields = {field.name: field.default for field in msgspec.structs.fields(table)}
-    keys = tuple(_key(key, hint, fields[key]) for key, hint in tables.keys(table).items())
-    found = NumberedOrder(number, name, keys)
-    if len(keys) > KEYS_MAX or len(found.text) > TEXT_MAX:
-        raise ValueError(f"order {name} has too many keys for its number: MAVLink carries {KEYS_MAX}, in {TEXT_MAX} characters")
-    return found
+    keys = tuple(_key(*row) for row in _rows(table))
+    if len(keys) > KEYS_MAX:
+        raise ValueError(f"order {name} has too many keys for its number: MAVLink carries {KEYS_MAX}")
+    return NumberedOrder(name, keys)
 
 
-def _key(name: str, hint: Any, default: Any) -> NumberKey:
-    if name in OF_THE_PAGE:
-        raise ValueError(f"key {name} of an order with a number needs another name: it is one of the page's own")
+def asked(table: type[msgspec.Struct], *, optional: bool) -> tuple[NumberKey, ...] | None:
+    """The keys that a form asks for, with or without those that need not be given; None: it cannot ask for all that must be."""
+    found = list[NumberKey]()
+    for field, hint in _rows(table):
+        try:
+            found += [_key(field, hint)] if field.required or optional else []
+        except ValueError:
+            if field.required:
+                return None
+    return tuple(found)
+
+
+def _rows(table: type[msgspec.Struct]) -> Iterator[tuple[FieldInfo, Any]]:
+    """Each key, and its type."""
+    return zip(msgspec.structs.fields(table), tables.keys(table).values(), strict=True)
+
+
+def _key(field: FieldInfo, hint: Any) -> NumberKey:
+    """Raises ValueError."""
+    name, default = field.name, field.default
     kind, *metas = get_args(hint) if get_origin(hint) is Annotated else (hint,)
     least, most = (next((v for m in metas if (v := getattr(m, key, None)) is not None), None) for key in ("ge", "le"))
     if kind not in (int, float) or least is None or most is None:

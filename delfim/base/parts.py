@@ -62,7 +62,7 @@ class OrderRow(NamedTuple):
     name: str  # small letters, digits and _
     table: type[Table]  # its keys
     does: str  # module:function; it takes a `delfim.api.OrderAsked`, and returns None, why not, or a `delfim.api.Goto` ...
-    number: int = 0  # by MAVLink and in the page's menu, MAV_CMD_USER_1 to 5, 31010 to 31014; 0: neither
+    number: int = 0  # for other consoles by MAVLink, MAV_CMD_USER_1 to 5, 31010 to 31014; 0: none
 
 
 class Part(NamedTuple):

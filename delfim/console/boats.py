@@ -3,18 +3,16 @@
 import math
 from collections import deque
 from collections.abc import Callable
-from contextlib import suppress
 from typing import Any, Final, NamedTuple
 
+import msgspec
+
 from delfim.base.modes import Mode
-from delfim.base.numberedorders import NUMBERS, PARAM, NumberedOrder
-from delfim.console.mavlink import mavlink
+from delfim.console.mavlink import BOAT_NAME, GUARDED, ORDERED, Offer, mavlink, own_offers
 from delfim.console.othervessels import VesselsTold
 from delfim.console.reception import Reception
 from delfim.console.wayhome import HeardTrack
 from delfim.console.words import Words
-from delfim.parts.mavlink.params import BOAT_NAME
-from delfim.parts.mavlink.vesselsout import GUARDED, ORDERED
 
 COLOURS: Final = ("#d1495b", "#2e86ab", "#e8b04a", "#5b9a68", "#8e5ea2", "#d97b29", "#3a7d7c", "#b0567f", "#6b705c", "#1b4965")
 SILENT_S: Final = 3.5
@@ -22,8 +20,6 @@ CHECKSUM_S: Final = 6.0  # the time for a boat to send the checksum of its plans
 NAME_MAX: Final = 32
 TRACK_MAX: Final = 36_000  # points: ten hours at one a second
 UNKNOWN_HEADING: Final = 65535
-OWN_TEXTS: Final = 2  # of a boat: its name, and its run
-TEXTS_MAX: Final = OWN_TEXTS + len(NUMBERS)
 MEASURED_MAX: Final = 32  # values of sensors, by name
 
 
@@ -46,9 +42,9 @@ class Boat:
         self.modes: dict[int, str] = {mode: mode.name.lower() for mode in Mode}  # until the boat has sent its own
         self.has_told_modes = False
         self._modes_told: dict[int, tuple[int, str]] = {}  # by their place in its list
-        self.orders: dict[str, NumberedOrder] = {}  # of a laboratory's parts, by name
-        self._texts: set[int] = set()  # places of those that it has told
-        self.texts = 0  # that it has
+        self.orders = own_offers()  # that its menu offers, until the boat has sent its own
+        self.has_told_orders = False
+        self._orders_told: dict[int, Offer] = {}  # by their place in its list
         self.commander = 0  # number of the console that commands; 0: none
         self.used = False  # the operator has commanded it
         self.twins: list[str] = []  # addresses of all boats that have this number, if there is more than one
@@ -84,7 +80,8 @@ class Boat:
     def receive(self, message: Any, now_s: float, utc_s: float) -> None:
         """Takes any message of this boat."""
         if now_s - self.heard_s > SILENT_S:  # it may be another boat with this number by now
-            self.is_named, self.profile, self.asks, self.synced_s = False, "", 0, -math.inf
+            self.is_named, self.profile, self.asks, self.synced_s, self.has_told_orders = False, "", 0, -math.inf, False
+            self._orders_told.clear()
         self.heard_s = now_s
         self._reception.count(message, now_s)
         handler = _HANDLERS.get(message.get_type())
@@ -108,10 +105,10 @@ class Boat:
         self.before = self.name if self.name not in (name, f"boat {self.number}") else ""
         self.name, self.is_named = name, True
         if self.before:
-            for each in (self.values, self.measured, self.reference, self.at_s, self.has, self._modes_told):
+            for each in (self.values, self.measured, self.reference, self.at_s, self.has, self._modes_told, self._orders_told):
                 each.clear()
             self.heard_track = HeardTrack()
-            self.orders, self._texts, self.texts = {}, set(), 0
+            self.orders, self.has_told_orders = own_offers(), False
             self.has_told_modes, self.asks, self.reason, self.failsafe, self.warning, self.forced = False, 0, "", "", "", ""
 
     def enter(self, number: int) -> None:
@@ -134,19 +131,11 @@ class Boat:
             self.modes = dict(self._modes_told[each] for each in places) | {Mode.IDLE: "idle"}
             self.has_told_modes = True
 
-    def learn_text(self, place: int, count: int, param: str, text: str) -> None:
-        """Takes one of its texts; those of its orders come behind name and run."""
-        if self.texts != min(count, TEXTS_MAX):  # it was started again, with other parts
-            self.orders, self._texts, self.texts = {}, set(), min(count, TEXTS_MAX)
-        self._texts.add(place)
-        with suppress(ValueError):
-            if param.startswith(PARAM):
-                order = NumberedOrder.told(param, text)
-                self.orders[order.name] = order
-
-    def untold(self) -> list[int]:
-        """The places of orders that it has not told yet."""
-        return [place for place in range(OWN_TEXTS, self.texts) if place not in self._texts]
+    def learn_offer(self, place: int, count: int, offer: Offer) -> None:
+        """Takes one of the orders that it offers; once all are known, they become the list."""
+        self._orders_told[place] = offer
+        if all(each in self._orders_told for each in range(1, count + 1)):
+            self.orders, self.has_told_orders = [self._orders_told[each] for each in range(1, count + 1)], True
 
     def snapshot(self, now_s: float) -> dict[str, Any]:
         """The boat as the page shows it."""
@@ -167,7 +156,7 @@ class Boat:
             **{key: v.get(key) for key in _PLAIN},
             "mode": self.mode or None,
             "modes": list(self.modes.values()),
-            "orders": [{"name": each.name, "keys": [key._asdict() for key in each.keys]} for each in self.orders.values()],
+            "orders": [msgspec.structs.asdict(each) for each in self.orders],
             "asked": self.asked,
             "armed": self.armed,
             "owner": True,
@@ -344,7 +333,6 @@ def _depth(boat: Boat, m: Any) -> None:
 def _text(boat: Boat, m: Any) -> None:
     if m.param_id == BOAT_NAME:
         boat.rename(m.param_value)
-    boat.learn_text(m.param_index, m.param_count, m.param_id, m.param_value)
 
 
 def _available(boat: Boat, m: Any) -> None:

@@ -6,9 +6,9 @@ from typing import Any, Final
 from delfim.base.errors import Refused
 from delfim.console import plan
 from delfim.console.boats import SILENT_S, Boat
+from delfim.console.mavlink import FENCE, MISSION, Item
 from delfim.console.requests import Answer
 from delfim.console.transfer import ORDER, SAILING, Download, OutgoingItems
-from delfim.parts.mavlink.plans import FENCE, MISSION, Item
 
 READ_AGAIN_S: Final = 10.0  # plans that could not be read
 NO_MISSION: Final[dict[str, Any]] = {"name": "", "count": 0, "current": None, "state": "none", "digest": None}

@@ -7,26 +7,25 @@ and neither does a console that slept: it refuses older messages of pages, but f
 
 import math
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Any, Final
 
 from delfim.base.clock import Clock
-from delfim.base.errors import Refused
-from delfim.console import plan
+from delfim.base.errors import FormatError, Refused
+from delfim.base.modes import Mode
 from delfim.console.alarms import is_trouble
 from delfim.console.boats import SILENT_S, Boat
 from delfim.console.drivers import INPUT_S, Drivers
 from delfim.console.exchange import SAID, Exchange, planned
-from delfim.console.mavlink import SYSTEM, Codec, Key, mavlink
-from delfim.console.orders import order, row_of
+from delfim.console.mavlink import BOAT_NAME, BOAT_RUN, SYSTEM, TROUBLES, Codec, Key, mavlink, ownorders
 from delfim.console.profiles import Profiles
-from delfim.console.requests import LIFE_S, Answer, Requests
+from delfim.console.requests import HALTS, LIFE_S, NO_ANSWER, Answer, Requests, entered
 from delfim.console.transfer import REFUSED
 from delfim.console.ways import Address, Ways, in_words
-from delfim.parts.mavlink.params import BOAT_NAME, BOAT_RUN, TROUBLES
 
 HEARTBEAT_S: Final = 1.0
 TIMESYNC_S: Final = 5.0
-ASKS: Final = 12  # for a minute: requests for name, modes and profile
+ASKS: Final = 12  # for a minute: requests for name, modes, profile and orders
 DEAF_S: Final = 1.0  # after a sleep messages of pages are refused for so long: a page must see that it was released
 BOATS_MAX: Final = 32
 SIGNED_MAX: Final = 199  # with a key nobody can invent boats: as many as there are numbers below those of consoles
@@ -34,7 +33,7 @@ PEERS_MAX: Final = 64
 COMPLAIN_S: Final = 60.0
 AUTOPILOT: Final = mavlink.MAV_COMP_ID_AUTOPILOT1
 WARNING: Final = int(mavlink.MAV_SEVERITY_WARNING)
-REASON_S: Final = 0.5  # a refusal and its reason come in separate messages
+REASON_S: Final = 0.5  # the refusal of a plan and its reason come in separate messages
 Tell = Callable[[dict[str, Any]], None]
 
 
@@ -59,7 +58,6 @@ class Fleet:
         self._ticked_s, self._deaf_until_s, self._slept_s = clock.monotonic_s(), -math.inf, 0.0
         self._beat_s = self._complained_s = -math.inf
         self._texts: dict[int, tuple[float, str]] = {}
-        self._refused: dict[int, tuple[float, int, int]] = {}  # by boat: end of the wait for the reason, command, result
         self._profiles = Profiles(self._send)
         self._homes = set[int]()  # boats that were asked where their way home ends
 
@@ -127,8 +125,7 @@ class Fleet:
         self._drivers.end(number)
         self._profiles.forget(number)
         self._homes.discard(number)
-        for each in (self._texts, self._refused):
-            each.pop(number, None)
+        self._texts.pop(number, None)
 
     def _complain(self, words: str, now_s: float) -> None:
         """Warns of what is wrong on the link, on the pages."""
@@ -142,16 +139,18 @@ class Fleet:
         self._tell(told | {"alarm": alarm} if alarm and severity <= WARNING else told)
 
     def _on_ack(self, boat: Boat, message: Any, now_s: float) -> None:
-        if (
-            message.command == mavlink.MAV_CMD_REQUEST_MESSAGE
-        ):  # nobody waits for it, and what was refused before waits for its reason
-            return
-        reason = self._said(boat.number)
-        fine = message.result in (mavlink.MAV_RESULT_ACCEPTED, mavlink.MAV_RESULT_IN_PROGRESS)
-        if fine or reason:
-            self._requests.acknowledged(boat.number, message.command, message.result, reason, message.get_seq())
-        else:
-            self._refused[boat.number] = now_s + REASON_S, message.command, message.result
+        if message.result != mavlink.MAV_RESULT_IN_PROGRESS:
+            accepted = message.result == mavlink.MAV_RESULT_ACCEPTED
+            self._requests.acknowledged(boat.number, message.command, accepted, message.get_seq())
+
+    def _on_own(self, boat: Boat, message: Any, now_s: float) -> None:
+        """The answer to an order in the boat's own words, or an order that it offers."""
+        if message.message_type == ownorders.ANSWER and message.target_system == self.me:
+            number, refused = ownorders.numbered(message)
+            self._requests.answered(boat.number, number, refused.decode("ascii", "replace"))
+        elif message.message_type == ownorders.OFFER:
+            with suppress(FormatError):
+                boat.learn_offer(*ownorders.offered(message))
 
     def _said(self, number: int) -> str:
         """What the boat said just now; empty: nothing."""
@@ -176,20 +175,11 @@ class Fleet:
         self._say(boat.number, message.severity, text, alarm="boat" if is_trouble(message.severity, text) else "")
         if message.severity <= mavlink.MAV_SEVERITY_WARNING:
             boat.warning = text
-            self._give_reason(boat.number, text)
-
-    def _give_reason(self, number: int, text: str) -> None:
-        """Of what the boat refused just now."""
-        if number in self._refused:
-            _, command, result = self._refused.pop(number)
-            self._requests.acknowledged(number, command, result, text, 0)
 
     def _on_param(self, boat: Boat, message: Any, now_s: float) -> None:
         self._profiles.hear(boat, message)
 
     def _on_name(self, boat: Boat, message: Any, now_s: float) -> None:
-        if message.param_id == BOAT_NAME:
-            self._ask_orders(boat)
         if message.param_id == BOAT_NAME and boat.before:
             self.missions.get(boat.number, {}).pop("aboard", None)
             self._say(boat.number, 4, f"number {boat.number} is now {boat.name}: it was {boat.before}", "console")
@@ -233,9 +223,6 @@ class Fleet:
         for number in self._drivers.late(now_s):
             self.release(number, "no input from the page")
         self._requests.tick(now_s)
-        for number, (until_s, *_) in list(self._refused.items()):
-            if now_s >= until_s:
-                self._give_reason(number, "")
         self._profiles.tick(now_s)
         self._exchange.tick(now_s)
 
@@ -247,7 +234,7 @@ class Fleet:
         boat.twins = twins
 
     def _ask_once(self, boat: Boat) -> None:
-        """Asks for name, profile, modes and orders of parts until they are known, up to ASKS times."""
+        """Asks for name, profile, modes and orders until they are known, up to ASKS times."""
         boat.asks += 1
         if boat.asks > ASKS:
             return
@@ -256,14 +243,11 @@ class Fleet:
             self._profiles.ask(boat.number)
         if not boat.is_named:
             self._send(boat.number, mavlink.MAVLink_param_ext_request_read_message(*to, BOAT_NAME.encode(), -1))
-        self._ask_orders(boat)
-        if not boat.has_told_modes:
-            modes = mavlink.MAVLINK_MSG_ID_AVAILABLE_MODES, *(0.0,) * 6  # all of them
-            self._send(boat.number, mavlink.MAVLink_command_long_message(*to, mavlink.MAV_CMD_REQUEST_MESSAGE, 0, *modes))
-
-    def _ask_orders(self, boat: Boat) -> None:
-        for place in boat.untold():
-            self._send(boat.number, mavlink.MAVLink_param_ext_request_read_message(boat.number, AUTOPILOT, b"", place))
+        modes = mavlink.MAVLINK_MSG_ID_AVAILABLE_MODES, boat.has_told_modes
+        for listed, is_known in (modes, (ownorders.EXTENSION, boat.has_told_orders)):
+            if not is_known:
+                every = listed, *(0.0,) * 6
+                self._send(boat.number, mavlink.MAVLink_command_long_message(*to, mavlink.MAV_CMD_REQUEST_MESSAGE, 0, *every))
 
     def snapshot(self) -> list[dict[str, Any]]:
         """All boats for the page, in order of their numbers."""
@@ -281,35 +265,30 @@ class Fleet:
         """Sends a command of this page. Raises Refused if it cannot be sent; otherwise calls `answer` once, with the boat's
         answer or at the end of the wait."""
         boat, now_s = self._use(number), self._clock.monotonic_s()
-        row = row_of(word, boat.modes, boat.orders) if word != "profile" else None
-        stop = row is not None and row.mode == "idle"
-        if self._asleep_s(now_s) > LIFE_S and not stop:
+        mode = entered(word, words)
+        if mode == "idle" and word not in HALTS:
+            word, words = "stop", {}
+        if self._asleep_s(now_s) > LIFE_S and word not in HALTS:
             raise Refused("the console's computer slept: give the command again")
-        if row is None:
+        if word == "profile":
             self._profiles.choose(number, words["profile"], answer, now_s)
             return
-        asked = order(word, row, words)
-        if word == "play":
-            asked = asked._replace(numbers=(float(self._item(number, int(asked.numbers[0]))), 0.0))
-        if word == "manual":
+
+        def answered(well: bool, why: str) -> None:
+            if not well and mode and (boat.asked, boat.asked_s) == (mode, now_s):  # nothing newer was asked for
+                boat.asked = None
+            if why == NO_ANSWER and word not in HALTS and not boat.has_told_orders:
+                why = f"{why}; its program may be older than this console: it takes stop and kill alone"
+            answer(well, why)
+
+        self._requests.begin(number, word, words, answered, now_s)
+        if mode == Mode.MANUAL.name.lower():
             self._drivers.begin(boat, page)
         else:
             self._drivers.end(number)
-        if row.mode:
-            boat.asked, boat.asked_s = row.mode, now_s
+        if mode:
+            boat.asked, boat.asked_s = mode, now_s
         boat.released = False
-
-        def answered(well: bool, why: str) -> None:
-            if not well and boat.asked_s == now_s:  # nothing newer was asked for
-                boat.asked = None
-            answer(well, why)
-
-        self._requests.begin(number, asked, answered, now_s, stop=stop)
-
-    def _item(self, number: int, waypoint: int) -> int:
-        """The number of a waypoint's item, to play from, if the mission aboard is known. Raises FormatError."""
-        aboard = self.missions.get(number, {}).get("aboard")
-        return waypoint if aboard is None or not aboard["waypoints"] else plan.item_of(aboard, waypoint)
 
     def input(self, number: int, count: int, port_pct: float, starboard_pct: float, page: int = 0) -> None:
         """Sends thrust that this page gives to a boat in manual at once, if no other page drives it."""
@@ -397,6 +376,7 @@ def address_kind(address: Address) -> str:
 _HANDLERS: Final[dict[str, Callable[[Fleet, Boat, Any, float], None]]] = {
     "HEARTBEAT": Fleet._on_heartbeat,
     "COMMAND_ACK": Fleet._on_ack,
+    "V2_EXTENSION": Fleet._on_own,
     "STATUSTEXT": Fleet._on_text,
     "PARAM_VALUE": Fleet._on_param,
     "PARAM_EXT_VALUE": Fleet._on_name,

@@ -25,7 +25,6 @@ from delfim.console.desk import Desk
 from delfim.console.fleet import Fleet
 from delfim.console.mavlink import Key
 from delfim.console.onwatch import WatchKeeper
-from delfim.console.orders import OFFERED
 from delfim.console.othervessels import around
 from delfim.console.radio import radio
 from delfim.console.replay import TapePlayer
@@ -268,7 +267,6 @@ class Gateway:
                 "charts": self.charts.folder,
                 "boats": fleet.snapshot(),
                 "heard_on": self.heard_on,
-                "orders": OFFERED,
                 "replay": _time_line(fleet) if isinstance(fleet, TapePlayer) else None,
             }
         )

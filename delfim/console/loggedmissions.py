@@ -41,7 +41,7 @@ def _missions(events: Iterable[dict[str, Any]]) -> Iterator[tuple[float, Mission
         if event.get("event") != "command" or event.get("refused"):
             continue
         try:
-            command = msgspec.convert(event["value"], console.Commands)
+            command = msgspec.convert(event["value"], console.EVERY)
             if isinstance(command, console.LoadMission):
                 text = text + command.text if command.at else command.text
                 if command.more:

@@ -12,10 +12,8 @@ from delfim.base.geodesy import Origin, from_plane, origin
 from delfim.base.slices import Sliced
 from delfim.base.vessels import VesselFacts, VesselPosition
 from delfim.config import TrafficNear, TrafficTable
+from delfim.console.mavlink import GUARD, NUMBERS, facts_of, number_of, position_of
 from delfim.console.words import Words
-from delfim.parts.mavlink.aisvessel import facts_of, position_of
-from delfim.parts.mavlink.vesselsout import GUARD, NUMBERS
-from delfim.parts.mavlink.vesselsout import number as number_of
 from delfim.vehicle.target import Danger, Target
 from delfim.vehicle.traffic.alarm import Alarms, Guarded, dangers
 from delfim.vehicle.traffic.beside import Company, company, danger_beside

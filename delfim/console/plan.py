@@ -15,8 +15,7 @@ import msgspec
 from delfim import config
 from delfim.base import tables
 from delfim.base.errors import FormatError
-from delfim.parts.mavlink import plans
-from delfim.parts.mavlink.plans import Item
+from delfim.console.mavlink import Item, plans
 from delfim.vehicle.plans.mission import CARRIED, Mission, PathPoint, PayloadItem, Waypoint
 
 LATITUDE_MAX_DEG, LONGITUDE_MAX_DEG = 89.0, 180.0

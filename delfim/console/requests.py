@@ -1,42 +1,73 @@
-"""Commands without an answer yet: repeated until the boat answers, or until they are too old.
+"""Orders without an answer yet: repeated until the boat answers, or until they are too old.
 
-A stop is repeated five times a second for as long as it takes (a minute at most): it is right whenever it arrives. It ends
-when the boat has answered and then reports idle: the answer alone may belong to an earlier request for a mode.
+An order goes to the boat as the page said it, in the boat's own words, with a number by which it is obeyed once however often
+it comes. A stop or a kill is a command of MAVLink, which boats of other versions obey, too, and is repeated five times a second
+for as long as it takes (a minute at most): it is right whenever it arrives. It ends when the boat has answered and then
+reports idle.
 """
 
-from collections.abc import Callable
+import json
+import secrets
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, Final
 
-from delfim.console.mavlink import mavlink
-from delfim.console.orders import CommandLong
+from delfim.base.errors import FormatError
+from delfim.base.modes import Mode
+from delfim.console.mavlink import mavlink, ownorders
+from delfim.vehicle import console
 
 REPEAT_S: Final = 1.0
 LIFE_S: Final = 4.0  # the operator no longer means a command that arrives later
 STOP_REPEAT_S: Final = 0.2
 STOP_LIFE_S: Final = 60.0
-
-RESULTS: Final = {
-    mavlink.MAV_RESULT_TEMPORARILY_REJECTED: "not now",
-    mavlink.MAV_RESULT_DENIED: "denied",
-    mavlink.MAV_RESULT_UNSUPPORTED: "the boat does not know this command",
-    mavlink.MAV_RESULT_FAILED: "failed",
+AUTOPILOT: Final = mavlink.MAV_COMP_ID_AUTOPILOT1
+HALTS: Final[dict[str, tuple[int, tuple[float, ...]]]] = {  # MAVLink's command, and its numbers
+    "stop": (mavlink.MAV_CMD_DO_SET_MODE, (1.0, float(Mode.IDLE))),
+    "kill": (mavlink.MAV_CMD_DO_FLIGHTTERMINATION, (1.0,)),
 }
+NO_ANSWER: Final = "no answer from the boat"
+DECIMALS: Final = 7  # of a number: a centimetre on Earth
 Answer = Callable[[bool, str], None]
+
+
+def entered(word: str, words: Mapping[str, Any]) -> str:
+    """The mode that the boat enters by this order; empty: none, or this console does not know the order."""
+    kind = console.KINDS.get(word)
+    return str(words.get("mode", "")) if kind is console.SetMode else kind.ENTERS if kind is not None else ""
+
+
+def line(word: str, words: Mapping[str, Any]) -> bytes:
+    """The order as the boat reads it. Raises FormatError for infinity, which is no JSON and which others read as null."""
+    try:
+        rounded = json.loads(json.dumps(words, allow_nan=False), parse_float=lambda text: round(float(text), DECIMALS))
+    except ValueError:
+        raise FormatError(f"{word}: infinity is no number") from None
+    return json.dumps({"command": word} | rounded, separators=(",", ":")).encode()
 
 
 @dataclass(slots=True)
 class Request:
-    """One command on its way."""
+    """One order on its way."""
 
     boat: int
-    order: CommandLong
+    word: str
+    mode: str  # that the boat enters by it
+    number: int
+    line: bytes
     answer: Answer
     begun_s: float
-    is_stop: bool = False
     answered: int | None = None  # number of the frame by which a boat took a stop
     due_s: float = 0.0
     sent: int = 0
+
+    @property
+    def is_stop(self) -> bool:
+        return self.word in HALTS
+
+    def replaces(self, old: "Request") -> bool:
+        """A newer order replaces the older one of its kind, one for another mode, too; a stop replaces all."""
+        return old.boat == self.boat and (self.is_stop or old.word == self.word or bool(old.mode and self.mode))
 
 
 class Requests:
@@ -45,41 +76,37 @@ class Requests:
     def __init__(self, send: Callable[[int, Any], None], send_all: Callable[[int, Any], None]) -> None:
         self._send, self._send_all = send, send_all
         self._waiting: list[Request] = []
-
-    def __len__(self) -> int:
-        return len(self._waiting)
+        self._number = secrets.randbits(32)  # no boat takes it for an order of the run before
 
     def wait_for(self, boat: int) -> bool:
-        """Whether a command to this boat is under way."""
+        """Whether an order to this boat is under way."""
         return any(each.boat == boat for each in self._waiting)
 
-    def begin(
-        self,
-        boat: int,
-        order: CommandLong,
-        answer: Answer,
-        now_s: float,
-        *,
-        stop: bool = False,
-    ) -> None:
-        """A newer command of the same kind to the same boat replaces the older one. A stop replaces all of them."""
-        for old in [each for each in self._waiting if each.boat == boat and (stop or each.order.command == order.command)]:
+    def begin(self, boat: int, word: str, words: Mapping[str, Any], answer: Answer, now_s: float) -> None:
+        """Raises FormatError for an order that cannot be sent."""
+        if word in HALTS and words:
+            raise FormatError(f"{word} takes nothing")
+        number = (self._number + 1) & 0xFFFFFFFF
+        request = Request(boat, word, entered(word, words), number, line(word, words), answer, now_s)
+        message = self._message(request)
+        for old in [each for each in self._waiting if request.replaces(each)]:
             self._end(old, False, "replaced by a newer command")
-        request = Request(boat, order, answer, now_s, stop)
+        self._number = number
         self._waiting.append(request)
-        self._repeat(request, now_s)
+        self._repeat(request, message, now_s)
 
-    def acknowledged(self, boat: int, command: int, result: int, reason: str, frame: int) -> None:
-        """The boat answered by the frame of this number. `reason` is its last text."""
-        for request in [each for each in self._waiting if each.boat == boat and each.order.command == command]:
-            if result == mavlink.MAV_RESULT_IN_PROGRESS:
-                continue
-            if result == mavlink.MAV_RESULT_ACCEPTED and request.is_stop:
+    def answered(self, boat: int, number: int, refused: str) -> None:
+        """The boat answered the order of this number."""
+        for request in [each for each in self._waiting if (each.boat, each.number) == (boat, number)]:
+            self._end(request, not refused, refused)
+
+    def acknowledged(self, boat: int, command: int, accepted: bool, frame: int) -> None:
+        """The boat answered a command of MAVLink by the frame of this number."""
+        for request in [each for each in self._waiting if each.boat == boat and HALTS.get(each.word, (0,))[0] == command]:
+            if accepted:
                 request.answered = frame
-            elif result == mavlink.MAV_RESULT_ACCEPTED:
-                self._end(request, True, "")
             else:
-                self._end(request, False, reason or RESULTS.get(result, f"result {result}"))
+                self._end(request, False, "the boat does not take it")
 
     def idle(self, boat: int, frame: int) -> None:
         """The boat said by the frame of this number that it is idle."""
@@ -91,20 +118,20 @@ class Requests:
         """Called often: repeats requests without an answer, and gives up old ones."""
         for request in list(self._waiting):
             if now_s - request.begun_s > (STOP_LIFE_S if request.is_stop else LIFE_S):
-                said = "no answer from the boat" if request.answered is None else "the boat took the stop but is not idle"
+                said = NO_ANSWER if request.answered is None else "the boat took the stop but is not idle"
                 self._end(request, False, said)
             elif now_s >= request.due_s:
-                self._repeat(request, now_s)
+                self._repeat(request, self._message(request), now_s)
 
-    def _repeat(self, request: Request, now_s: float) -> None:
-        to, order = (request.boat, mavlink.MAV_COMP_ID_AUTOPILOT1), request.order
-        numbers = (*order.numbers, *(0.0,) * (7 - len(order.numbers)))
-        if order.place is not None:
-            frame = mavlink.MAV_FRAME_GLOBAL_INT
-            message = mavlink.MAVLink_command_int_message(*to, frame, order.command, 0, 0, *numbers[:4], *order.place, 0.0)
-        else:
-            before = min(request.sent, 255)  # "confirmation": how often it was sent before
-            message = mavlink.MAVLink_command_long_message(*to, order.command, before, *numbers)
+    def _message(self, request: Request) -> Any:
+        if not request.is_stop:
+            return ownorders.order((request.boat, AUTOPILOT), request.number, request.line)
+        command, numbers = HALTS[request.word]
+        before = min(request.sent, 255)  # "confirmation": how often it was sent before
+        numbers = (*numbers, *(0.0,) * (7 - len(numbers)))
+        return mavlink.MAVLink_command_long_message(request.boat, AUTOPILOT, command, before, *numbers)
+
+    def _repeat(self, request: Request, message: Any, now_s: float) -> None:
         (self._send_all if request.is_stop else self._send)(request.boat, message)
         request.sent += 1
         request.due_s = now_s + (STOP_REPEAT_S if request.is_stop else REPEAT_S)

@@ -15,8 +15,8 @@ class Said(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
 
 
 class Command(Said, frozen=True, forbid_unknown_fields=False):
-    """A mode out of the boat's `modes`, `order NAME` of its `orders`, or a word of `delfim.console.orders`; numbers are the
-    other fields."""
+    """An order in the boat's own words (`delfim.vehicle.console`), whose keys are the other fields: `mode` with one of the
+    boat's `modes`, `order` with the name of one of its parts' and `values`, and so on."""
 
     boat: Number | Literal["all"]  # all: for `stop` only
     command: str

@@ -14,13 +14,11 @@ from typing import Any, Final, NamedTuple, Protocol
 from delfim.base.errors import FormatError
 from delfim.base.outside import read_file
 from delfim.console.boats import Boat
-from delfim.console.mavlink import COMPONENT, SYSTEM, mavlink
+from delfim.console.mavlink import COMPONENT, FENCE, MISSION, RALLY, SYSTEM, Item, WaterDepth, mavlink
 from delfim.console.othervessels import VesselsTold
 from delfim.console.plan import KINDS, item_in, mission_of
 from delfim.console.session import STAMP
 from delfim.console.words import Words
-from delfim.parts.mavlink.ardupilot import WaterDepth
-from delfim.parts.mavlink.plans import FENCE, MISSION, RALLY, Item
 
 SESSION_BYTES: Final = 1 << 30  # of a session that is replayed: a boat's day has a tenth of that
 BEFORE_S: Final = 30.0  # every periodic message comes at least once in this time, lean links apart

@@ -7,9 +7,8 @@ arrives twice or out of order does any harm.
 from collections.abc import Callable, Sequence
 from typing import Any, Final
 
-from delfim.console.mavlink import mavlink
+from delfim.console.mavlink import FENCE, ITEMS, MISSION, RALLY, Item, mavlink
 from delfim.console.plan import item_in
-from delfim.parts.mavlink.plans import FENCE, ITEMS, MISSION, RALLY, Item
 
 REPEAT_S: Final = 1.5
 TIMEOUT_S: Final = 60.0

@@ -11,7 +11,7 @@ from typing import Any, Final
 
 from delfim.base.modes import Mode
 from delfim.console.boats import SILENT_S
-from delfim.parts.mavlink.params import BOAT_RUN
+from delfim.console.mavlink import BOAT_RUN
 
 Address = Any  # of a link; hashable
 DOUBT_S: Final = 2.0  # the time for an address to show that it is the same boat

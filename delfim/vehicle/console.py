@@ -1,11 +1,13 @@
 """The console's side of the vehicle (console.c in the thesis): typed commands in, the state back.
 
-Commands are rows of one union: a class declares the command, a method of `Helm` or `VehicleLoop` carries it out. This
-file has the words and their ranges; `command.py` carries them over a local socket, and a radio link carries the same words.
+A class declares a command, its keys and their ranges; a row of `Helm` carries it out. `command.py` carries these words over
+a local socket; the console's link carries those that are an `OperatorOrder`, and the console's menu offers what has a title.
 """
 
 from collections.abc import Sequence
-from typing import Annotated, Any, Literal, TypeVar, get_args
+from functools import reduce
+from operator import or_
+from typing import Annotated, Any, ClassVar, Literal, TypeAlias, TypeVar
 
 import msgspec
 
@@ -34,25 +36,38 @@ PART, TEXT = 1 << 14, 1 << 20  # characters: of a part of a mission's text, and 
 class Command(msgspec.Struct, frozen=True, forbid_unknown_fields=True, tag_field="command", tag=str.lower):
     """A command of the operator. On the wire: one JSON object a line, `{"command": "heading", "heading_deg": 90}`."""
 
+    TITLE: ClassVar[str] = ""  # in the menu of a console, which asks for those of its keys that are numbers with two limits
+    KEY: ClassVar[str] = ""  # of a console's keyboard
+    ENTERS: ClassVar[str] = ""  # the mode that the boat is then in; empty: no other one, or the one that is named
+
+
+class OperatorOrder(Command, frozen=True):
+    """A command that any console may give over its link."""
+
 
 class Alive(Command, frozen=True):
     """The console is there and listens."""
 
 
-class Stop(Command, frozen=True):
+class Stop(OperatorOrder, frozen=True):
     """Idle, now."""
+
+    ENTERS = "idle"
 
 
 class Kill(Command, frozen=True):
     """Stop, and refuse every mode until the kill is cleared. `switch`: by a switch, which now says kill, or no longer does."""
 
+    TITLE, ENTERS = "Kill: idle until it is cleared", "idle"
     by: Short = "operator"
     reason: Short = "commanded"
     switch: Literal["", "on", "off"] = ""
 
 
-class Clear(Command, frozen=True):
+class Clear(OperatorOrder, frozen=True):
     """End a kill, once every switch that says kill was released. The boat stays in idle."""
+
+    TITLE = "Clear the kill"
 
 
 class Leave(Command, frozen=True):
@@ -62,7 +77,7 @@ class Leave(Command, frozen=True):
     lost: Short = ""
 
 
-class SetMode(Command, frozen=True, tag="mode"):
+class SetMode(OperatorOrder, frozen=True, tag="mode"):
     """Enter a mode with the set points as they are; manual without thrust, goto without a point: the boat waits for one.
     `piece` is the piece of the path to begin with; without it a path begins at its first, or goes on after a pause."""
 
@@ -85,31 +100,39 @@ class Actuate(Command, frozen=True):
     for_s: Annotated[float, msgspec.Meta(gt=0.0, le=60.0)] = 2.0  # at most, from the first of these commands
 
 
-class Heading(Command, frozen=True):
+class Heading(OperatorOrder, frozen=True):
     """Hold a true heading; enters heading mode."""
 
+    ENTERS = "heading"
     heading_deg: Degrees
     speed_mps: Speed | None = None
 
 
-class Course(Command, frozen=True):
+class Course(OperatorOrder, frozen=True):
     """Steer a true course over ground, in a current too; enters course mode."""
 
+    ENTERS = "course"
     course_deg: Degrees
     speed_mps: Speed | None = None
 
 
-class SetSpeed(Command, frozen=True, tag="speed"):
+class SetSpeed(OperatorOrder, frozen=True, tag="speed"):
     """Change the speed, keep the mode: it overrides the speeds of mission, path and way home until the next change of mode.
-    Without a value, their own speeds apply again."""
+    Without a value, their own speeds apply again. `speed_pct`: of the boat's top speed, in place of metres a second."""
 
     speed_mps: Speed | None = None
+    speed_pct: Annotated[float, msgspec.Meta(ge=0.0, le=100.0)] | None = None
+
+    def __post_init__(self) -> None:
+        if self.speed_mps is not None and self.speed_pct is not None:
+            raise FormatError("speed is either speed_mps or speed_pct")
 
 
-class Goto(Command, frozen=True):
+class Goto(OperatorOrder, frozen=True):
     """Go to a position, or to the mission's first waypoint when none is given; enters goto mode. `end`: the mode in which the
     boat stays there; hold starts the propellers again and again, idle is a stop. None: as the vehicle's file says."""
 
+    ENTERS = "goto"
     latitude_deg: Latitude | None = None
     longitude_deg: Longitude | None = None
     speed_mps: Speed | None = None
@@ -120,12 +143,16 @@ class Goto(Command, frozen=True):
             raise FormatError("goto needs a latitude and a longitude, or neither")
 
 
-class Pause(Command, frozen=True):
+class Pause(OperatorOrder, frozen=True):
     """Hold here, or idle where the boat cannot hold; remembers the place in mission, path or way."""
 
+    KEY, ENTERS = "B", "hold"
 
-class Continue(Command, frozen=True):
+
+class Continue(OperatorOrder, frozen=True):
     """Go on with the mode that a hold interrupted, a failsafe's hold too, from where it was."""
+
+    KEY = "C"
 
 
 class LoadMission(Command, frozen=True, tag="mission"):
@@ -143,9 +170,10 @@ class Upload(Command, frozen=True):
     mission: MissionTables
 
 
-class Play(Command, frozen=True):
+class Play(OperatorOrder, frozen=True):
     """Play the mission from this leg on (0: the leg to the first waypoint)."""
 
+    ENTERS = "play"
     leg: Annotated[int, msgspec.Meta(ge=0, le=100_000)] = 0
 
 
@@ -171,7 +199,7 @@ class Rally(Command, frozen=True):
     points: Annotated[tuple[config.Position, ...], msgspec.Meta(max_length=100)]
 
 
-class Entrust(Command, frozen=True, tag="payload"):
+class Entrust(OperatorOrder, frozen=True, tag="payload"):
     """Give the boat to a payload program of the vehicle's file: it holds until the program orders something. Any other order of
     an operator takes it back."""
 
@@ -191,17 +219,18 @@ class OfPayload(Command, frozen=True, tag="ordered"):
     order: Alive | Pause | Continue | Goto | Heading | Course | SetSpeed | Upload | Play | Sight
 
 
-class Take(Command, frozen=True):
+class Take(OperatorOrder, frozen=True):
     """Take over: this console commands from now on, and its silence is a trouble."""
 
 
-class Arm(Command, frozen=True):
+class Arm(OperatorOrder, frozen=True):
     """Check that the boat may leave idle; refused with the reason if not. Stop disarms."""
 
 
-class Reset(Command, frozen=True):
+class Reset(OperatorOrder, frozen=True):
     """Restart the other nodes (thesis 4.3, key R); in idle only. `node`: 127 is all of them."""
 
+    TITLE, KEY = "Reset the peripherals", "R"
     node: Annotated[int, msgspec.Meta(ge=1, le=127)] = 127
 
 
@@ -212,7 +241,7 @@ class Set(Command, frozen=True):
     value: float | Annotated[str, msgspec.Meta(max_length=64)]
 
 
-class PartOrder(Command, frozen=True, tag="order"):
+class PartOrder(OperatorOrder, frozen=True, tag="order"):
     """Give an order of a laboratory's part (docs/own-parts.md). `values`: the keys of its table."""
 
     name: Annotated[str, msgspec.Meta(max_length=64)]
@@ -248,17 +277,15 @@ class ShutDown(Command, frozen=True):
     reboot: bool = False
 
 
-Commands = (
-    Alive | Stop | Kill | Clear | Leave | SetMode | Manual | Actuate | Heading | Course | SetSpeed | Goto | Pause | Continue
-    | LoadMission | Upload | Play | Leg | Unload | SetFence | Rally
-    | Entrust | Sight | OfPayload | Take | Arm | Reset | Set | PartOrder | TellState | Watch | Return | ShutDown
-)  # fmt: skip
-KINDS: dict[str, type[Command]] = {str(kind.__struct_config__.tag): kind for kind in get_args(Commands)}  # by their words
+Commands: TypeAlias = Command
+_declared = (*Command.__subclasses__(), *OperatorOrder.__subclasses__())
+KINDS: dict[str, type[Command]] = {str(kind.__struct_config__.tag): kind for kind in _declared if kind is not OperatorOrder}
+EVERY: Any = reduce(or_, KINDS.values())  # their union, to read one
 Meant = Stop | Pause | Continue | SetMode | Heading | Course | SetSpeed | Goto | Play  # an order of a part may stand for these
 Halts = Stop | Kill  # anybody may stop the boat, whoever commands it
 Plan = LoadMission | Upload | SetFence  # checking these takes longer than a callback may
 Kind = TypeVar("Kind", bound=Command)
-_decoder = msgspec.json.Decoder(Commands)
+_decoder: msgspec.json.Decoder[Command] = msgspec.json.Decoder(EVERY)
 _encode = msgspec.json.Encoder().encode
 
 
@@ -289,8 +316,7 @@ def _pieces(rows: Sequence[object], each: int) -> Work[list[msgspec.Raw]]:
 def parse(line: bytes) -> Commands:
     """The command in one line of JSON. Raises FormatError in words."""
     try:
-        command: Commands = _decoder.decode(line)
-        return command
+        return _decoder.decode(line)
     except UNREADABLE as error:
         text = str(error)
     try:
@@ -298,6 +324,14 @@ def parse(line: bytes) -> Commands:
     except UNREADABLE:
         raise FormatError("command not understood: it is not JSON") from None
     raise FormatError(f"command not understood: {_why(tree, text)}")
+
+
+def parse_order(line: bytes) -> OperatorOrder:
+    """The order of a console in one line of JSON. Raises FormatError in words."""
+    command = parse(line)
+    if not isinstance(command, OperatorOrder):
+        raise FormatError(f"{command.__struct_config__.tag} is no order of a console on a link")
+    return command
 
 
 def asked(kind: type[Kind], **numbers: object) -> Kind:

@@ -5,7 +5,7 @@ Its orders are commands of the console under a name of its own, PAYLOAD and the 
 below everybody else, into the log, and into a replay.
 """
 
-from typing import Final, get_args
+from typing import Final
 
 import msgspec
 
@@ -116,4 +116,4 @@ def _choice(settings: config.Vehicle) -> str:
     return f"there are {', '.join(settings.helmsmen)}" if settings.helmsmen else "none in the boat's file has such rights"
 
 
-assert RIGHTS.keys() < set(get_args(console.Commands))
+assert RIGHTS.keys() < set(console.KINDS.values())

@@ -278,8 +278,11 @@ class Helm:
         self.request(*setpoints.headed(command, self.state, self.settings.control.speed), now_s)
 
     def _set_speed(self, command: console.SetSpeed, now_s: float) -> None:
-        speed_mps = setpoints.speed(command.speed_mps, self.settings.control.speed)
-        override_mps = None if command.speed_mps is None else speed_mps
+        asked_mps, speeds = command.speed_mps, self.settings.control.speed
+        if command.speed_pct is not None:
+            asked_mps = command.speed_pct / 100.0 * speeds.max_mps
+        speed_mps = setpoints.speed(asked_mps, speeds)
+        override_mps = None if asked_mps is None else speed_mps
         self.state.setpoint = self.state.setpoint._replace(speed_mps=speed_mps, override_mps=override_mps)
 
     def _go(self, command: console.Goto, now_s: float) -> None:

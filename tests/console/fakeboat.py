@@ -3,6 +3,7 @@
 It stands in for a vehicle where the link between the two is what is tested; the whole vehicle is met in test_operating.py.
 """
 
+import json
 import math
 import time
 from collections.abc import Callable
@@ -12,6 +13,17 @@ from typing import Any
 from pymavlink.dialects.v20 import development as mavlink
 
 from delfim.base.clock import ManualClock
+from delfim.base.modes import Mode
+from delfim.parts.mavlink import ownorders
+from delfim.vehicle import console
+
+
+def order(word: str, words: dict[str, Any]) -> tuple[str, dict[str, Any]]:
+    """An order in the boat's own words; the name of a mode that is no order is the order to enter it."""
+    kind = console.KINDS.get(word)
+    is_order = word in ("profile", "kill") or (kind is not None and issubclass(kind, console.OperatorOrder))
+    return (word, words) if is_order else ("mode", {"mode": word})
+
 
 PORTS = mavlink.MAV_COMP_ID_AUTOPILOT1
 
@@ -38,6 +50,9 @@ class FakeBoat:
         self.name, self.run, self.asked_name = "", "", 0
         self.modes: list[tuple[int, bytes]] = []  # numbers and names that it tells; none: it knows no such question
         self.asked_modes = 0
+        self.offers = ownorders.own_offers()
+        self.is_older = False  # than the boat's own words on this link
+        self._answers: dict[int, str] = {}
         self.tells = True  # its revolutions and its battery; otherwise, that both are unknown
         self._said_s = -1.0
 
@@ -77,8 +92,10 @@ class FakeBoat:
             raise AssertionError(f"a message for another boat: {m}")
         elif kind == "MANUAL_CONTROL":
             self.thrust.append((m.x, m.r))
-        elif kind in ("COMMAND_LONG", "COMMAND_INT"):
+        elif kind == "COMMAND_LONG":
             self._command(m)
+        elif kind == "V2_EXTENSION":
+            self._own_order(m)
         elif kind == "PARAM_SET":
             self.profile = int(m.param_value)
             self.say(mavlink.MAVLink_param_value_message(m.param_id.encode(), m.param_value, m.param_type, 1, 0))
@@ -108,17 +125,37 @@ class FakeBoat:
                 place = *self.position, 0, 0.0, 0.0, 0.0, [1.0, 0.0, 0.0, 0.0]
                 self.say(mavlink.MAVLink_home_position_message(*place, 0.0, 0.0, 0.0))
                 return
-            assert m.param1 == mavlink.MAVLINK_MSG_ID_AVAILABLE_MODES
-            self._tell_modes()
+            if m.param1 == mavlink.MAVLINK_MSG_ID_AVAILABLE_MODES:
+                self._tell_modes()
+                return
+            assert m.param1 == ownorders.EXTENSION
+            self.say(*(ownorders.told(place, each, len(self.offers)) for place, each in enumerate(self.offers, 1)))
             return
-        if self.refuse is not None:
-            self.say(mavlink.MAVLink_statustext_message(4, self.refuse.encode(), 0, 0))
-            self.say(mavlink.MAVLink_command_ack_message(m.command, mavlink.MAV_RESULT_DENIED))
-            return
-        self.obeyed.append((m.command, m.param1, m.param2, m.param3))
+        self.obeyed.append((m.command, m.param1, m.param2))
         if m.command == mavlink.MAV_CMD_DO_SET_MODE:
             self.mode = int(m.param2)
         self.say(mavlink.MAVLink_command_ack_message(m.command, mavlink.MAV_RESULT_ACCEPTED), self._heartbeat())
+
+    def _own_order(self, m: Any) -> None:
+        """In the boat's own words, as a boat does: obeyed once, answered each time."""
+        if m.message_type != ownorders.ORDER or self.is_older:
+            return
+        number, line = ownorders.numbered(m)
+        if number not in self._answers:
+            words = json.loads(line)
+            self._answers[number] = self.refuse or ""
+            if self.refuse is None:
+                self.obeyed.append(words)
+                mode = words.get("mode") or console.KINDS[words["command"]].ENTERS
+                self.mode = next((number for number, name in self._numbers() if name == mode), self.mode)
+        self.say(ownorders.answer((m.get_srcSystem(), m.get_srcComponent()), number, self._answers[number]), self._heartbeat())
+
+    def _numbers(self) -> list[tuple[int, str]]:
+        """Of its modes."""
+        return [
+            *((mode.value, mode.name.lower()) for mode in Mode),
+            *((n, name.decode().strip("\x07").lower()) for n, name in self.modes),
+        ]
 
     def _heartbeat(self) -> Any:
         return mavlink.MAVLink_heartbeat_message(11, 0, 1 | (128 if self.mode != 4 else 0), self.mode, 4, 3)

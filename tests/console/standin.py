@@ -13,7 +13,8 @@ from aiohttp import WSMsgType, web
 from delfim.base.errors import FormatError
 from delfim.base.modes import Mode
 from delfim.console import said
-from delfim.console.orders import OFFERED, order, row_of
+from delfim.parts.mavlink.ownorders import own_offers
+from delfim.vehicle import console
 
 PAGE = Path(__file__).parents[2] / "delfim" / "console" / "page"
 MODES = {mode: mode.name.lower() for mode in Mode}
@@ -39,6 +40,7 @@ def boat(number: int, name: str, colour: str, *, north_m: float = 0.0, east_m: f
         "mode": "idle",
         "asked": None,
         "modes": list(MODES.values()),
+        "orders": [msgspec.structs.asdict(each) for each in own_offers()],
         "armed": False,
         "owner": True,
         "commander": 0,
@@ -112,7 +114,6 @@ class Standin:
             "version": "0",
             "me": 250,
             "page": 1,
-            "orders": OFFERED,
             "heard_on": ["127.0.0.1:14550"],
             "backgrounds": list(backgrounds),
             "replay": replay,
@@ -178,8 +179,10 @@ class Standin:
         return found[0]
 
     async def command(self, command: str, number: int | str = 1) -> Message:
-        """Wait for a command to this boat."""
-        return await self.until(lambda m: m["t"] == "command" and m["command"] == command and m["boat"] == number)
+        """Wait for a command to this boat, or for a mode."""
+        return await self.until(
+            lambda m: m["t"] == "command" and command in (m["command"], m.get("mode")) and m["boat"] == number
+        )
 
     def forget(self) -> None:
         self.said.clear()
@@ -233,21 +236,21 @@ class Standin:
             msgspec.convert(message, said.Message)
             if message["t"] == "command":
                 numbers = {name: value for name, value in message.items() if name not in said.NO_NUMBERS}
-                order(message["command"], row_of(message["command"], MODES, {}), numbers)
+                console.parse(msgspec.json.encode({"command": message["command"]} | numbers))
         except (msgspec.ValidationError, FormatError) as error:
             self.faults.append(f"{error}: {message}")
 
     def _obey(self, message: Message) -> None:
         command = message["command"]
         for each in self.boats if message["boat"] == "all" else [self.boat(message["boat"])]:
-            mode = "idle" if command == "stop" else command
+            mode = message.get("mode") or console.KINDS[command].ENTERS
             if mode in MODES.values():
                 each["asked"] = mode
                 if self.obedient:
                     each["mode"], each["asked"], each["armed"] = mode, None, mode != "idle"
-            elif command == "speed":
+            if command == "speed":
                 each["speed_pct"] = message["speed_pct"]
-            elif command == "heading_to":
+            if command == "heading":
                 each["reference"] = reference(heading_deg=message["heading_deg"])
 
     async def _mission(self, socket: web.WebSocketResponse, message: Message) -> None:

@@ -14,11 +14,11 @@ from typing import Any, NamedTuple
 
 import pytest
 
-from delfim import config
 from delfim.base.modes import Mode
-from delfim.console.orders import ORDERS
 from delfim.parts.mavlink import wire
-from tests.console.chain import PATIENCE_S, VEHICLE, Boat, Sea, afternoon, ordered, select, shown_mode
+from delfim.parts.mavlink.ownorders import own_offers
+from delfim.vehicle import console
+from tests.console.chain import PATIENCE_S, Boat, Sea, afternoon, ordered, select, shown_mode
 from tests.console.pads import plug, unplug
 from tests.console.scenes import choose
 from tests.services.browser import Page
@@ -32,7 +32,6 @@ TELLS = re.compile(
 PASSED_ON = {"mode(boat, mode)", "command(boat.id, name)"}  # where the page has come to from one of the ways
 NAMED = re.compile(r'command\("([^"]+)", "\w+"')  # of the menu that makes its entries by a function
 NORTH_M = 1 / 111_111
-SPEED_MAX = config.load(VEHICLE).control.speed.max_mps
 PLACES = ((40.0, 0.0), (40.0, 30.0), (70.0, 30.0))  # of waypoints, metres north and east of the boat; home is beside the first
 HOME = (20.0, -20.0)
 FREE_M = itertools.count(-40.0, 12.0)  # north of the boat: where other waypoints are drawn
@@ -62,10 +61,9 @@ def ways() -> set[str]:
 
 
 class Row(NamedTuple):
-    """A way. `word` is the order of the gateway that it ends in; `told` what the vehicle is told, as its log has it."""
+    """A way. `told`: what the vehicle is told, as its log has it."""
 
     way: Callable[[Sea, Page, Boat], Awaitable[object]]
-    word: str = ""
     told: dict[str, Any] | None = None
 
 
@@ -289,75 +287,62 @@ STOP = {"command": "stop"}
 GO_HOME = {"command": "mode", "mode": "home"}
 PAUSE, CONTINUE = {"command": "pause"}, {"command": "continue"}
 MODES = {
-    "I": ("Idle", "idle", STOP),
-    "M": ("Manual", "manual", {"command": "mode", "mode": "manual"}),
-    "H": ("Heading", "heading", heading(0.0)),
-    "L": ("Go home", "home", GO_HOME),
-    "G": ("Go to waypoint 1", "goto", {"command": "goto", "latitude_deg": None}),
-    "P": ("Path following", "path", {"command": "mode", "mode": "path"}),
-    "Y": ("Play mission", "play", {"command": "play", "leg": 0}),
-    "X": ("GREX", "grex", {"command": "mode", "mode": "grex", "refused": "no set point from the guest"}),
+    "I": ("Idle", STOP),
+    "M": ("Manual", {"command": "mode", "mode": "manual"}),
+    "H": ("Heading", heading(0.0)),
+    "L": ("Go home", GO_HOME),
+    "G": ("Go to waypoint 1", {"command": "goto", "latitude_deg": None}),
+    "P": ("Path following", {"command": "mode", "mode": "path"}),
+    "Y": ("Play mission", {"command": "play", "leg": 0}),
+    "X": ("GREX", {"command": "mode", "mode": "grex", "refused": "no set point from the guest"}),
 }
 ROWS: dict[str, Row] = {
-    "corner.: stop(state.selected": Row(corner("stop"), "stop", STOP),
-    "corner.: stopAll(": Row(corner("stop-all"), "stop", STOP),
-    "keys.stop: stop(this.state.boat.id": Row(keys(" "), "stop", STOP),
-    "keys.stop: stopAll(": Row(keys(" ", held=("Shift",)), "stop", STOP),
-    **{f"keys.letter: {key}": Row(keys(key.lower()), word, what) for key, (_, word, what) in MODES.items()},
-    "keys.letter: command(boat.id, order.command": Row(keys("r"), "reset", {"command": "reset", "node": 127}),
+    "corner.: stop(state.selected": Row(corner("stop"), STOP),
+    "corner.: stopAll(": Row(corner("stop-all"), STOP),
+    "keys.stop: stop(this.state.boat.id": Row(keys(" "), STOP),
+    "keys.stop: stopAll(": Row(keys(" ", held=("Shift",)), STOP),
+    **{f"keys.letter: {key}": Row(keys(key.lower()), what) for key, (_, what) in MODES.items()},
+    "keys.letter: command(boat.id, order.command": Row(keys("r"), {"command": "reset", "node": 127}),
     "keys.digit: speed(this.state.boat, which(event), 10 * Number(digit": Row(
-        keys("h", "3"), "speed", {"command": "speed", "speed_mps": 0.3 * SPEED_MAX}
+        keys("h", "3"), {"command": "speed", "speed_pct": 30}
     ),
-    "keys.arrow: faster(boat, which(event), 1": Row(
-        keys("h", "3", "ArrowUp"), "speed", {"command": "speed", "speed_mps": 0.31 * SPEED_MAX}
-    ),
-    "keys.arrow: faster(boat, which(event), -1": Row(
-        keys("h", "3", "ArrowDown"), "speed", {"command": "speed", "speed_mps": 0.29 * SPEED_MAX}
-    ),
-    "keys.arrow: turn(boat, which(event), 1": Row(keys("h", "ArrowRight"), "heading_to", heading(1.0)),
-    "keys.arrow: turn(boat, which(event), -1": Row(keys("h", "ArrowLeft"), "heading_to", heading(-1.0)),
-    "gamepad.look: stop(boat.id": Row(pad({}, {"stop": True}), "stop", STOP),
+    "keys.arrow: faster(boat, which(event), 1": Row(keys("h", "3", "ArrowUp"), {"command": "speed", "speed_pct": 31}),
+    "keys.arrow: faster(boat, which(event), -1": Row(keys("h", "3", "ArrowDown"), {"command": "speed", "speed_pct": 29}),
+    "keys.arrow: turn(boat, which(event), 1": Row(keys("h", "ArrowRight"), heading(1.0)),
+    "keys.arrow: turn(boat, which(event), -1": Row(keys("h", "ArrowLeft"), heading(-1.0)),
+    "gamepad.look: stop(boat.id": Row(pad({}, {"stop": True}), STOP),
     "gamepad.thrust: setThrust(boat, port, starboard": Row(
         pad({}, {"right": 0.1, "ahead": 0.2}, mode="m"), told={"command": "manual", "port": 0.3, "starboard": 0.1}
     ),
-    'gamepad.steer: turn(boat, "both", Math.round(right * TURN_DEG': Row(
-        pad({}, {"right": 0.3}, mode="h"), "heading_to", heading(1.0)
-    ),
+    'gamepad.steer: turn(boat, "both", Math.round(right * TURN_DEG': Row(pad({}, {"right": 0.3}, mode="h"), heading(1.0)),
     'gamepad.steer: faster(boat, "both", Math.round(ahead * FASTER_PCT': Row(
         pad({}, {"ahead": 0.3}, mode="h"),
-        "speed",
         {"command": "speed"},  # how often the page looks meanwhile, and so how much, is the machine's
     ),
     'main.planned: mission(boat, "put"': Row(put),
-    "menus.boat: Stop: stop(boat.id": Row(menu("Stop"), "stop", STOP),
-    "menus.boat: Pause: hold here": Row(menu("Pause: hold here", after=("h",)), "pause", PAUSE),
-    "menus.boat: Continue": Row(continued, "continue", CONTINUE),
-    **{f"menus.boat: {title}": Row(menu(title), word, what) for title, word, what in MODES.values()},
-    'menus.headingForm: command(boat.id, "course"': Row(
-        menu("Course over ground…", form=("ArrowRight", "Enter")), "course", {"command": "course"}
+    "menus.boat: Stop: stop(boat.id": Row(menu("Stop"), STOP),
+    "menus.boat: Pause: hold here": Row(menu("Pause: hold here", after=("h",)), PAUSE),
+    "menus.boat: Continue": Row(continued, CONTINUE),
+    **{f"menus.boat: {title}": Row(menu(title), what) for title, what in MODES.values()},
+    "menus.headingForm: command(boat.id, mode": Row(
+        menu("Course over ground…", form=("ArrowRight", "Enter")), {"command": "course"}
     ),
-    'menus.headingForm: command(boat.id, "heading"': Row(
-        menu("Heading…", form=("ArrowRight", "ArrowRight", "Enter")), "heading", heading(10.0)
-    ),
-    "menus.headingForm: headTo(boat, heading": Row(
-        menu("Heading…", after=("h",), form=("ArrowLeft", "Enter")), "heading_to", heading(-5.0)
-    ),
+    "menus.headingForm: headTo(boat, heading": Row(menu("Heading…", after=("h",), form=("ArrowLeft", "Enter")), heading(-5.0)),
     'menus.speedForm: speed(boat, "both", speed': Row(
         menu("Speed…", after=("h", "3"), form=("ArrowRight", "Enter")),
-        "speed",
-        {"command": "speed", "speed_mps": 0.35 * SPEED_MAX},
+        {"command": "speed", "speed_pct": 35},
     ),
     "menus.thrustForm: setThrust(boat, ...thrust": Row(
         menu("Thrust…", after=("m",), form=("ArrowRight", "ArrowDown", "ArrowLeft", "Enter")),
         told={"command": "manual", "port": 0.05, "starboard": -0.05},
     ),
     'menus.more: Hold this position: mode(boat, "hold"': Row(
-        menu("More", "Hold this position"), "hold", {"command": "mode", "mode": "hold"}
+        menu("More", "Hold this position"), {"command": "mode", "mode": "hold"}
     ),
-    "menus.more: Arm": Row(menu("More", "Arm"), "arm", {"command": "arm"}),
-    "menus.more: Disarm": Row(menu("More", "Disarm", after=("h",)), "disarm", STOP),
-    "menus.more: command(boat.id, command": Row(menu("More", "Reset the peripherals"), "reset", {"command": "reset"}),
-    "menus.more: Take control": Row(taken, "take", {"command": "take"}),
+    "menus.more: Arm": Row(menu("More", "Arm"), {"command": "arm"}),
+    "menus.more: Disarm": Row(menu("More", "Disarm", after=("h",)), STOP),
+    "menus.offered: command(boat.id, command, words": Row(menu("More", "Reset the peripherals"), {"command": "reset"}),
+    "menus.more: Take control": Row(taken, {"command": "take"}),
     "menus.more: Link:: profile(boat.id, name": Row(profile),
     "planning.mission: Send: send(boat": Row(menu("Mission", "Send to the boat"), told={"command": "upload"}),
     'planning.fetch: mission(boat.id, "download"': Row(fetched),
@@ -365,37 +350,37 @@ ROWS: dict[str, Row] = {
     'planning.save: mission(boat.id, "save", name': Row(saved),
     'planning.save: mission(boat.id, "list"': Row(loaded),
     'planning.stored: mission(boat.id, "load", name': Row(loaded),
-    'planning.here: Send: command(boat.id, "goto_point"': Row(
-        on_map(-30.0, -30.0, "Send boat2 here"), "goto_point", {"command": "goto", "place": (-30.0, -30.0)}
+    'planning.here: Send: command(boat.id, "goto"': Row(
+        on_map(-30.0, -30.0, "Send boat2 here"), {"command": "goto", "place": (-30.0, -30.0)}
     ),
     'planning.waypoint: Play from here: sail(boat, "play", index': Row(
-        on_map(*PLACES[2], "Play from here"), "play", {"command": "play", "leg": 2}
+        on_map(*PLACES[2], "Play from here"), {"command": "play", "leg": 2}
     ),
     'planning.waypoint: Follow the path from here: sail(boat, "path", index': Row(
-        on_map(*PLACES[1], "Follow the path from here"), "path", {"command": "mode", "mode": "path", "piece": 1}
+        on_map(*PLACES[1], "Follow the path from here"), {"command": "mode", "mode": "path", "piece": 1}
     ),
-    'planning.waypoint: Go to this point: command(boat.id, "goto_point"': Row(
-        on_map(*PLACES[1], "Go to this point"), "goto_point", {"command": "goto", "place": PLACES[1]}
+    'planning.waypoint: Go to this point: command(boat.id, "goto"': Row(
+        on_map(*PLACES[1], "Go to this point"), {"command": "goto", "place": PLACES[1]}
     ),
-    'planning.home: Go home: mode(boat, "home"': Row(on_map(*HOME, "Go home"), "home", GO_HOME),
+    'planning.home: Go home: mode(boat, "home"': Row(on_map(*HOME, "Go home"), GO_HOME),
     # What another plan than the one aboard needs first.
-    'planning.send: mission(boat.id, "upload"': Row(sent_first, "play", {"command": "play", "leg": 0}),
+    'planning.send: mission(boat.id, "upload"': Row(sent_first, {"command": "play", "leg": 0}),
     "planning.sail: Send changes: send(boat": Row(changed(asked_to_play), told={"command": "upload"}),
     'strip.constructor: mission(this.boat.id, "upload"': Row(changed(button_pressed), told={"command": "upload"}),
     "planning.replace: send(boat": Row(sent_first, told={"command": "upload"}),
-    'planning.replace: command(boat.id, "hold"': Row(held_first, "hold", {"command": "mode", "mode": "hold"}),
-    'planning.sail: command(boat.id, "play"': Row(held_first, "play", {"command": "play", "leg": 1}),
-    'planning.sail: command(boat.id, "path"': Row(
-        on_map(*PLACES[0], "Follow the path from here"), "path", {"command": "mode", "mode": "path", "piece": 0}
+    'planning.replace: command(boat.id, "mode"': Row(held_first, {"command": "mode", "mode": "hold"}),
+    'planning.sail: command(boat.id, "play"': Row(held_first, {"command": "play", "leg": 1}),
+    'planning.sail: command(boat.id, "mode"': Row(
+        on_map(*PLACES[0], "Follow the path from here"), {"command": "mode", "mode": "path", "piece": 0}
     ),
-    "key: B": Row(keys("h", "b"), "pause", PAUSE),
-    "key: C": Row(keys("h", "b", "c"), "continue", CONTINUE),
-    # Entries that the gateway offers, as it offers the reset.
-    "menu: Kill": Row(killed_and_cleared, "kill", {"command": "kill"}),
-    "menu: Clear the kill": Row(killed_and_cleared, "clear", {"command": "clear"}),
+    "key: B": Row(keys("h", "b"), PAUSE),
+    "key: C": Row(keys("h", "b", "c"), CONTINUE),
+    # Entries that the boat offers, as it offers the reset.
+    "menu: Kill": Row(killed_and_cleared, {"command": "kill"}),
+    "menu: Clear the kill": Row(killed_and_cleared, {"command": "clear"}),
     # By touch: the same entries, opened by a finger.
-    "touch: stop": Row(finger("stop"), "stop", STOP),
-    "touch: stop all": Row(finger("stop-all"), "stop", STOP),
+    "touch: stop": Row(finger("stop"), STOP),
+    "touch: stop all": Row(finger("stop-all"), STOP),
 }
 
 
@@ -403,14 +388,17 @@ def test_every_way_has_a_row_and_every_row_is_a_way() -> None:
     assert {each for each in ROWS if not each.startswith(("touch", "key: ", "menu: "))} == ways()
 
 
-def test_each_word_of_the_gateway_is_said_by_the_page() -> None:
-    modes = {mode.name.lower() for mode in Mode}
-    assert set(ORDERS) | modes == {row.word for row in ROWS.values() if row.word}
+def test_each_order_of_a_console_is_said_by_the_page_and_each_mode_is_entered() -> None:
+    told = [row.told for row in ROWS.values() if row.told is not None]
+    orders = {word for word, kind in console.KINDS.items() if issubclass(kind, console.OperatorOrder)}
+    assert orders - {each["command"] for each in told} == {"order", "payload"}, "which those boats do not have"
+    entered = {each.get("mode") or console.KINDS[each["command"]].ENTERS for each in told}
+    assert entered >= {mode.name.lower() for mode in Mode}
 
 
 def test_a_key_does_one_thing() -> None:
     modes = re.findall(r'\{ key: "(\w)", mode:', (SOURCE / "keys.ts").read_text())
-    pressed = ["K", "W", *modes, *(row.key for row in ORDERS.values() if row.key)]
+    pressed = ["K", "W", *modes, *(each.key for each in own_offers() if each.key)]
     assert len(pressed) == len(set(pressed)) > 9
 
 

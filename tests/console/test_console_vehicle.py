@@ -21,7 +21,7 @@ from delfim.parts.mavlink.station import Station
 from delfim.parts.mavlink.wire import Speaker
 from delfim.vehicle import console
 from delfim.vehicle.plans.mission import Mission, PayloadItem, Waypoint
-from tests.console.fakeboat import Radio
+from tests.console.fakeboat import Radio, order
 
 HOME = ("127.0.0.1", 14550)
 AWAY = ("192.168.1.7", 14550)
@@ -98,7 +98,7 @@ class Afloat:
     def ask(self, word: str, **words: Any) -> tuple[bool, str]:
         """And wait for the answer."""
         answers: list[tuple[bool, str]] = []
-        self.fleet.command(1, word, words, lambda well, why: answers.append((well, why)))
+        self.fleet.command(1, *order(word, words), lambda well, why: answers.append((well, why)))
         self.run(30.0, until=lambda: answers)
         assert answers, f"{word}: no answer"
         return answers[0]
@@ -138,17 +138,16 @@ def test_what_the_console_shows_is_what_the_vehicle_says(sea: Afloat) -> None:
     ("word", "words", "mode"),
     [
         ("manual", {}, "MANUAL"),
-        ("heading", {}, "HEADING"),
-        ("heading_to", {"heading_deg": 123.0}, "HEADING"),
+        ("mode", {"mode": "heading"}, "HEADING"),
+        ("heading", {"heading_deg": 123.0}, "HEADING"),
         ("hold", {}, "HOLD"),
         ("goto", {}, "GOTO"),
-        ("goto_point", {"latitude_deg": 38.6935, "longitude_deg": -9.2147}, "GOTO"),
+        ("goto", {"latitude_deg": 38.6935, "longitude_deg": -9.2147}, "GOTO"),
         ("play", {}, "PLAY"),
         ("path", {}, "PATH"),
         ("idle", {}, "IDLE"),
         ("stop", {}, "IDLE"),
         ("arm", {}, "IDLE"),
-        ("disarm", {}, "IDLE"),
         ("reset", {}, "IDLE"),
         ("take", {}, "IDLE"),
         ("speed", {"speed_pct": 50}, "IDLE"),
@@ -168,8 +167,8 @@ def test_every_word_does_at_the_vehicle_what_it_says(sea: Afloat, word: str, wor
 def test_heading_mode_follows_the_heading_that_was_asked_for_or_else_the_boats(
     sea: Afloat, words: dict[str, Any], heading_deg: float
 ) -> None:
-    assert sea.ask("goto_point", latitude_deg=38.6935, longitude_deg=-9.2147, speed_mps=0.8) == (True, "")
-    assert sea.ask("heading", **words) == (True, "")
+    assert sea.ask("goto", latitude_deg=38.6935, longitude_deg=-9.2147, speed_mps=0.8) == (True, "")
+    assert sea.ask(*(("heading",) if words else ("mode",)), **(words or {"mode": "heading"})) == (True, "")
     asked = sea.state.setpoint
     assert (math.degrees(asked.heading_rad), asked.speed_mps) == pytest.approx((heading_deg, 0.8), abs=0.01)
 
@@ -183,11 +182,11 @@ def test_the_place_that_a_boat_steers_for_is_that_of_its_mode(sea: Afloat, profi
     waypoint = {key: PLAN["waypoints"][0][key] for key in ("latitude_deg", "longitude_deg")}  # type: ignore[index]
     for word, words in (
         ("play", {}),
-        ("heading_to", {"heading_deg": 123.0}),
-        ("goto_point", waypoint),
+        ("heading", {"heading_deg": 123.0}),
+        ("goto", waypoint),
         ("manual", {}),
         ("hold", {}),
-        ("heading_to", {"heading_deg": 301.0}),
+        ("heading", {"heading_deg": 301.0}),
         ("path", {}),
         ("idle", {}),
     ):
@@ -203,13 +202,13 @@ def test_the_place_that_a_boat_steers_for_is_that_of_its_mode(sea: Afloat, profi
             assert shown["distance_m"] == pytest.approx(told.distance_m, abs=1.0)
         elif told.distance_m is None:
             assert shown["distance_m"] is None
-        if word == "heading_to":
+        if word == "heading":
             assert shown["heading_deg"] == pytest.approx(words["heading_deg"], abs=2.0)
 
 
 def test_a_refusal_is_told_in_the_vehicles_words(sea: Afloat) -> None:
     well, why = sea.ask("play")
-    assert (well, why) == (False, "no mission is aboard")
+    assert (well, why) == (False, "play refused: no mission loaded")
 
 
 def test_so_is_the_refusal_of_a_plan(sea: Afloat) -> None:
@@ -387,7 +386,7 @@ def test_another_consoles_ownership_is_shown_and_taken(sea: Afloat) -> None:
     sea.station.consoles.commander = Speaker(255, 190, ("127.0.0.1", 14560))
     sea.run(2.0)
     assert not sea.shown["owner"]
-    well, why = sea.ask("heading")
+    well, why = sea.ask("heading", heading_deg=3.0)
     assert (well, "255" in why) == (False, True)
     assert sea.ask("stop") == (True, ""), "anybody may stop"
     assert sea.ask("take") == (True, "")
@@ -426,7 +425,7 @@ def test_over_a_bad_radio_nothing_that_is_stale_is_obeyed(boat: Any) -> None:
     sea.fleet.command(1, "profile", {"profile": "lean"}, lambda well, why: answers.append((well, why)))
     sea.run(30.0, until=lambda: answers)
     for _ in range(40):
-        sea.fleet.command(1, "heading", {}, lambda well, why: None)
+        sea.fleet.command(1, "heading", {"heading_deg": 0.0}, lambda well, why: None)
         sea.run(1.0)
         stopped: list[bool] = []
         sea.fleet.command(1, "stop", {}, lambda well, why, stopped=stopped: stopped.append(well))  # type: ignore[misc]

@@ -66,7 +66,7 @@ class Day:
         )
         for number in fleet.boats:
             fleet.input(number, number_of_input, 10.0, 10.0)
-            fleet.command(number, "hold", {}, lambda well, why: None)
+            fleet.command(number, "mode", {"mode": "hold"}, lambda well, why: None)
         fleet.snapshot()
 
     def _say(self, *messages: Any) -> None:

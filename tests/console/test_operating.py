@@ -151,7 +151,7 @@ def test_nobody_but_the_selected_boat_is_told_anything(sail: Sail) -> None:
             await boat.until(lambda state: state["reference"]["speed_override_mps"])
             await pressed(page, boat, "i", "idle")
             spoken = [{m.get_type() for m in radio.spoken(since)} for radio, since in zip(sea.radios, before, strict=True)]
-            assert spoken[number - 1] >= {"MANUAL_CONTROL", "COMMAND_LONG"}
+            assert spoken[number - 1] >= {"MANUAL_CONTROL", "COMMAND_LONG", "V2_EXTENSION"}
             assert spoken[2 - number] <= {"HEARTBEAT", "TIMESYNC"}
         for number, radio in enumerate(sea.radios, 1):
             named = [(m.get_type(), addressee(m)) for m in radio.spoken(0)]
@@ -218,7 +218,7 @@ window.WebSocket = class extends WebSocket {
   }
   send(data) {
     const said = JSON.parse(data);
-    if (said.command === "idle") asked.set(said.seq, pressed);
+    if (said.mode === "idle") asked.set(said.seq, pressed);
     super.send(data);
   }
 };

@@ -130,7 +130,7 @@ def test_digits_set_the_speed_and_nine_does_nothing(sail: Sail) -> None:
         await page.press("ArrowUp")
         assert (await gateway.until(lambda m: m.get("speed_pct") == 1))["command"] == "speed"
         await page.press("ArrowRight")
-        assert (await gateway.command("heading_to"))["heading_deg"] == 41
+        assert (await gateway.command("heading"))["heading_deg"] == 41
 
     sail(story)
 

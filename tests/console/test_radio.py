@@ -40,7 +40,7 @@ def test_a_boat_is_found_and_commanded_over_a_serial_line() -> None:
             os.write(boat_end, b"\xfd\x30noise of a modem that starts\xfd")
             await until(lambda: (boat.tick(), 3 in fleet.boats)[1])
             assert fleet.boats[3].snapshot(clock.monotonic_s())["link"]["kind"] == "serial"
-            fleet.command(3, "hold", {}, lambda well, why: answers.append((well, why)))
+            fleet.command(3, "mode", {"mode": "hold"}, lambda well, why: answers.append((well, why)))
             await until(lambda: answers)
             assert (answers, boat.mode) == ([(True, "")], 5)
         finally:

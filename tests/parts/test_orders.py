@@ -8,11 +8,10 @@ import pytest
 
 from delfim import config
 from delfim.base.errors import ConfigError, FormatError
-from delfim.base.numberedorders import NumberedOrder
 from delfim.console.describe import describe
 from delfim.console.drive import command
 from delfim.console.fleet import Fleet
-from delfim.parts.mavlink import commands, wire
+from delfim.parts.mavlink import commands, ownorders, wire
 from delfim.parts.mavlink.station import Station
 from delfim.simulator.lockstep import Lockstep
 from delfim.vehicle import console
@@ -170,7 +169,7 @@ def test_two_parts_have_no_order_of_one_name(laboratory):
         boat(*WINCH, 'parts.odd="1.0"')
 
 
-def test_a_console_is_told_of_it_and_gives_it_by_its_number(laboratory):
+def test_a_console_is_told_of_it_and_gives_it_by_its_name(laboratory):
     """The gateway and the boat's station; only the sockets between them are left out."""
     installed(laboratory, "order")
     run = boat()
@@ -193,24 +192,22 @@ def test_a_console_is_told_of_it_and_gives_it_by_its_number(laboratory):
             down.clear()
 
     def asked(**numbers: float) -> tuple[bool, str]:
-        fleet.command(run.settings.boat.id, "order pay_out", numbers, lambda well, why: answers.append((well, why)))
+        words = {"name": "pay_out", "values": numbers}
+        fleet.command(run.settings.boat.id, "order", words, lambda well, why: answers.append((well, why)))
         talk(2.0)
         return answers.pop()
 
     station.receive(wire.Sender(200, 190, None, lambda: 0).pack(wire.dialect.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3)), home)
     talk(7.0)
-    keys = [
-        {"name": "rope_m", "least": 0.0, "most": 50.0, "value": 5.0},
-        {"name": "rate_mps", "least": 0.1, "most": 1.0, "value": 0.5},
-    ]
-    assert fleet.snapshot()[0]["orders"] == [{"name": "pay_out", "keys": keys}], "the other one has no number"
+    offered = {each["name"]: each["keys"] for each in fleet.snapshot()[0]["orders"] if each["name"]}
+    assert offered == {"pay_out": (("rope_m", 0.0, 50.0, 5.0), ("rate_mps", 0.1, 1.0, 0.5)), "station": ()}
     assert asked(rope_m=2.5, rate_mps=0.3) == (True, "")
     talk(10.0)
     assert run.state.measured["rope_m"][0] == pytest.approx(2.5)
     assert asked(rope_m=1.0) == (True, ""), "the rate is what the part says"
-    assert asked(rope_m=70.0) == (False, "order refused: pay_out.rope_m: 70 is not allowed (allowed: 0.0 to 50.0)")
-    with pytest.raises(FormatError, match="order pay_out does not take 'colour'"):
-        asked(colour=1.0)
+    assert asked(rope_m=70) == (False, "order refused: pay_out.rope_m: 70 is not allowed (allowed: 0.0 to 50.0)")
+    assert asked(colour=1.0)[1].startswith("order refused: pay_out.colour: unknown key")
+    assert asked(rope_m=math.pi, rate_mps=1.0 / 3.0) == (True, "")
     order = partial(commands.of_part, run.vehicle.helm.orders["pay_out"].row)
     for numbers, words in (((1.0, 1.0, 3.0), "pay_out takes 2 numbers"), ((math.inf,), "infinity is no number")):
         with pytest.raises(FormatError, match=words):
@@ -218,11 +215,34 @@ def test_a_console_is_told_of_it_and_gives_it_by_its_number(laboratory):
 
 
 @pytest.mark.parametrize(
-    "text", ["", "Pay out", "pay_out rope_m", "pay_out rope_m 0 9 nan", "pay_out rope_m 3 2 3", ", ".join(["a 0 1 0"] * 9)]
+    "keys",
+    [
+        '"name"',
+        '"keys":[["rope_m",0,9]]',
+        '"keys":[["rope_m",0,9,NaN]]',
+        '"keys":[["rope_m",3,2,3]]',
+        '"keys":[["rope_m",0,1e300,5]]',
+        f'"keys":[{",".join(["[1,0,1,0]"] * 9)}]',
+        '"title":7',
+    ],
 )
-def test_what_a_boat_tells_of_its_orders_is_taken_if_it_makes_sense(text):
-    with pytest.raises(ValueError, match=r"."):
-        NumberedOrder.told("ORDER_31010", text)
+def test_what_a_boat_tells_of_its_orders_is_taken_if_it_makes_sense(keys):
+    message = ownorders.told(1, ownorders.Offer("order"), 1)
+    assert ownorders.offered(message) == (1, 1, ownorders.Offer("order"))
+    message.payload[2:] = f'{{"command":"order",{keys}}}'.encode()
+    with pytest.raises(FormatError, match="no offer"):
+        ownorders.offered(message)
+    for place, count in ((0, 1), (2, 1), (1, 200)):
+        with pytest.raises(FormatError, match="no offer"):
+            ownorders.offered(ownorders.told(place, ownorders.Offer("order"), count))
+
+
+def test_an_order_that_a_form_cannot_ask_for_is_given_by_others_and_not_offered(laboratory):
+    known(laboratory, "odd", "odd:PART")
+    (laboratory / "odd.py").write_text(ODD.format("pass").replace("'Nothing.'''", "'Nothing.'''\n    song: str"))
+    run = boat('parts.odd="1.0"')
+    assert ownorders.offers([run.vehicle.helm.orders["odd"].row]) == ownorders.own_offers()
+    assert order(run, "odd", song="sea") is None
 
 
 def test_describe_explains_its_keys(laboratory):

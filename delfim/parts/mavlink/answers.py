@@ -6,6 +6,7 @@ from typing import Final
 
 from delfim import __version__
 from delfim.base.modes import PAYLOADS, Mode
+from delfim.parts.mavlink import ownorders
 from delfim.parts.mavlink.telemetry import TelemetryView, shown_mode
 from delfim.parts.mavlink.wire import Message, dialect
 
@@ -44,6 +45,12 @@ def modes(view: TelemetryView, index: int) -> Iterable[Message]:
             yield dialect.MAVLink_available_modes_message(len(every), number, standard, mode, 0, name.encode())
 
 
+def offers(view: TelemetryView, index: int) -> Iterable[Message]:
+    """V2_EXTENSION: an entry of a console's menu, counted from 1; 0 is all."""
+    every = ownorders.offers(each.row for each in view.boat.helm.orders.values())
+    return (ownorders.told(place, each, len(every)) for place, each in enumerate(every, 1) if index in (0, place))
+
+
 def mode(view: TelemetryView, index: int) -> Iterable[Message]:
     now = shown_mode(view)
     standard = STANDARD.get(now, dialect.MAV_STANDARD_MODE_NON_STANDARD)
@@ -66,6 +73,7 @@ def time(view: TelemetryView, index: int) -> Iterable[Message]:
 ANSWERS: Final[dict[int, Callable[[TelemetryView, int], Iterable[Message]]]] = {
     dialect.MAVLINK_MSG_ID_AUTOPILOT_VERSION: version,
     dialect.MAVLINK_MSG_ID_AVAILABLE_MODES: modes,
+    dialect.MAVLINK_MSG_ID_V2_EXTENSION: offers,
     dialect.MAVLINK_MSG_ID_CURRENT_MODE: mode,
     dialect.MAVLINK_MSG_ID_HOME_POSITION: home,
     dialect.MAVLINK_MSG_ID_SYSTEM_TIME: time,

@@ -47,7 +47,6 @@ class Terms(NamedTuple):
     """The vehicle's data needed to understand an order."""
 
     leg: Callable[[int], int]  # of an item of the mission; raises FormatError
-    speed_max_mps: float
     mode: Mode  # that the boat is in
     payloads: tuple[str, ...]  # programs that may have the boat
     guided_waits: bool  # as in ArduRover: mode 15 waits for a point, and does not go to the first waypoint
@@ -149,7 +148,7 @@ def _speed(o: Order, boat: Terms) -> console.Commands:
         return console.asked(console.SetSpeed, speed_mps=o.p[1])
     if not 0.0 <= o.p[2] <= 100.0:
         raise FormatError("give the speed in m/s, or as 0 to 100 %")
-    return console.asked(console.SetSpeed, speed_mps=o.p[2] / 100.0 * boat.speed_max_mps)
+    return console.asked(console.SetSpeed, speed_pct=o.p[2])
 
 
 def _terminate(o: Order, boat: Terms) -> console.Commands:

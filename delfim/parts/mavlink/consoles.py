@@ -8,7 +8,6 @@ import secrets
 from collections.abc import Callable
 from typing import Final
 
-from delfim.base.numberedorders import numbered
 from delfim.parts.mavlink import params, telemetry
 from delfim.parts.mavlink.missions import Missions
 from delfim.parts.mavlink.news import News
@@ -53,6 +52,7 @@ class Consoles:
         self.peers = Peers(self.system, self.settings, self.clock, send, signing, self.count)
         self.missions = Missions(boat, self.settings.autopilot == "ardurover")
         self.sequences = Sequences()
+        self.answered: dict[tuple[int, int, int], Message] = {}  # by console and its number: of orders in the boat's own words
         self._obey = obey
         self._review = review or (lambda operator, command, answer: answer(obey(command, operator)))
         self._news = News(boat, self.peers, self.missions)
@@ -160,11 +160,8 @@ class Consoles:
         return params.message(name, params.value(self.boat.helm.settings, params.BY_NAME[name]))
 
     def texts(self) -> dict[str, str]:
-        """The parameters that are texts: name, run, and an order of a part each."""
-        rows = [each.row for each in self.boat.helm.orders.values() if each.row.number]
-        found = sorted(numbered(row.number, row.name, row.table) for row in rows)
-        own = {params.BOAT_NAME: self.boat.helm.settings.boat.name, params.BOAT_RUN: self._run}
-        return own | {each.param: each.text for each in found}
+        """The parameters that are texts."""
+        return {params.BOAT_NAME: self.boat.helm.settings.boat.name, params.BOAT_RUN: self._run}
 
     def view(self) -> TelemetryView:
         return TelemetryView(

@@ -6,7 +6,7 @@ from functools import partial
 from typing import Final, NamedTuple
 
 from delfim.base.errors import FormatError, Refused
-from delfim.parts.mavlink import byhand, commands, params, telemetry, vesselsin
+from delfim.parts.mavlink import byhand, commands, ownorders, params, telemetry, vesselsin
 from delfim.parts.mavlink.answers import ANSWERS
 from delfim.parts.mavlink.commands import ACCEPTED, DENIED, LATER, UNSUPPORTED
 from delfim.parts.mavlink.consoles import Consoles
@@ -18,6 +18,7 @@ from delfim.parts.mavlink.telemetry import NEVER_S
 from delfim.parts.mavlink.wire import GUEST, Message, Speaker, dialect
 from delfim.vehicle import console
 
+ANSWERS_KEPT: Final = 64  # to orders in the boat's own words, for those that come again
 AGAIN_S: Final = 10.0  # a command repeated within this time, because its answer was lost, gets the same answer
 INTERVAL_MIN_S: Final = 0.1
 NAK, UNKNOWN_COMMAND = 129, 7  # of MAVLink FTP
@@ -58,14 +59,32 @@ def _ordered(consoles: Consoles, peer: Peer, source: Speaker, order: commands.Or
         return DENIED, "a command must address this vehicle"
     boat, guided_waits = consoles.boat, consoles.settings.autopilot == "ardurover"
     try:
-        settings, leg = boat.helm.settings, consoles.missions.leg
-        terms = commands.Terms(leg, settings.control.speed.max_mps, boat.state.mode, settings.helmsmen, guided_waits)
+        terms = commands.Terms(consoles.missions.leg, boat.state.mode, boat.helm.settings.helmsmen, guided_waits)
         refused = consoles.ask(source, make(order, terms))
     except FormatError as error:
         return DENIED, str(error)
     except Refused as error:
         return LATER, str(error)
     return (ACCEPTED, None) if refused is None else (LATER, refused)
+
+
+def _own_order(consoles: Consoles, peer: Peer, source: Speaker, message: Message) -> None:
+    """V2_EXTENSION: an order in the boat's own words, always answered; one whose number comes again is not obeyed again."""
+    if message.message_type != ownorders.ORDER or message.target_system != consoles.system:
+        return
+    number, line = ownorders.numbered(message)
+    key = (*source.party, number)
+    if key not in consoles.answered:
+        try:
+            reason = consoles.ask(source, console.parse_order(line))
+        except FormatError as error:
+            reason = str(error)
+        if reason:
+            consoles.peers.say(dialect.MAV_SEVERITY_WARNING, reason)
+        while len(consoles.answered) >= ANSWERS_KEPT:
+            del consoles.answered[next(iter(consoles.answered))]
+        consoles.answered[key] = ownorders.answer(source.party, number, reason or "")
+    consoles.peers.tell(peer, [consoles.answered[key]])
 
 
 def _set_mode(consoles: Consoles, peer: Peer, source: Speaker, message: Message) -> None:
@@ -324,6 +343,7 @@ HANDLERS: Final[dict[int, Callable[[Consoles, Peer, Speaker, Message], None]]] =
     dialect.MAVLINK_MSG_ID_HEARTBEAT: _heartbeat,
     dialect.MAVLINK_MSG_ID_COMMAND_LONG: _command,
     dialect.MAVLINK_MSG_ID_COMMAND_INT: _command,
+    dialect.MAVLINK_MSG_ID_V2_EXTENSION: _own_order,
     dialect.MAVLINK_MSG_ID_SET_MODE: _set_mode,
     dialect.MAVLINK_MSG_ID_MANUAL_CONTROL: byhand.manual,
     dialect.MAVLINK_MSG_ID_RC_CHANNELS_OVERRIDE: byhand.channels,

@@ -1,9 +1,10 @@
 """A console for tests: it has a MAVLink codec and nothing else, and hears what the station sends to its address."""
 
+import json
 import math
 from typing import Any
 
-from delfim.parts.mavlink import wire
+from delfim.parts.mavlink import ownorders, wire
 from delfim.parts.mavlink.signing import Signing
 from delfim.parts.mavlink.station import Station
 from delfim.parts.mavlink.wire import Sender, dialect
@@ -76,6 +77,13 @@ class Console:
         numbers = (-1.0, flags, 0.0, math.nan, x, y, 0.0)
         answers = self.say("command_int", 1, 1, frame, 192, 0, 0, *numbers)
         return newest(answers, "COMMAND_ACK").result, texts(answers)
+
+    def order(self, words: object, number: int = 1, target: int = 1) -> str | None:
+        """An order in the boat's own words: why it was refused, or empty; None without an answer."""
+        answers = self.deliver(self.sender.pack(ownorders.order((target, 1), number, json.dumps(words).encode())))
+        found = [ownorders.numbered(m) for m in answers if m.get_type() == "V2_EXTENSION"]
+        assert [its for its, _ in found] == [number] * len(found)
+        return found[0][1].decode() if found else None
 
     def mode(self, number: int, sub: int = 0, **more: int) -> tuple[int, str]:
         return self.command(176, 1, number, sub, **more)

@@ -10,7 +10,7 @@ import pytest
 
 from delfim import config
 from delfim.base.modes import Mode
-from delfim.parts.mavlink import commands, handlers
+from delfim.parts.mavlink import commands, handlers, ownorders
 from delfim.parts.mavlink.peers import PEERS
 from delfim.parts.mavlink.signing import Signing
 from delfim.parts.mavlink.station import Station
@@ -119,6 +119,115 @@ def test_who_may_give_which_command(make_boat, number, numbers, kind, who, key):
     )
     if kind == STOP:
         assert sea.state.mode is Mode.IDLE
+
+
+WORDS = (  # the same in the boat's own words
+    {"command": "mode", "mode": "heading"},
+    {"command": "stop"},
+    {"command": "arm"},
+    {"command": "play"},
+    {"command": "heading", "heading_deg": 90},
+    {"command": "course", "course_deg": 90},
+    {"command": "goto", "latitude_deg": 38.6930, "longitude_deg": -9.2150},
+    {"command": "speed", "speed_mps": 0.5},
+    {"command": "pause"},
+    {"command": "continue"},
+    {"command": "reset"},
+    {"command": "clear"},
+    {"command": "take"},
+    {"command": "payload", "name": "camera"},
+    {"command": "order", "name": "pay_out"},
+)
+
+
+def test_no_order_is_forgotten():
+    orders = {word for word, kind in console.KINDS.items() if issubclass(kind, console.OperatorOrder)}
+    assert {each["command"] for each in WORDS} == orders
+
+
+@pytest.mark.parametrize("key", [None, KEY], ids=["without-key", "signed"])
+@pytest.mark.parametrize("who", PLACES)
+@pytest.mark.parametrize("words", WORDS, ids=lambda words: words["command"])
+def test_who_may_give_which_order(make_boat, words, who, key):
+    sea = at_sea(make_boat, key)
+    word = words["command"]
+    sea.consoles["owner"].mode(0)
+    if word == "reset":  # in idle only
+        sea.consoles["owner"].mode(4)
+    if word == "continue":
+        sea.consoles["owner"].mode(3)
+        sea.consoles["owner"].order({"command": "pause"}, 7)
+    before, owner = sea.state.mode, sea.station.consoles.commander
+    sea.log.clear()
+    refused = sea.consoles[who].order(words, 8)
+    if who == "owner" or word == "stop" or (word == "take" and who != "guest"):
+        assert bool(refused) == (word in ("payload", "order", "clear")), "there is nothing of the kind"
+        assert [type(each) for each in sea.log] == [console.KINDS[word]]
+    else:
+        named = {"other": "console 250 commands", "namesake": "another console 250 commands"}.get(who, "the guest computer")
+        assert named in refused
+        assert (sea.log, sea.state.mode, sea.station.consoles.commander) == ([], before, owner)
+
+
+def test_an_order_that_comes_again_is_obeyed_once_and_answered_again(make_boat):
+    """Signed, so that it is one console by whichever way it comes."""
+    sea = at_sea(make_boat, KEY)
+    owner, words = sea.consoles["owner"], {"command": "speed", "speed_mps": 0.5}
+    assert owner.order(words, 0xDEADBEEF) == ""
+    owner.address = ("127.0.0.1", 14570)
+    assert owner.order(words, 0xDEADBEEF) == ""
+    assert owner.order({"command": "arm"}, 0xDEADBEEF) == "", "by its number"
+    assert [type(each) for each in sea.log] == [console.SetSpeed]
+    assert owner.order({"command": "play", "leg": 99}, 2) == owner.order({"command": "play", "leg": 99}, 2) != ""
+    for number in range(3, 3 + 2 * handlers.ANSWERS_KEPT):
+        owner.order({"command": "speed", "speed_mps": 0.5}, number)
+    assert len(sea.station.consoles.answered) == handlers.ANSWERS_KEPT
+
+
+@pytest.mark.parametrize(
+    ("words", "why"),
+    [
+        ({"command": "shutdown"}, "shutdown is no order of a console on a link"),
+        ({"command": "kill", "by": "switch", "switch": "on"}, "kill is no order of a console on a link"),
+        ({"command": "mission", "text": ""}, "mission is no order of a console on a link"),
+        ({"command": "dance"}, "command not understood: there is no command 'dance'"),
+        ({"command": "heading"}, "command not understood: heading needs heading_deg"),
+        ({"command": "heading", "heading_deg": 400}, "command not understood: heading_deg must be -360.0 to 360.0"),
+        (
+            {"command": "goto", "latitude_deg": 38.7},
+            "command not understood: goto needs a latitude and a longitude, or neither",
+        ),
+        (
+            {"command": "speed", "speed_mps": 1, "speed_pct": 1},
+            "command not understood: speed is either speed_mps or speed_pct",
+        ),
+        ({"command": "stop", "now": True}, "command not understood: stop has no 'now'"),
+        ([], "command not understood: it names no command"),
+    ],
+)
+def test_what_is_no_order_of_a_console_is_refused_in_words(sea, words, why):
+    sea.consoles["owner"].mode(0)
+    sea.log.clear()
+    before = len(sea.radio.sent)
+    assert sea.consoles["owner"].order(words) == why
+    assert texts(sea.consoles["owner"].listen(before)).strip() == why, "and everybody hears it"
+    assert sea.log == []
+
+
+def test_an_order_is_for_the_boat_that_it_names(sea):
+    owner = sea.consoles["owner"]
+    assert owner.order({"command": "arm"}, target=0) is None
+    assert owner.order({"command": "arm"}, target=2) is None
+    answer = ownorders.answer((1, 1), 1, "")
+    assert owner.deliver(owner.sender.pack(answer)) == []
+    assert owner.say("v2_extension", 0, 1, 1, 7, [*b"{}", *bytes(247)]) == []
+    assert sea.log == []
+
+
+def test_a_percentage_is_of_the_boats_top_speed(sea):
+    assert sea.consoles["owner"].order({"command": "speed", "speed_pct": 50}) == ""
+    top_mps = sea.boat.vehicle.helm.settings.control.speed.max_mps
+    assert sea.state.setpoint.override_mps == pytest.approx(top_mps / 2.0)
 
 
 @pytest.mark.parametrize("key", [None, KEY], ids=["without-key", "signed"])

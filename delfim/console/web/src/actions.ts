@@ -3,14 +3,13 @@ import type { Drive, Thrusters } from "./drive";
 import { spoken } from "./mission";
 import type { Answer, Net } from "./net";
 import type { State } from "./state";
-import type { Boat, Mission, MissionDeed, Mode, Place } from "./wire";
+import type { Boat, Mission, MissionDeed, Mode, Values } from "./wire";
 
 const WANTED_MS = 2000; // for so long the page shows the value asked for; then the boat's own
 const STOP_AGAIN_MS = 200;
 const STOP_MOST = 150; // 30 s; then the gateway's own repetition and the boat's own failsafe remain
 
 export type Say = (boat: number | null, severity: number, text: string) => void;
-type More = Partial<Place> & { heading_deg?: number; course_deg?: number; speed_pct?: number; leg?: number; piece?: number };
 
 const REPLACED = "replaced by a newer command"; // of the operator's own
 
@@ -38,9 +37,9 @@ export class Actions {
     state.on(["boats"], () => this.confirm());
   }
 
-  async command(boat: number, command: string, more: More = {}): Promise<Answer> {
+  async command(boat: number, command: string, more: Values = {}): Promise<Answer> {
     const answer = await this.net.ask({ t: "command", boat, command, ...more });
-    if (answer.ok) this.did.add(command);
+    if (answer.ok) this.did.add(String(more["mode"] ?? command));
     else if (answer.reason !== REPLACED) this.say(boat, 3, refusal(command.replace("_", " "), answer.reason));
     return answer;
   }
@@ -50,8 +49,7 @@ export class Actions {
     if (mode === "manual") this.drive.begin(boat.id);
     else this.drive.end(boat.id);
     this.wantedMode.set(boat.id, { mode, at: performance.now() });
-    const more: More = mode === "heading" ? this.presentHeading(boat) : {};
-    const answer = await this.command(boat.id, mode, more);
+    const answer = await this.command(boat.id, ...this.entering(boat, mode));
     if (answer.ok) return;
     this.wantedMode.delete(boat.id);
     if (mode === "manual") this.drive.end(boat.id);
@@ -103,7 +101,7 @@ export class Actions {
   headTo(boat: Boat, deg: number): void {
     this.wanted_deg.set(boat.id, { deg, at: performance.now() });
     if (this.inMode(boat, "course")) void this.command(boat.id, "course", { course_deg: deg });
-    else void this.command(boat.id, "heading_to", { heading_deg: deg });
+    else void this.command(boat.id, "heading", { heading_deg: deg });
   }
 
   setSpeed(boat: Boat, speed_pct: number): void {
@@ -186,8 +184,11 @@ export class Actions {
     return (this.asked(boat) ?? boat.mode) === mode || (mode === "manual" && this.drive.hand(boat.id) !== undefined);
   }
 
-  private presentHeading(boat: Boat): More {
-    return boat.heading_deg === null ? {} : { heading_deg: Math.round(boat.heading_deg) % 360 };
+  /** The order for a mode: the present heading, the first waypoint, the whole mission, or a payload program. */
+  private entering(boat: Boat, mode: Mode): [string, Values] {
+    if (mode === "heading" && boat.heading_deg !== null) return [mode, { heading_deg: Math.round(boat.heading_deg) % 360 }];
+    if (mode === "goto" || mode === "play") return [mode, {}];
+    return mode.startsWith("payload ") ? ["payload", { name: mode.slice(8) }] : ["mode", { mode }];
   }
 
   private oneOnly(boat: Boat): void {

@@ -214,7 +214,7 @@ export class Keys {
     if (event.ctrlKey || event.altKey || event.key.length !== 1) return event.altKey && event.key.length === 1;
     const [boat, key] = [this.state.boat, event.key.toUpperCase()];
     const mode = KEYED.find((each) => each.key === key)?.mode;
-    const order = this.state.orders.find((each) => each.key === key);
+    const order = boat?.orders?.find((each) => each.key === key);
     if (!mode && !order) return false;
     if (event.repeat) return true;
     this.screen.closeMenu();

@@ -18,7 +18,7 @@ import { inKnots, setKnots } from "./units";
 import { ZONES_M } from "./watch";
 import type { Watch } from "./watch";
 import type { WayHome } from "./wayhome";
-import type { Boat, Mode, PartOrder, Place } from "./wire";
+import type { Boat, Mode, Order, Place } from "./wire";
 
 const ELSEWHERE: ReadonlySet<Mode> = new Set(["hold", "course"]); // modes with an entry of their own
 const NOTES: Record<Mode, string> = { goto: HOLDS_THERE, home: "back along the way it came, then hold" };
@@ -92,8 +92,7 @@ export class Menus {
     const done = (ok: boolean) => {
       if (!ok) return;
       if (boat.mode === mode) this.actions.headTo(boat, heading);
-      else if (mode === "heading") void this.actions.command(boat.id, "heading", { heading_deg: heading });
-      else void this.actions.command(boat.id, "course", { course_deg: heading });
+      else void this.actions.command(boat.id, mode, { [`${mode}_deg`]: heading });
     };
     this.popup.form(at, `${boat.name}: ${mode}`, [field], live, done);
   }
@@ -129,16 +128,20 @@ export class Menus {
     });
   }
 
-  /** An order of a part is asked for its keys, or given at once where it has none. */
-  private ofPart(boat: Boat, at: Pixel, { name, keys }: PartOrder): Item {
-    const title = capital(name.replaceAll("_", " "));
-    const give = (values: number[]) => void this.actions.command(boat.id, `order ${name}`, Object.fromEntries(keys.map((key, i) => [key.name, values[i]!])));
-    if (!keys.length) return { title, do: () => give([]) };
-    const fields = keys.map(({ name, least, most, value }): Field => {
+  /** An order that the boat offers is asked for its keys, or given at once where it has none. */
+  private offered(boat: Boat, at: Pixel, { command, name, title: titled, key, keys }: Order): Item {
+    const title = titled || capital(name.replaceAll("_", " "));
+    const give = (numbers: number[]) => {
+      const values = Object.fromEntries(keys.map(([key], i) => [key, numbers[i]!]));
+      const words = name ? { name, values } : values;
+      void this.actions.command(boat.id, command, words);
+    };
+    if (!keys.length) return { title, ...(key && { key }), do: () => give([]) };
+    const fields = keys.map(([name, least, most, value]): Field => {
       const [, words, unit] = /^(.*)_([a-z]{1,3})$/.exec(name) ?? ["", name, ""];
       return { title: capital(words!.replaceAll("_", " ")), unit: unit === "mps" ? "m/s" : unit!, value, step: 10 ** (Math.ceil(Math.log10(most - least || 1)) - 2), least, most };
     });
-    let values = keys.map(({ value }) => value);
+    let values = keys.map(([, , , value]) => value);
     const live = (now: number[]) => {
       values = [...now];
       return "";
@@ -151,9 +154,8 @@ export class Menus {
     return [
       { title: "Hold this position", note: "thrusters start again when it drifts off", do: () => void this.actions.mode(boat, "hold") },
       "line",
-      boat.armed ? command("Disarm", "disarm") : command("Arm", "arm", !boat.ready && (boat.reason || "not ready")),
-      ...this.state.orders.filter(({ title }) => title).map(({ command, title, key }): Item => ({ title, ...(key && { key }), do: () => void this.actions.command(boat.id, command) })),
-      ...(boat.orders ?? []).map((order) => this.ofPart(boat, at, order)),
+      boat.armed ? command("Disarm", "stop") : command("Arm", "arm", !boat.ready && (boat.reason || "not ready")),
+      ...(boat.orders ?? []).filter(({ title, name }) => title || name).map((order) => this.offered(boat, at, order)),
       command("Take control", "take", boat.owner && "this console is in control"),
       { title: "Forget it", note: "off all pages, until it is heard again", refuse: freshness(age_s(this.state, boat)) !== "lost" && "it is heard", do: () => void this.actions.forget(boat.id) },
       "line",

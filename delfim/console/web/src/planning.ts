@@ -45,7 +45,7 @@ export class Planning {
   sail(boat: Boat, mode: Mode, from?: number): void {
     const begin = () => {
       if (from === undefined) void this.actions.mode(boat, mode);
-      else if (mode === "path") void this.actions.command(boat.id, "path", { piece: from });
+      else if (mode === "path") void this.actions.command(boat.id, "mode", { mode, piece: from });
       else void this.actions.command(boat.id, "play", { leg: from });
     };
     const plan = this.state.plan(boat.id).mission;
@@ -74,7 +74,7 @@ export class Planning {
 
   /** The boat holds its position while the mission that it sails is replaced. */
   private async replace(boat: Boat): Promise<boolean> {
-    return (!isSailing(boat) || (await this.actions.command(boat.id, "hold")).ok) && (await this.send(boat));
+    return (!isSailing(boat) || (await this.actions.command(boat.id, "mode", { mode: "hold" })).ok) && (await this.send(boat));
   }
 
   private async send(boat: Boat): Promise<boolean> {
@@ -213,7 +213,7 @@ export class Planning {
     const best = M.bestIndex(mission, place);
     const size = mission.waypoints.length;
     const insert = (index: number) => () => this.change(boat, (each) => M.insertWaypoint(each, index, place));
-    const go: Entry[] = [{ title: `Send ${boat.name} here`, colour: boat.colour, note: HOLDS_THERE, do: () => void this.actions.command(boat.id, "goto_point", { ...place }) }, "line"];
+    const go: Entry[] = [{ title: `Send ${boat.name} here`, colour: boat.colour, note: HOLDS_THERE, do: () => void this.actions.command(boat.id, "goto", { ...place }) }, "line"];
     const entries: Entry[] = [
       ...(boat.id === NOBODY ? [] : go),
       { title: "Add waypoint", note: size ? `as the last, number ${size + 1}` : "the first", do: insert(size) },
@@ -289,7 +289,7 @@ export class Planning {
       "line",
       { title: "Play from here", refuse: boat.id === NOBODY && NO_BOAT, do: () => this.sail(boat, "play", index) },
       { title: "Follow the path from here", refuse: this.noPiece(boat, index), do: () => this.sail(boat, "path", index) },
-      { title: "Go to this point", note: HOLDS_THERE, refuse: boat.id === NOBODY && NO_BOAT, do: () => void this.actions.command(boat.id, "goto_point", { latitude_deg: its.latitude_deg, longitude_deg: its.longitude_deg }) },
+      { title: "Go to this point", note: HOLDS_THERE, refuse: boat.id === NOBODY && NO_BOAT, do: () => void this.actions.command(boat.id, "goto", { latitude_deg: its.latitude_deg, longitude_deg: its.longitude_deg }) },
     ]);
   }
 

@@ -1,6 +1,6 @@
 // The state of the page, in one place. Views subscribe to topics; only the operator changes the selection.
 import { Plan, UNNAMED, alike, empty, same } from "./mission";
-import type { Background, Boat, Heard, Mission, Order, Vessel } from "./wire";
+import type { Background, Boat, Heard, Mission, Vessel } from "./wire";
 
 export type Topic = "boats" | "selection" | "plan" | "online" | "hello" | "missions" | "progress" | "dryrun" | "theme" | "vessels" | "forgotten";
 type Hello = Extract<Heard, { t: "hello" }>;
@@ -59,9 +59,6 @@ export class State {
   }
 
   /** Commands of the gateway that need no form. */
-  get orders(): Order[] {
-    return this.hello?.orders ?? [];
-  }
 
   get replaying(): boolean {
     return this.hello?.replay != null;

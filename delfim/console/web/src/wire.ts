@@ -66,7 +66,7 @@ export interface Boat {
   mode: Mode | null;
   asked: Mode | null;
   modes: Mode[]; // of this boat
-  orders?: PartOrder[]; // of a laboratory's parts aboard
+  orders?: Order[]; // that this boat offers
   armed: boolean;
   owner: boolean; // this console commands it, or nobody does
   commander: number; // the console that does; the boat's own number: its hand-set; 0: none
@@ -155,18 +155,17 @@ export interface Background {
   maxzoom?: number;
 }
 
-/** A command that needs no form, and its key. */
+/** An order that a boat offers: its key of the keyboard, and the numbers that it asks for, whose names end with their units. */
 export interface Order {
   command: string;
+  name: string; // of a part's
   title: string;
   key: string;
+  keys: [name: string, least: number, most: number, value: number][];
 }
 
-/** An order of a part, and its keys, whose names end with their units. */
-export interface PartOrder {
-  name: string;
-  keys: { name: string; least: number; most: number; value: number }[];
-}
+/** Keys of an order, in the boat's own words. */
+export type Values = { [key: string]: number | string | Values };
 
 /** Values over the time of a replay: [at_s, value] by name with unit. */
 export type Graphs = Record<string, [number, number][]>;
@@ -207,7 +206,7 @@ export interface WatchLine {
 }
 
 export type Heard =
-  | { t: "hello"; version: string; me: number; page: number; heard_on?: string[]; charts?: string; orders: Order[]; backgrounds: Background[]; boats: Boat[]; replay: TimeLine | null }
+  | { t: "hello"; version: string; me: number; page: number; heard_on?: string[]; charts?: string; backgrounds: Background[]; boats: Boat[]; replay: TimeLine | null }
   | { t: "boats"; at_s: number; boats: Boat[] }
   | { t: "vessels"; at_s: number; vessels: Vessel[]; heard_s: number | null }
   | { t: "track"; boat: number; start?: boolean; points: [number, number, number][] }
@@ -227,13 +226,7 @@ export type Heard =
 export type MissionDeed = "put" | "upload" | "download" | "check" | "dryrun" | "save" | "load" | "list" | "compare";
 
 export type Said =
-  | ({ t: "command"; boat: number | "all"; command: string } & Partial<Place> & {
-        heading_deg?: number;
-        speed_pct?: number;
-        speed_mps?: number;
-        leg?: number;
-        piece?: number;
-      })
+  | { t: "command"; boat: number | "all"; command: string; [key: string]: Values[string] }
   | { t: "mission"; boat: number; do: MissionDeed; mission?: Mission; name?: string }
   | { t: "profile"; boat: number; profile: string }
   | { t: "forget"; boat: number }
