@@ -29,6 +29,10 @@ from delfim.logging.systemlog import SystemHandler
 from delfim.parts.mavlink import plans
 from delfim.parts.mavlink.station import FRAMES, Station
 from delfim.parts.mavlink.wire import Sender, dialect
+from delfim.parts.traffic import keepclear
+from delfim.parts.traffic.encounter import Own
+from delfim.parts.traffic.targets import MOST
+from delfim.parts.traffic.trialways import Caution, RouteAhead
 from delfim.simulator.lockstep import Lockstep
 from delfim.vehicle import console, detour
 from delfim.vehicle.control.control import enter
@@ -41,10 +45,6 @@ from delfim.vehicle.plans.zones import Point, Zone, polygon
 from delfim.vehicle.state import Motion, NoLog, Setpoint
 from delfim.vehicle.state import Waypoint as To
 from delfim.vehicle.target import Target
-from delfim.vehicle.traffic import keepclear
-from delfim.vehicle.traffic.encounter import Own
-from delfim.vehicle.traffic.targets import MOST
-from delfim.vehicle.traffic.trialways import Caution, RouteAhead
 
 REPETITIONS: Final = 5
 WARM_S: Final = 3.0  # sailed before anything is asked

@@ -21,12 +21,12 @@ from typing import Any, Final
 from bench.record import draw
 from delfim.base.geodesy import wrap
 from delfim.campaign.rulecheck import Instant
+from delfim.parts.traffic.encounter import Own
+from delfim.parts.traffic.keepclear import Memory, decide
+from delfim.parts.traffic.trialways import Caution, RouteAhead
 from delfim.simulator.nodes.shipping import axes_m, within
 from delfim.simulator.scenarios.encounters import Encounter, Ship, StraightWay, drawn, read_encounters
 from delfim.vehicle.target import Target
-from delfim.vehicle.traffic.encounter import Own
-from delfim.vehicle.traffic.keepclear import Memory, decide
-from delfim.vehicle.traffic.trialways import Caution, RouteAhead
 
 OWN_MPS: Final = 1.5
 LIMITS: Final = Caution(length_m=4.5, turn_radps=math.radians(15.0), ramp_mps2=0.4)

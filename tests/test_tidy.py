@@ -242,7 +242,10 @@ NAMED = {  # with the reason; a row that goes does not come back
 
 def test_the_core_names_no_part() -> None:
     """It asks their rows (`delfim/base/parts.py`)."""
-    names, inside = {each.name for each in OWN.values() if each.driver or each.source or each.sensor}, ROOT / "delfim"
+    names, inside = (
+        {each.name for each in OWN.values() if each.driver or each.source or each.sensor or each.aboard},
+        ROOT / "delfim",
+    )
     paths = {path for pattern in CORE for path in inside.glob(f"{pattern}.py")}
     texts = ((path, node.value) for path in paths for node in ast.walk(_tree(path)) if isinstance(node, ast.Constant))
     named = {
@@ -258,6 +261,7 @@ KNOWN = {  # parts that others import, with the reason; a row that goes does not
     "commands/check.py: nmea2000",  # which messages the boat sends
     "console/gateway.py: fleet",  # and of the broker
     "console/mavlink.py: mavlink",  # the console is the other end of the link
+    "console/othervessels.py: traffic",  # whom it hears itself, it judges as the boat does
     "console/serving.py: fleet",
     "console/statetape.py: nmea0183",  # the short names of measured values, as the link tells them
     "console/statetape.py: nmea2000",
@@ -290,12 +294,12 @@ def test_the_vehicles_state_is_changed_by_the_loop_alone() -> None:
         "returning",
         "navigation/fixes",
         "navigation/estimated",
-        "traffic/lookout",
-        "traffic/watchkeeper",
         "sensors/*",
         "handset/*",
         "../parts/*/driver",
         "../parts/*/sensor",
+        "../parts/traffic/lookout",
+        "../parts/traffic/watchkeeper",
         "../parts/frontseats/*",
         "../simulator/replay/rerun",
     )

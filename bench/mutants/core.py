@@ -9,7 +9,7 @@ _FILES: Final = (
 _HANDS: Final = "hands", "handset/__init__", "handset/channels", "handset/crsf", "handset/sbus"
 _TRAFFIC: Final = (
     *("alarm", "beside", "cpa", "encounter", "judged", "keepclear", "leash", "reckoning", "routeahead", "shoreline", "targets"),
-    *("trialways", "watchkeeper"),
+    *("trialways", "troubles", "watchkeeper"),
 )
 _SERVICES: Final = (
     *("supervision/supervisor", "supervision/stop", "supervision/watchdog"),
@@ -17,7 +17,7 @@ _SERVICES: Final = (
 )
 CORE: Final = (
     *map("delfim/vehicle/{}.py".format, (*_FILES, *_HANDS)),
-    *map("delfim/vehicle/traffic/{}.py".format, _TRAFFIC),
+    *map("delfim/parts/traffic/{}.py".format, _TRAFFIC),
     *map("delfim/services/{}.py".format, _SERVICES),
     *("delfim/parts/mavlink/signing.py", "delfim/parts/pwm/outlet.py"),
 )

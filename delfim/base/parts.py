@@ -23,6 +23,7 @@ if TYPE_CHECKING:  # its import takes as long as that of all tables, and few fil
 GROUP: Final = "delfim.parts"
 API: Final = 1  # of the rows and of `delfim.api`: a part that was made for another one is refused
 TROUBLES: Final = range(25, 32)  # numbers for the troubles of parts: bits in the state log, of which the boat's own are lower
+OF_FILE: Final = Table  # in a row of the boat's own, whose keys every vehicle's file has
 
 
 class TroubleRow(NamedTuple):
@@ -30,7 +31,7 @@ class TroubleRow(NamedTuple):
 
     name: str  # of its table, small letters and _
     number: int  # one of TROUBLES
-    table: type[Table]  # a `delfim.api.Trouble`, or a `Silence`, which compares `after_s` itself
+    table: type[Table]  # a `delfim.api.Trouble`, or a `Silence`, which compares `after_s` itself; OF_FILE: it is among its keys
     sees: str  # module:function; it takes a `delfim.api.Look` and returns the reason in words, or None; ten times a second
 
 
@@ -89,6 +90,8 @@ class Part(NamedTuple):
     outlet: str = ""  # of drivers whose motors are told by pulses: module:function of the process that writes them
     ports: bool = False  # its lines are `ports` of its table, by their names, of which it needs one
     after: str = ""  # its table stands behind this one in the file
+    keys: tuple[str, ...] = ()  # of the vehicle's file: a boat has this part where one of them is set
+    aboard: str = ""  # module:function; it takes a `delfim.vehicle.aboard.OpenedWith` and returns what the loop is `Added`
 
 
 OWN_NODES: Final = "dsor"  # the part of the boat's own nodes: their source and driver
@@ -133,6 +136,17 @@ OWN: Final = {  # in the order in which sources are listed
             separate=True,
             instruments=True,
             ports=True,
+        ),
+        Part(
+            "traffic",
+            keys=("traffic.hears", "traffic.mmsi", "payload"),
+            aboard="delfim.parts.traffic.aboard:opened",
+            troubles=(
+                TroubleRow("traffic", 17, OF_FILE, "delfim.parts.traffic.troubles:near"),
+                TroubleRow("traffic_close", 18, OF_FILE, "delfim.parts.traffic.troubles:close"),
+                TroubleRow("ais_silent", 19, OF_FILE, "delfim.parts.traffic.troubles:silent"),
+                TroubleRow("traffic_unclear", 21, OF_FILE, "delfim.parts.traffic.troubles:unclear"),
+            ),
         ),
         Part("mavlink", vessels=True),
         Part("guest", vessels=True),

@@ -1,6 +1,6 @@
 """Other vessels on the console: what its boats tell of them, merged by number, and how near they come to each of its boats.
 
-A boat is judged as it judges itself (`delfim/vehicle/traffic/alarm.py`), but by its course and speed of now: the console knows
+A boat is judged as it judges itself (`delfim/parts/traffic/alarm.py`), but by its course and speed of now: the console knows
 neither its way nor its file. Lost, kept and guessed are those of docs/traffic.md.
 """
 
@@ -14,15 +14,15 @@ from delfim.base.vessels import VesselFacts, VesselPosition
 from delfim.config import TrafficNear, TrafficTable
 from delfim.console.mavlink import GUARD, NUMBERS, facts_of, number_of, position_of
 from delfim.console.words import Words
+from delfim.parts.traffic.alarm import Alarms, Guarded, dangers
+from delfim.parts.traffic.beside import Company, company, danger_beside
+from delfim.parts.traffic.encounter import BEGINNINGS, Own
+from delfim.parts.traffic.keepclear import measured
+from delfim.parts.traffic.reckoning import VesselTrack, begun
+from delfim.parts.traffic.targets import DISTRESS, kept_s, silence_s
+from delfim.parts.traffic.trialways import Caution, RouteAhead
+from delfim.parts.traffic.vesselwords import danger_told, vessel_told
 from delfim.vehicle.target import Danger, Target
-from delfim.vehicle.traffic.alarm import Alarms, Guarded, dangers
-from delfim.vehicle.traffic.beside import Company, company, danger_beside
-from delfim.vehicle.traffic.encounter import BEGINNINGS, Own
-from delfim.vehicle.traffic.keepclear import measured
-from delfim.vehicle.traffic.reckoning import VesselTrack, begun
-from delfim.vehicle.traffic.targets import DISTRESS, kept_s, silence_s
-from delfim.vehicle.traffic.trialways import Caution, RouteAhead
-from delfim.vehicle.traffic.vesselwords import danger_told, vessel_told
 
 MOST: Final = 200  # vessels of one boat, and on the page
 NEWS_S: Final = 12.0  # the boat tells of its order and its guard each second, by radio each five

@@ -1,17 +1,20 @@
 """The boat put together, for the runtime, lock step, replay, warm-up and tests; each hands in its clock, links and log."""
 
 from collections.abc import Callable
+from operator import attrgetter
 from typing import NamedTuple, Protocol, cast
 
 from delfim import config
 from delfim.base.clock import Clock
-from delfim.base.parts import find
+from delfim.base.parts import OWN, Part, find, load
 from delfim.canproxy.socket import CanAddress, CanSocket
 from delfim.lines.serialform import Form
 from delfim.vehicle import sensors
+from delfim.vehicle.aboard import Added, OpenedWith
 from delfim.vehicle.actuators import Actuator, open_actuator
 from delfim.vehicle.control.control import MODES
 from delfim.vehicle.foreign import GuardedActuator, GuardedSensor, GuardedSource, orders, programs
+from delfim.vehicle.foreign import triggers as of_laboratory
 from delfim.vehicle.grex import Guest
 from delfim.vehicle.hands import Hand
 from delfim.vehicle.handset import open_handset
@@ -25,7 +28,7 @@ from delfim.vehicle.propulsion import Propulsion
 from delfim.vehicle.sensors import open_sensors
 from delfim.vehicle.sharedline import SecondEnd
 from delfim.vehicle.state import State, StateLog
-from delfim.vehicle.traffic.aisbus import open_ais_bus
+from delfim.vehicle.troubles import PartTrigger
 
 
 class SharingSource(Protocol):
@@ -78,7 +81,9 @@ def build(
     actuators = tuple(_actuator(name, settings, to_actuators, state) for name in settings.drivers)
     propulsion = Propulsion(actuators, links.bus(settings.can.interface, ()), settings.thrusters, state)
     MODES.update(programs(settings))
-    vehicle = VehicleLoop(settings, clock, state, sources, propulsion, make_guest(state, clock), log)
+    aboard = tuple(opened_part(part, OpenedWith(settings, clock, state, links, log)) for part in fitted(settings))
+    guest, watches = make_guest(state, clock), tuple(each.watch for each in aboard)
+    vehicle = VehicleLoop(settings, clock, state, sources, propulsion, guest, log, watches, triggers(settings))
     vehicle.helm.orders = orders(settings, state, [*opened, *readings, *actuators])
     told = [each for actuator in actuators for each in actuator.inputs]
     reports = [each for each in told if not isinstance(each.input, SecondEnd)]
@@ -86,9 +91,25 @@ def build(
         board.hand_on_to(tuple(each for each in told if isinstance(each.input, SecondEnd)))
     if settings.nmea0183.guest.device:
         reports.append(open_pilot_line(settings, links, vehicle.guest))
-    if (ais := open_ais_bus(settings, links)) is not None:
-        reports.append(ais)
+    reports += [each for part in aboard for each in part.inputs]
     return Built(vehicle, (*readings, *hands, *reports), hands, tuple(outlets))
+
+
+def fitted(settings: config.Vehicle) -> tuple[Part, ...]:
+    """The parts of the boat's own that take part in the loop, where the vehicle's file has them."""
+    return tuple(part for part in OWN.values() if part.aboard and any(attrgetter(key)(settings) for key in part.keys))
+
+
+def opened_part(part: Part, boat: OpenedWith) -> Added:
+    """Raises DelfimError."""
+    aboard: Added = load(part, part.aboard)(boat)
+    return aboard
+
+
+def triggers(settings: config.Vehicle) -> tuple[PartTrigger, ...]:
+    """The troubles of the parts, the boat's own and a laboratory's. Raises PermanentFailure where one cannot be imported."""
+    own = [PartTrigger(row, load(part, row.sees)) for part in fitted(settings) for row in part.troubles]
+    return (*own, *of_laboratory(settings))
 
 
 def _sensors(settings: config.Vehicle, links: Links, state: State) -> tuple[LoopInput, ...]:

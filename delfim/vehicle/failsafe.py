@@ -15,9 +15,8 @@ from typing import Final, NamedTuple
 from delfim import config
 from delfim.base.modes import Mode
 from delfim.vehicle.control.control import admit
-from delfim.vehicle.foreign import PartTrigger, seen, triggers
 from delfim.vehicle.state import Notice, Setpoint, State
-from delfim.vehicle.troubles import NUMBERS, Inputs, Look, Trigger, troubles
+from delfim.vehicle.troubles import NUMBERS, Inputs, Look, PartTrigger, Trigger, troubles
 
 
 class Action(IntEnum):
@@ -62,12 +61,12 @@ _DONE: Final = {action: action.name.lower() for action in Action}
 
 
 class Rules:
-    """The table of a vehicle's file, looked up by trigger and mode."""
+    """The table of a vehicle's file, looked up by trigger and mode. `of_parts`: the troubles of those aboard."""
 
-    def __init__(self, settings: config.Vehicle) -> None:
+    def __init__(self, settings: config.Vehicle, of_parts: tuple[PartTrigger, ...] = ()) -> None:
         self.settings, self.table, self.pause_s = settings, settings.failsafe, settings.failsafe.pause_s
         self.clear_s = settings.failsafe.clear_s
-        self.of_parts = triggers(settings)
+        self.of_parts = of_parts
         every: tuple[AnyTrigger, ...] = (*Trigger, *self.of_parts)
         self.names = {trigger: trigger.name.lower() for trigger in every}  # as the vehicle's file has them
         self.lasting_s = {trigger: _lasting_s(self.table, trigger) for trigger in every}
@@ -97,7 +96,7 @@ def _action(table: config.Failsafe, trigger: AnyTrigger, mode: Mode) -> Action:
 def failsafe(rules: Rules, memory: Memory, state: State, inputs: Inputs, now_s: float) -> Verdict:
     """Evaluate every trouble once."""
     look = Look(rules.settings, state, inputs, memory, now_s)
-    found: list[tuple[AnyTrigger, str]] = [*troubles(look), *seen(rules.of_parts, look)]
+    found = troubles(look, rules.of_parts)
     if not found and not memory:
         return _WELL
     after = _remembered(rules, memory, found, now_s)

@@ -10,15 +10,16 @@ import signal
 import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
+from functools import partial
 from types import FrameType
-from typing import Any, Final, NamedTuple, Self, TypeVar, get_args
+from typing import Any, Final, NamedTuple, TypeVar, get_args
 
 import msgspec
 
 from delfim import config
 from delfim.base.errors import ConfigError, FormatError, Refused, in_words, one_line
 from delfim.base.modes import Mode
-from delfim.base.parts import ModeRow, OrderRow, Part, TroubleRow, load
+from delfim.base.parts import ModeRow, OrderRow, Part, load
 from delfim.base.tables import Table, decode
 from delfim.canproxy.dsor.messages import Navigation
 from delfim.vehicle import console
@@ -28,7 +29,7 @@ from delfim.vehicle.control.memory import Memory, Settings
 from delfim.vehicle.links import LoopInput
 from delfim.vehicle.navigation.fixes import Fix, Source
 from delfim.vehicle.state import Actuation, Motion, PartHealth, Reference, Setpoint, State, Wanted
-from delfim.vehicle.troubles import NUMBERS, Look
+from delfim.vehicle.troubles import NUMBERS, PartTrigger
 
 SLOW_S: Final = 0.002  # of one call: longer ones are counted
 BROKEN_S: Final = 0.1  # of one call: then it is broken off
@@ -309,29 +310,11 @@ def programs(settings: config.Vehicle) -> dict[Mode, PartProgram]:
     return {Mode[row.name.upper()]: PartProgram(part, row, settings) for part in settings.aboard for row in part.modes}
 
 
-class PartTrigger(int):
-    """A trouble of a part, which says so if it cannot be judged: then it is there. Like `Trigger`, a number."""
-
-    name: str
-    _part: str
-    _sees: Callable[[Look], object]
-
-    def __new__(cls, part: Part, row: TroubleRow) -> Self:
-        trigger = super().__new__(cls, row.number)
-        trigger.name, trigger._part, trigger._sees = row.name.upper(), part.name, load(part, row.sees)
-        return trigger
-
-    def sees(self, look: Look) -> str | None:
-        return _reason(self._part, self._sees, look)
-
-
 def triggers(settings: config.Vehicle) -> tuple[PartTrigger, ...]:
-    """The troubles of the parts aboard. Raises PermanentFailure where one cannot be imported."""
-    found = tuple(PartTrigger(part, row) for part in settings.aboard for row in part.troubles)
+    """The troubles of the parts aboard; one that cannot be judged is there, and says so. Raises PermanentFailure where
+    one cannot be imported."""
+    found = tuple(
+        PartTrigger(row, partial(_reason, part.name, load(part, row.sees))) for part in settings.aboard for row in part.troubles
+    )
     NUMBERS.update((each.name.lower(), int(each)) for each in found)
     return found
-
-
-def seen(of_parts: tuple[PartTrigger, ...], look: Look) -> list[tuple[PartTrigger, str]]:
-    """The present ones, with their reasons in words."""
-    return [(each, reason) for each in of_parts if (reason := each.sees(look))]

@@ -14,7 +14,7 @@ from delfim.vehicle import console, detour, failsafe, kills, setpoints
 from delfim.vehicle.alone import Alone
 from delfim.vehicle.announcing import Announcing
 from delfim.vehicle.checks import Check, checks, refusal
-from delfim.vehicle.control.control import MODES, Memory, admit, first, lacking, settings_of
+from delfim.vehicle.control.control import MODES, Memory, Settings, Stepped, admit, first, lacking, settings_of
 from delfim.vehicle.control.control import control as step
 from delfim.vehicle.control.control import enter as begin
 from delfim.vehicle.control.hull import filled
@@ -28,22 +28,32 @@ from delfim.vehicle.plans.zones import Point
 from delfim.vehicle.propulsion import Propulsion
 from delfim.vehicle.safe import STOP
 from delfim.vehicle.state import Reference, Setpoint, State, StateLog, Wanted
-from delfim.vehicle.troubles import Inputs, unstopped
+from delfim.vehicle.troubles import Inputs, PartTrigger, unstopped
 
 PUSHED_S = 1.0  # manual commands at shorter intervals are one push of the joystick
+Shape = Callable[[Mode, Memory, Stepped, Settings, float], Stepped]  # of a step of the mode, with the memory before it
 
 
 class Helm:
     """The mode with its memory, the plans, the failsafe's rules, and the one door from mode to mode."""
 
-    def __init__(self, settings: config.Vehicle, clock: Clock, state: State, propulsion: Propulsion, log: StateLog) -> None:
+    def __init__(
+        self,
+        settings: config.Vehicle,
+        clock: Clock,
+        state: State,
+        propulsion: Propulsion,
+        log: StateLog,
+        troubles: tuple[PartTrigger, ...] = (),
+    ) -> None:
+        """`troubles`: of the parts aboard."""
         self.settings, self.state = filled(settings), state
         self._clock, self._propulsion, self._log, self.note = clock, propulsion, log, log.note
-        self.limits, self.step = settings_of(settings), step  # another one keeps clear of other vessels
+        self.limits, self.shapes = settings_of(settings), dict[str, Shape]()  # by who changes the steps of the mode now
         self.memory = begin(Mode.IDLE, state.motion, state.setpoint, self.limits)
         self.track = Track(settings.control.home)
         self.plans = Plans(settings.fence, self.limits, state, self.track, log, self._under_way)
-        self.rules, self.troubles = failsafe.Rules(settings), failsafe.NO_TROUBLE
+        self.rules, self.troubles = failsafe.Rules(settings, troubles), failsafe.NO_TROUBLE
         self.changed = dict[str, float | str]()  # keys of the vehicle's file that consoles set
         self.taken = False  # the failsafe changed the mode; a joystick held over does not change it back
         self.paused: Paused | None = None
@@ -69,8 +79,10 @@ class Helm:
         dt_s, self._controlled_s = min(now_s - self._controlled_s, 1.0), now_s
         if (short := self._propulsion.short) is not None:
             self.memory = lacking(self.memory, short)
-        step = self.step
-        self.memory, state.reference, wanted = step(state.mode, self.memory, state.motion, state.setpoint, self.limits, dt_s)
+        stepped = step(state.mode, self.memory, state.motion, state.setpoint, self.limits, dt_s)
+        for shape in self.shapes.values():
+            stepped = shape(state.mode, self.memory, stepped, self.limits, dt_s)
+        self.memory, state.reference, wanted = stepped
         return wanted
 
     def checks(self) -> list[Check]:
@@ -374,7 +386,7 @@ class Helm:
         self.changed[command.key] = command.value
         self.limits = self.plans.limits = settings_of(settings)
         if command.key.startswith("failsafe."):
-            self.rules = failsafe.Rules(settings)
+            self.rules = failsafe.Rules(settings, self.rules.of_parts)
         else:
             self.rules.settings = settings
 

@@ -17,6 +17,7 @@ from delfim.base.clock import Clock
 from delfim.base.errors import DelfimError
 from delfim.base.modes import Mode
 from delfim.vehicle import console, entrusting, failsafe, snapshot, thrusters
+from delfim.vehicle.aboard import PartWatch
 from delfim.vehicle.actuators import Actuator
 from delfim.vehicle.failing import Failing
 from delfim.vehicle.grex import Guest, told
@@ -28,9 +29,7 @@ from delfim.vehicle.propulsion import Propulsion
 from delfim.vehicle.returning import RESTART, Returning
 from delfim.vehicle.safe import STOP
 from delfim.vehicle.state import HANDSET, Profile, StartConditions, State, StateLog
-from delfim.vehicle.traffic.lookout import TrafficLookout
-from delfim.vehicle.traffic.watchkeeper import Watchkeeper
-from delfim.vehicle.troubles import Inputs
+from delfim.vehicle.troubles import Inputs, PartTrigger
 
 REPEAT_S = 0.5  # a propeller without commands for PROPELLER_TIMEOUT_S stops itself, which would hide the cause
 HELD_S = 0.8  # a command stands so long: it comes with navigation, or without it from the watchdog after REPEAT_S
@@ -51,13 +50,14 @@ class VehicleLoop:
         propulsion: Propulsion,
         guest: Guest,
         log: StateLog,
+        watches: tuple[PartWatch, ...] = (),
+        troubles: tuple[PartTrigger, ...] = (),
     ) -> None:
+        """`watches` and `troubles`: of the parts aboard."""
         self.clock, self.state, self.sources = clock, state, sources
         self.propulsion, self.guest, self.log = propulsion, guest, log
-        self.helm = Helm(settings, clock, state, propulsion, log)
+        self.helm, self._watches = Helm(settings, clock, state, propulsion, log, troubles), watches
         self._failing = Failing(settings, state, propulsion, log)
-        self._lookout = TrafficLookout(settings.traffic)
-        self._watchkeeper = Watchkeeper(settings, clock, state, log)
         self.returning = Returning(settings, self.helm, state)
         self.latency = Latency(skipped=COLD_CYCLES)
         self.judged_in = state.mode  # in which the failsafe looked for troubles last, for those who look on
@@ -136,9 +136,8 @@ class VehicleLoop:
         helm = self.helm
         helm.go_on()
         self.returning.look(now_s)
-        self._lookout.hear(state)
-        if not self._watchkeeper.look(helm, now_s):
-            self._lookout.look(state, now_s)
+        for watch in self._watches:
+            watch.look(helm, now_s)
         self.judged_in = state.mode
         inputs = Inputs(self.log.reason(), helm.plans.fence, self._failing.look(now_s))
         helm.troubles, action, reason, notices = failsafe.failsafe(helm.rules, helm.troubles, state, inputs, now_s)
@@ -186,8 +185,8 @@ class VehicleLoop:
             "checks": lines,
             "latency": self.latency.summary(),
             "thrusters": thrusters.told(self.helm.settings.thrusters, self.state, now_s),
-            "traffic": self._watchkeeper.told(now_s),
             "paused": paused.mode.name.lower() if (paused := self.helm.paused) else None,
+            **{key: value for watch in self._watches for key, value in watch.report(now_s).items()},
             **extra,
         })  # fmt: skip
 

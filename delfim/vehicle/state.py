@@ -8,7 +8,6 @@ from delfim.base.geodesy import Origin
 from delfim.base.modes import Mode
 from delfim.base.vessels import Report
 from delfim.canproxy.dsor.messages import Navigation, SystemStatus
-from delfim.lines.nmea0183.aissentences import AisPart
 from delfim.vehicle.inputhealth import InputHealth
 from delfim.vehicle.target import Traffic
 
@@ -60,7 +59,7 @@ class Motion(NamedTuple):
 class Sighting(NamedTuple):
     """A report of another vessel that came in."""
 
-    told: Report | AisPart
+    told: Report | str  # or why it could not be read, in words
     by: str  # the way: "nmea2000", a port's name, "console 255"
     at_s: float  # monotonic time
     key: str = ""  # of the vessel, where it is not its number of AIS
@@ -303,24 +302,18 @@ class State:
             self.count(f"nmea2000_{pgn}_{reason.partition(': ')[2].replace(' ', '_')}", times)
         lost.clear()
 
-    def hear(self, told: Report | AisPart, by: str, now_s: float, key: str = "") -> None:
+    def hear(self, told: Report | str, by: str, now_s: float, key: str = "") -> None:
         """A report of another vessel, for the next look. Costs next to nothing, and is bounded: where many wait, of each vessel
         the newest alone, so that nobody who speaks often keeps the others out."""
-        waiting, name = self.heard, object()
+        waiting: dict[object, Sighting] = self.heard
+        name: object = object()
         if len(waiting) >= HEARD_MANY:
-            name = _sender(told, key) or name
+            name = told if isinstance(told, str) else (type(told), key or told.mmsi)
             if name in waiting or len(waiting) >= HEARD_MAX:
                 self.count("traffic_dropped")
             if name not in waiting and len(waiting) >= HEARD_MAX:
                 return
         waiting[name] = Sighting(told, by, now_s, key)
-
-
-def _sender(told: Report | AisPart, key: str) -> object:
-    """What two reports have in common of which the newer one suffices; None: they are a part of one."""
-    if isinstance(told, AisPart):  # type and number of a message stand in its first 38 bits
-        return told.payload[:7] if told.parts == 1 else None
-    return type(told), key or told.mmsi
 
 
 class StateLog(Protocol):

@@ -1,11 +1,12 @@
-"""Troubles: a function for each, which returns its reason in the present state or None, and its row in `Trigger`.
+"""Troubles: a function for each, which returns its reason in the present state or None, and its row in `Trigger`, or in that of
+its part.
 
 The class of its name in `delfim/config.py` gives how long it must last and the actions. Troubles with an age of their own
 compare it with `after_s` themselves: their class is a `config.Silence`.
 """
 
 import math
-from collections.abc import Callable, Collection, Container, Mapping
+from collections.abc import Callable, Collection, Container, Iterable, Mapping
 from dataclasses import dataclass
 from enum import IntEnum
 from types import MappingProxyType
@@ -14,6 +15,7 @@ from typing import Final, NamedTuple, Self
 from delfim import config
 from delfim.base.geodesy import wrap
 from delfim.base.modes import Mode
+from delfim.base.parts import OWN, TroubleRow
 from delfim.canproxy.dsor.messages import BatteriesStatus, Node
 from delfim.vehicle import inputhealth
 from delfim.vehicle.navigation import gnss
@@ -205,45 +207,6 @@ def shallow(look: Look) -> str | None:
     return f"shallow: {depth_m:.1f} m of water" if is_shallow else None
 
 
-def traffic(look: Look) -> str | None:
-    """The guard has the hysteresis, and words of its own while it moves the boat."""
-    return _traffic(look, "near")
-
-
-def traffic_close(look: Look) -> str | None:
-    return _traffic(look, "danger")
-
-
-def _traffic(look: Look, level: str) -> str | None:
-    now, place = look.state.traffic, look.state.reference
-    if not now.dangers:
-        return None
-    if level == "near" and now.order is not None:
-        away = f"; {place.distance_m:.0f} m from its place" if look.state.mode is Mode.HOLD and place.distance_m else ""
-        return now.order.words + away
-    words, cannot = [each.words for each in now.dangers if each.level == level], now.guard.startswith("cannot")
-    if not words:
-        return now.guard if cannot and level == "near" else None
-    return f"{words[0]}{f', and {len(words) - 1} more' if len(words) > 1 else ''}{f'; {now.guard}' if cannot else ''}"
-
-
-def traffic_unclear(look: Look) -> str | None:
-    """The look-out and the guard have the words."""
-    return look.state.traffic.unjudged or look.state.traffic.unclear or None
-
-
-def ais_silent(look: Look) -> str | None:
-    now, limits = look.state.traffic, look.settings.failsafe.ais_silent
-    own_age_s, age_s = look.now_s - now.own_s, look.now_s - now.heard_s
-    if look.settings.traffic.mmsi and now.own_s == now.heard_s == NEVER_S and look.state.mode is not Mode.IDLE:
-        return "AIS never heard, not even the own transponder: other vessels are not seen"
-    if now.own_s > NEVER_S:
-        is_silent = own_age_s > limits.own_s and age_s > limits.own_s
-        return f"AIS silent: own transponder not heard for {own_age_s:.0f} s" if is_silent else None
-    is_silent = now.heard_s > NEVER_S and age_s > limits.after_s
-    return f"AIS silent for {age_s:.0f} s: other vessels are not seen" if is_silent else None
-
-
 def outlet(look: Look) -> str | None:
     return outlet_missed(look.settings, look.state, look.now_s) or None
 
@@ -299,23 +262,42 @@ class Trigger(IntEnum):
     KILL = 14, kill  # always a stop
     HANDSET_SILENT = 15, handset_silent
     SHALLOW = 16, shallow
-    TRAFFIC = 17, traffic
-    TRAFFIC_CLOSE = 18, traffic_close
-    AIS_SILENT = 19, ais_silent
     FENCE_LEFT = 20, fence_left
-    TRAFFIC_UNCLEAR = 21, traffic_unclear
     RESTARTED = 22, restarted  # always a warning: what the boat did is told until somebody commands
     OUTLET = 23, outlet
     NAVIGATION_TWICE = 24, navigation_twice
 
 
 _SEEN: Final = tuple((trigger, trigger.sees) for trigger in Trigger)  # ten times a second: no look-ups in an enumeration
-NUMBERS: Final = {trigger.name.lower(): int(trigger) for trigger in Trigger}  # by names; those of parts as they come aboard
 
 
-def troubles(look: Look) -> list[tuple[Trigger, str]]:
+class PartTrigger(int):
+    """A trouble that a part's row names. Like `Trigger`, a number with a name and a detecting function."""
+
+    name: str
+    sees: Callable[[Look], str | None]
+
+    def __new__(cls, row: TroubleRow, sees: Callable[[Look], str | None]) -> Self:
+        trigger = super().__new__(cls, row.number)
+        trigger.name, trigger.sees = row.name.upper(), sees
+        return trigger
+
+
+NUMBERS: Final = {  # by names, also of parts that are not aboard; those of a laboratory as they come aboard
+    name: number
+    for number, name in sorted(
+        [
+            *((int(trigger), trigger.name.lower()) for trigger in Trigger),
+            *((row.number, row.name) for part in OWN.values() for row in part.troubles),
+        ]
+    )
+}
+
+
+def troubles(look: Look, of_parts: Iterable[PartTrigger] = ()) -> list[tuple[Trigger | PartTrigger, str]]:
     """The present troubles, with their reasons in words."""
-    return [(trigger, reason) for trigger, sees in _SEEN if (reason := sees(look))]
+    found: list[tuple[Trigger | PartTrigger, str]] = [(trigger, reason) for trigger, sees in _SEEN if (reason := sees(look))]
+    return found + [(each, reason) for each in of_parts if (reason := each.sees(look))]
 
 
 def charge(state: State) -> tuple[float, str]:

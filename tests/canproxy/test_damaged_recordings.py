@@ -13,9 +13,9 @@ from delfim.base.frames import CAN_ERR, CAN_RTR, Frame
 from delfim.canproxy.dsor.messages import Navigation
 from delfim.parts.nmea2000.combining import Nmea2000Source
 from delfim.parts.nmea2000.sensor import Nmea2000Instruments
+from delfim.parts.traffic.aisbus import AisBus
 from delfim.simulator.lockstepbus import LockstepBus
 from delfim.vehicle.state import State
-from delfim.vehicle.traffic.aisbus import AisBus
 from tests.canproxy.test_recordings import BUSY, RAYMARINE, recording
 from tests.mutations import cut, dropped, flipped, spliced
 

@@ -9,11 +9,11 @@ from pathlib import Path
 from typing import NamedTuple
 
 from delfim.base.geodesy import wrap
+from delfim.parts.traffic.encounter import Own
+from delfim.parts.traffic.keepclear import Memory, decide
+from delfim.parts.traffic.trialways import Caution, RouteAhead
 from delfim.vehicle.plans.fence import Fence
 from delfim.vehicle.target import Target
-from delfim.vehicle.traffic.encounter import Own
-from delfim.vehicle.traffic.keepclear import Memory, decide
-from delfim.vehicle.traffic.trialways import Caution, RouteAhead
 
 SETS = Path(__file__).parents[2] / "etc" / "encounters"
 LIMITS = Caution(length_m=4.5, turn_radps=math.radians(15.0), ramp_mps2=0.4, stand_on="always")

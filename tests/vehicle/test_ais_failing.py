@@ -9,12 +9,12 @@ import pytest
 
 from delfim import config
 from delfim.base.modes import Mode
+from delfim.parts.traffic import lookout
+from delfim.parts.traffic.watchkeeper import LATE_S
 from delfim.simulator.faults import fault
 from delfim.simulator.lockstep import Lockstep
 from delfim.vehicle import console
 from delfim.vehicle.state import NoLog
-from delfim.vehicle.traffic import lookout
-from delfim.vehicle.traffic.watchkeeper import LATE_S
 from tests.vehicle.test_lookout import slices
 
 VEHICLE = Path(__file__).parents[2] / "etc/delfimx.toml"

@@ -6,13 +6,13 @@ from typing import Any
 import pytest
 
 from delfim.config import TrafficNear
+from delfim.parts.traffic import alarm
+from delfim.parts.traffic.alarm import Alarm
+from delfim.parts.traffic.cpa import Approach
+from delfim.parts.traffic.encounter import Own
+from delfim.parts.traffic.keepclear import PassedBy
+from delfim.parts.traffic.trialways import Caution, RouteAhead, route_legs
 from delfim.vehicle.target import Danger, Target
-from delfim.vehicle.traffic import alarm
-from delfim.vehicle.traffic.alarm import Alarm
-from delfim.vehicle.traffic.cpa import Approach
-from delfim.vehicle.traffic.encounter import Own
-from delfim.vehicle.traffic.keepclear import PassedBy
-from delfim.vehicle.traffic.trialways import Caution, RouteAhead, route_legs
 
 LIMITS, OWN, ROUTE = Caution(5.0, 0.2, 0.3), Own(100.0, -200.0, 1.0, 2.0), RouteAhead(((900.0, -200.0),), 1.5)
 SHIP = Target("1", "MARIA", 400.0, 200.0, 3.0, 1.5, math.nan, 30.0, 8.0, True, 0.0, 0.0, False, "A", 0)  # 500 m away

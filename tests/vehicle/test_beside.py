@@ -14,12 +14,12 @@ from delfim.base.clock import ManualClock
 from delfim.base.geodesy import compass, from_plane
 from delfim.base.modes import Mode
 from delfim.base.vessels import VesselPosition
+from delfim.parts.traffic.beside import BESIDE_M, BESIDE_S, FRESH_S, Company, company
+from delfim.parts.traffic.encounter import Own
 from delfim.simulator.lockstep import Lockstep
 from delfim.vehicle import console
 from delfim.vehicle.state import NoLog, State
 from delfim.vehicle.target import Target
-from delfim.vehicle.traffic.beside import BESIDE_M, BESIDE_S, FRESH_S, Company, company
-from delfim.vehicle.traffic.encounter import Own
 
 VEHICLE = Path(__file__).parents[2] / "etc/delfimx.toml"
 NUMBER, LENGTH_M = 263_000_009, 4.5

@@ -12,11 +12,11 @@ from delfim import config
 from delfim.base.geodesy import from_plane
 from delfim.base.modes import Mode
 from delfim.base.vessels import VesselPosition
+from delfim.parts.traffic.targets import MOST
 from delfim.simulator.lockstep import Lockstep
 from delfim.simulator.nodes.shipping import Vessel
 from delfim.vehicle import console
 from delfim.vehicle.state import NoLog
-from delfim.vehicle.traffic.targets import MOST
 
 VEHICLE = Path(__file__).parents[2] / "etc/delfimx.toml"
 SET = ("simulation.heading_deg=0.0", 'sensors.names=["sysstat", "nmea2000"]')

@@ -5,9 +5,9 @@ from typing import Any
 
 import pytest
 
+from delfim.parts.traffic.beside import Companion, Company, company, danger_beside
+from delfim.parts.traffic.encounter import Own
 from delfim.vehicle.target import Target
-from delfim.vehicle.traffic.beside import Companion, Company, company, danger_beside
-from delfim.vehicle.traffic.encounter import Own
 
 OWN = Own(100.0, -200.0, 0.0, 1.5)  # with a boat of 4 m, and 10 m of margin: 15 m off at most
 KNOWN = Companion(40.0, 50.0, 98.0, 2, is_sure=False)

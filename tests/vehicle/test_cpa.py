@@ -5,8 +5,8 @@ from random import Random
 
 import pytest
 
+from delfim.parts.traffic.cpa import Approach, Domain, Leg, approach, closest, domain, passing_by
 from delfim.vehicle.target import Target
-from delfim.vehicle.traffic.cpa import Approach, Domain, Leg, approach, closest, domain, passing_by
 
 SHIP = Target("1", "", 30.0, -40.0, 0.0, 2.0, 0.0, 30.0, 8.0, True, 0.0, 0.0, False, "A", 0)
 UNIT = Domain(0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 1.0)

@@ -6,12 +6,12 @@ from typing import Any
 
 import pytest
 
+from delfim.parts.traffic import keepclear
+from delfim.parts.traffic.cpa import Approach, Leg
+from delfim.parts.traffic.encounter import Duty, Own
+from delfim.parts.traffic.keepclear import Choice, Decision, Memory, PassedBy, Seen, decide
+from delfim.parts.traffic.trialways import RouteAhead, route_legs, trial_legs
 from delfim.vehicle.target import CourseOrder
-from delfim.vehicle.traffic import keepclear
-from delfim.vehicle.traffic.cpa import Approach, Leg
-from delfim.vehicle.traffic.encounter import Duty, Own
-from delfim.vehicle.traffic.keepclear import Choice, Decision, Memory, PassedBy, Seen, decide
-from delfim.vehicle.traffic.trialways import RouteAhead, route_legs, trial_legs
 from tests.vehicle.test_trial_costs import EAST, FAR, LIMITS, NORTH, OWN, Shore, lies, scene, vessel
 
 ROUTE = RouteAhead(((400.0, 100.0),), 2.0)  # to the north-east

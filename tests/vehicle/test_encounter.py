@@ -4,8 +4,8 @@ import math
 
 import pytest
 
+from delfim.parts.traffic.encounter import Own, duty, passing, stands_on, words
 from delfim.vehicle.target import Target
-from delfim.vehicle.traffic.encounter import Own, duty, passing, stands_on, words
 
 UNDER_WAY = Target("1", "Ana", 0.0, 0.0, 0.0, 2.0, 0.0, 30.0, 8.0, True, 0.0, 0.0, False, "A", 0)
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable
 from itertools import pairwise
+from types import SimpleNamespace
 
 import pytest
 from hypothesis import given, settings
@@ -10,7 +11,8 @@ from hypothesis import strategies as st
 from delfim import config
 from delfim.base.modes import Mode
 from delfim.canproxy.dsor.messages import BatteriesStatus, Fault, GpsStatus, Navigation, PropellerStatus, Status
-from delfim.vehicle.failsafe import NO_TROUBLE, Action, Episode, Rules, Verdict, bits, fallback, news, overruled
+from delfim.vehicle.build import triggers
+from delfim.vehicle.failsafe import NO_TROUBLE, Action, AnyTrigger, Episode, Rules, Verdict, bits, fallback, news, overruled
 from delfim.vehicle.failsafe import failsafe as look
 from delfim.vehicle.plans.fence import Fence, polygon
 from delfim.vehicle.state import (
@@ -29,14 +31,15 @@ from delfim.vehicle.troubles import Inputs, Trigger, astray
 
 ALL = frozenset({"position", "heading", "velocity"})
 BOW = config.ThrusterTable(name="bow", driver="pwm", y_m=0.0, thrust_n=(-10.0, 10.0))
-RULES = Rules(
-    config.Vehicle(
-        boat=config.BoatTable(name="test"),
-        thrusters=(*config.Vehicle(boat=config.BoatTable(name="test")).thrusters, BOW),
-        handset=config.HandsetTable(device="/dev/receiver"),
-        failsafe=config.Failsafe(shallow=config.Shallow(min_depth_m=1.0)),
-    )
+SETTINGS = config.Vehicle(
+    boat=config.BoatTable(name="test"),
+    thrusters=(*config.Vehicle(boat=config.BoatTable(name="test")).thrusters, BOW),
+    handset=config.HandsetTable(device="/dev/receiver"),
+    failsafe=config.Failsafe(shallow=config.Shallow(min_depth_m=1.0)),
 )
+RULES = Rules(SETTINGS, triggers(SETTINGS))
+OF_PARTS = SimpleNamespace(**{each.name: each for each in RULES.of_parts})
+TRIGGERS = (*Trigger, *RULES.of_parts)
 FENCE = Fence((polygon("square", True, [(-50.0, -50.0), (50.0, -50.0), (50.0, 50.0), (-50.0, 50.0)]),), config.FenceTable())
 WELL = Inputs("", None)
 OUTWARDS = Motion(ALL, 44.0, 0.0, 0.0, 0.0, 1.5, 0.0)
@@ -66,7 +69,7 @@ def state(mode: Mode, now_s: float = 100.0) -> State:
     return here
 
 
-def troubled(trigger: Trigger, mode: Mode, now_s: float = 100.0) -> tuple[State, Inputs]:
+def troubled(trigger: AnyTrigger, mode: Mode, now_s: float = 100.0) -> tuple[State, Inputs]:
     """All well but for one trouble."""
     here, inputs = state(mode, now_s), WELL
     match trigger:
@@ -105,13 +108,13 @@ def troubled(trigger: Trigger, mode: Mode, now_s: float = 100.0) -> tuple[State,
             here.handset = HandsetReport(now_s - 1.1, 0.0, 0.0, takes=False, kills=False)
         case Trigger.SHALLOW:
             here.measured["depth_m"] = 0.9, now_s
-        case Trigger.TRAFFIC:
+        case OF_PARTS.TRAFFIC:
             here.traffic = Traffic(dangers=(Danger("1", 40.0, 90.0, 0.5, "near", "MARIA is near"),))
-        case Trigger.TRAFFIC_CLOSE:
+        case OF_PARTS.TRAFFIC_CLOSE:
             here.traffic = Traffic(dangers=(Danger("1", 4.0, 9.0, 0.5, "danger", "MARIA is close"),))
-        case Trigger.AIS_SILENT:
+        case OF_PARTS.AIS_SILENT:
             here.traffic = Traffic(heard_s=now_s - 180.1)
-        case Trigger.TRAFFIC_UNCLEAR:
+        case OF_PARTS.TRAFFIC_UNCLEAR:
             here.traffic = Traffic(unclear="more vessels than the boat can know")
         case Trigger.NAVIGATION_TWICE:
             here.twice.extend((now_s - 2.0, now_s - 1.0, now_s))
@@ -124,7 +127,7 @@ def troubled(trigger: Trigger, mode: Mode, now_s: float = 100.0) -> tuple[State,
     return here, inputs
 
 
-def watched(trigger: Trigger, mode: Mode, seconds: float, rules: Rules = RULES) -> Verdict:
+def watched(trigger: AnyTrigger, mode: Mode, seconds: float, rules: Rules = RULES) -> Verdict:
     """The verdict after a trouble has lasted for so long."""
     verdict = Verdict(NO_TROUBLE, Action.NONE, "", ())
     for tick in range(round(seconds * 10) + 1):
@@ -134,7 +137,7 @@ def watched(trigger: Trigger, mode: Mode, seconds: float, rules: Rules = RULES) 
 
 
 # The defaults, written down once more: (action, exceptions). Not in idle: there is nothing to stop.
-TABLE: dict[Trigger, tuple[Action, dict[Mode, Action]]] = {
+TABLE: dict[AnyTrigger, tuple[Action, dict[Mode, Action]]] = {
     Trigger.CONTROL: (Action.STOP, {}),
     Trigger.NAVIGATION_JUMPING: (Action.STOP, {}),
     Trigger.NAVIGATION_SILENT: (Action.STOP, {}),
@@ -152,10 +155,10 @@ TABLE: dict[Trigger, tuple[Action, dict[Mode, Action]]] = {
     Trigger.GNSS_POOR: (Action.WARN, {}),
     Trigger.KILL: (Action.STOP, {}),
     Trigger.HANDSET_SILENT: (Action.WARN, {}),
-    Trigger.TRAFFIC: (Action.WARN, {}),
-    Trigger.TRAFFIC_CLOSE: (Action.WARN, {}),
-    Trigger.AIS_SILENT: (Action.WARN, {}),
-    Trigger.TRAFFIC_UNCLEAR: (Action.WARN, {}),
+    OF_PARTS.TRAFFIC: (Action.WARN, {}),
+    OF_PARTS.TRAFFIC_CLOSE: (Action.WARN, {}),
+    OF_PARTS.AIS_SILENT: (Action.WARN, {}),
+    OF_PARTS.TRAFFIC_UNCLEAR: (Action.WARN, {}),
     Trigger.OUTLET: (Action.STOP, {}),
     Trigger.RESTARTED: (Action.WARN, {}),
     Trigger.NAVIGATION_TWICE: (Action.STOP, {Mode.MANUAL: Action.WARN}),
@@ -169,7 +172,7 @@ def test_the_actions_differ_and_are_ordered_by_severity() -> None:
 
 
 @pytest.mark.parametrize("mode", DRIVING, ids=lambda mode: mode.name)
-@pytest.mark.parametrize("trigger", Trigger, ids=lambda trigger: trigger.name)
+@pytest.mark.parametrize("trigger", TRIGGERS, ids=lambda trigger: trigger.name)
 def test_every_trouble_in_every_mode_does_what_the_table_says_and_says_why(trigger, mode):
     """16 s long: longer than any trouble must last, shorter than the pause before home."""
     usual, exceptions = TABLE[trigger]
@@ -182,7 +185,7 @@ def test_every_trouble_in_every_mode_does_what_the_table_says_and_says_why(trigg
         assert verdict.reason == notice.reason != ""
 
 
-@pytest.mark.parametrize("trigger", Trigger, ids=lambda trigger: trigger.name)
+@pytest.mark.parametrize("trigger", TRIGGERS, ids=lambda trigger: trigger.name)
 def test_in_idle_nothing_is_done_but_a_runaway_propeller_is_disconnected(trigger):
     expected = {Trigger.THRUSTER: Action.DISCONNECT, Trigger.KILL: Action.STOP}.get(trigger, Action.WARN)
     assert watched(trigger, Mode.IDLE, 6.0).action in (expected, Action.NONE)
@@ -440,6 +443,6 @@ def test_the_log_is_told_what_changed_and_has_a_bit_for_each():
     assert news((first, second), (first,)) == ["fence: over"]
     assert bits((first, second)) == 1 << Trigger.LOG | 1 << Trigger.FENCE
     assert bits(()) == 0
-    assert {trigger.name.lower() for trigger in Trigger} - {"control", "kill"} == {
+    assert {trigger.name.lower() for trigger in TRIGGERS} - {"control", "kill"} == {
         name for name in config.Failsafe.__struct_fields__ if name not in ("pause_s", "clear_s", "back_m")
     }

@@ -24,6 +24,7 @@ from delfim.parts.dsor.table import Dsor
 from delfim.simulator.lockstepbus import LockstepBus
 from delfim.vehicle import console
 from delfim.vehicle.actuators import Actuator
+from delfim.vehicle.build import triggers
 from delfim.vehicle.grex import Guest
 from delfim.vehicle.loop import VehicleLoop
 from delfim.vehicle.navigation.fixes import Fix
@@ -84,7 +85,8 @@ AGES_S = (0.0, 0.8, 1.2, 1.6)  # of the last navigation message at the end
 UNTOLD = {  # by values and ages; a battery is critical here; pulses have no outlet here
     *(Trigger.CONTROL, Trigger.NAVIGATION_SILENT, Trigger.BATTERY_LOW, Trigger.OUTLET),
 }
-TROUBLES = ("none", *(trigger.name.lower() for trigger in Trigger if trigger not in UNTOLD))
+OF_PARTS = triggers(SETTINGS)
+TROUBLES = ("none", *(trigger.name.lower() for trigger in (*Trigger, *OF_PARTS) if trigger not in UNTOLD))
 AHEAD = config.Zones(keep_out=(config.Area(centre=((math.degrees(0.675) + 1e-4, math.degrees(-0.16)),), radius_m=10.0),))
 BEHIND = config.Zones(keep_in=(config.Area(centre=((math.degrees(0.675) - 5e-4, math.degrees(-0.16)),), radius_m=10.0),))
 NEEDS = {mode: import_module(f"delfim.vehicle.control.{mode.name.lower()}").NEEDS for mode in Mode}
@@ -123,7 +125,10 @@ class Boat:
         self.state, self.source, self.log = State(), Sensors(bus.socket()), NoLog()
         outlet, guest = bus.socket(), Guest(self.state, self.clock)
         propulsion = Propulsion((self.open(outlet),), outlet, self.settings.thrusters, self.state)
-        self.vehicle = VehicleLoop(self.settings, self.clock, self.state, (self.source,), propulsion, guest, self.log)
+        source, settings = self.source, self.settings
+        self.vehicle = VehicleLoop(
+            settings, self.clock, self.state, (source,), propulsion, guest, self.log, troubles=triggers(settings)
+        )
         self.report("none")
         self.vehicle.on_navigation(self.source)
         state = self.state

@@ -15,7 +15,6 @@ from delfim.simulator.lockstep import Lockstep
 from delfim.simulator.scenarios.scenario import laid_over
 from delfim.simulator.scenarios.watch import Onlooker
 from delfim.vehicle import console
-from delfim.vehicle.control.control import control
 from delfim.vehicle.plans.fence import Fence
 from delfim.vehicle.plans.zones import circle
 from delfim.vehicle.state import NoLog
@@ -104,7 +103,7 @@ def test_no_order_stands_while_the_fence_is_a_trouble(at_s: float) -> None:
     attack.after(0.6)
     assert "fence" in attack.notices
     assert state.traffic.order is None
-    assert helm.step is control
+    assert helm.shapes == {}
     attack.after(2.0)
     assert state.traffic.guard.startswith("cannot avoid: the fence goes before: ring")
     assert "traffic: cannot avoid: the fence goes before" in attack.notes

@@ -139,12 +139,12 @@ def test_who_gives_the_boat_back_or_is_lost(boat):
 def test_a_step_is_told_the_time_since_the_last_one_and_no_more_than_a_second(boat):
     told = list[float]()
 
-    def step(mode, memory, motion, setpoint, limits, dt_s):
+    def shape(mode, memory, stepped, limits, dt_s):
         told.append(dt_s)
         return memory, Reference(), STOP
 
     helm, now_s = boat.vehicle.helm, boat.clock.monotonic_s()
-    helm.step = step
+    helm.shapes["test"] = shape
     for at_s in (0.25, 0.5, 1.5, 3.0, 4.5, 4.625):
         assert helm.control(now_s + at_s) is STOP
     assert told == [0.25, 0.25, 1.0, 1.0, 1.0, 0.125]

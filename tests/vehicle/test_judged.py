@@ -5,11 +5,11 @@ from collections.abc import Sequence
 
 import pytest
 
+from delfim.parts.traffic.encounter import Own
+from delfim.parts.traffic.judged import judged
+from delfim.parts.traffic.keepclear import Choice
+from delfim.parts.traffic.trialways import Caution, RouteAhead
 from delfim.vehicle.target import Target
-from delfim.vehicle.traffic.encounter import Own
-from delfim.vehicle.traffic.judged import judged
-from delfim.vehicle.traffic.keepclear import Choice
-from delfim.vehicle.traffic.trialways import Caution, RouteAhead
 
 LIMITS, OWN = Caution(5.0, 0.2, 0.3), Own(200.0, -300.0, 0.0, 1.5)
 NORTH = RouteAhead(((9200.0, -300.0),), 1.5)

@@ -10,15 +10,15 @@ from hypothesis import strategies as st
 
 from delfim import config
 from delfim.base.geodesy import wrap
+from delfim.parts.traffic.cpa import approach, closest, domain
+from delfim.parts.traffic.encounter import Own, duty, stands_on
+from delfim.parts.traffic.keepclear import Choice, Memory, decide
+from delfim.parts.traffic.trialways import RouteAhead, route_legs
+from delfim.parts.traffic.watchkeeper import caution
 from delfim.vehicle.control.memory import settings_of
 from delfim.vehicle.plans.fence import Fence
 from delfim.vehicle.plans.zones import circle, clearance_m, polygon
 from delfim.vehicle.target import CourseOrder, Target
-from delfim.vehicle.traffic.cpa import approach, closest, domain
-from delfim.vehicle.traffic.encounter import Own, duty, stands_on
-from delfim.vehicle.traffic.keepclear import Choice, Memory, decide
-from delfim.vehicle.traffic.trialways import RouteAhead, route_legs
-from delfim.vehicle.traffic.watchkeeper import caution
 from tests.vehicle.encounters import LIMITS, encounters, place, sail, score, target
 from tests.vehicle.encounters import ClassB as ByClassB
 from tests.vehicle.encounters import Ship as Vessel

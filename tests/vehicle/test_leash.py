@@ -5,10 +5,10 @@ import math
 import pytest
 
 from delfim import config
+from delfim.parts.traffic.encounter import Own
+from delfim.parts.traffic.leash import REST_S, Leash, paid_out
+from delfim.parts.traffic.trialways import RouteAhead
 from delfim.vehicle.target import CourseOrder
-from delfim.vehicle.traffic.encounter import Own
-from delfim.vehicle.traffic.leash import REST_S, Leash, paid_out
-from delfim.vehicle.traffic.trialways import RouteAhead
 
 LIMITS = config.TrafficGuard(away_m=100.0, away_s=200.0)
 LEG = RouteAhead(((1000.0, 0.0), (1000.0, 500.0)), 1.5)

@@ -16,15 +16,15 @@ from delfim.base.frames import Frame, extended
 from delfim.base.slices import Sliced
 from delfim.base.vessels import VesselPosition
 from delfim.canproxy.nmea2000.fastpacket import split
+from delfim.parts.traffic import lookout, watchkeeper
+from delfim.parts.traffic.aisbus import FILTERS, AisBus
+from delfim.parts.traffic.lookout import AT_ONCE, TrafficLookout
+from delfim.parts.traffic.targets import MOST
+from delfim.parts.traffic.watchkeeper import LATE_S
 from delfim.simulator.lockstep import Lockstep
 from delfim.simulator.lockstepbus import LockstepBus
 from delfim.vehicle import console
 from delfim.vehicle.state import HEARD_MAX, Motion, NoLog, State
-from delfim.vehicle.traffic import lookout, watchkeeper
-from delfim.vehicle.traffic.aisbus import FILTERS, AisBus
-from delfim.vehicle.traffic.lookout import AT_ONCE, TrafficLookout
-from delfim.vehicle.traffic.targets import MOST
-from delfim.vehicle.traffic.watchkeeper import LATE_S
 from tests.canproxy.test_recordings import BUSY, RAYMARINE, recording
 
 VEHICLE = Path(__file__).parents[2] / "etc/delfimx.toml"

@@ -13,18 +13,18 @@ from delfim import config
 from delfim.base.clock import ManualClock
 from delfim.base.geodesy import origin, wrap
 from delfim.base.modes import Mode
+from delfim.parts.traffic import alarm, keepclear, watchkeeper
+from delfim.parts.traffic.cpa import Approach
+from delfim.parts.traffic.keepclear import Decision
+from delfim.parts.traffic.leash import Leash
+from delfim.parts.traffic.trialways import Caution, RouteAhead
+from delfim.parts.traffic.watchkeeper import Watchkeeper, caution
 from delfim.vehicle.control.control import control
 from delfim.vehicle.control.hull import filled
 from delfim.vehicle.control.memory import Integrals, LineOfSight, Memory, settings_of
 from delfim.vehicle.failsafe import Action
 from delfim.vehicle.state import Line, Motion, NoLog, Plan, Setpoint, State, Waypoint
 from delfim.vehicle.target import CourseOrder, Danger, Target
-from delfim.vehicle.traffic import alarm, keepclear, watchkeeper
-from delfim.vehicle.traffic.cpa import Approach
-from delfim.vehicle.traffic.keepclear import Decision
-from delfim.vehicle.traffic.leash import Leash
-from delfim.vehicle.traffic.trialways import Caution, RouteAhead
-from delfim.vehicle.traffic.watchkeeper import Watchkeeper, caution
 from delfim.vehicle.troubles import Trigger
 
 SETTINGS: Final = filled(config.load(Path(__file__).parents[2] / "etc/delfimx.toml", ()))
@@ -44,7 +44,7 @@ class Boat(NoLog):
         settings = msgspec.structs.replace(SETTINGS, traffic=traffic)
         self.clock, self.state = ManualClock(100.0), State(mode=mode, motion=HERE, setpoint=TO)
         self.fallen = list[object]()
-        self.helm: Any = SimpleNamespace(settings=settings, limits=LIMITS, memory=Memory(), step=control, troubles={})
+        self.helm: Any = SimpleNamespace(settings=settings, limits=LIMITS, memory=Memory(), shapes={}, troubles={})
         self.helm.plans, self.helm.fall_back = SimpleNamespace(fence=None), lambda *told: self.fallen.append(told)
         self.keeper = Watchkeeper(settings, self.clock, self.state, self)
         self.notes, self.asked, self.alarmed = list[str](), list[Any](), list[Any]()
@@ -100,8 +100,9 @@ class Boat(NoLog):
     def step(self, **order: Any) -> tuple[Any, Any]:
         """What the helm's step makes of the mode, and what control makes of it."""
         self.state.traffic = self.state.traffic._replace(order=EAST._replace(at_s=self.clock.monotonic_s())._replace(**order))
-        args = self.state.mode, self.helm.memory, self.state.motion, self.state.setpoint, LIMITS, 0.2
-        return self.keeper._kept_clear(*args), control(*args)
+        mode, memory = self.state.mode, self.helm.memory
+        own = control(mode, memory, self.state.motion, self.state.setpoint, LIMITS, 0.2)
+        return self.keeper._kept_clear(mode, memory, own, LIMITS, 0.2), own
 
 
 @pytest.mark.parametrize(
@@ -141,7 +142,7 @@ def test_the_decision_is_given_what_there_is_and_its_order_is_carried_out(monkey
     assert boat.asked == [(keepclear.Memory(), own, route, [MARIA], None, 101.0)]
     order = EAST._replace(at_s=101.0)
     assert boat.state.traffic[6:11] == (order, (Danger("maria", 9.0, 9.0, 1.0, "near"),), "on", 1.0, "too many")
-    assert boat.helm.step == boat.keeper._kept_clear
+    assert boat.helm.shapes == {"traffic": boat.keeper._kept_clear}
     assert boat.paid == [
         (Leash(), boat.helm.settings.traffic.guard, (Mode.GOTO, TO.target, 0.0, None), route, own, order, 101.0)
     ]
@@ -151,7 +152,7 @@ def test_the_decision_is_given_what_there_is_and_its_order_is_carried_out(monkey
     assert [each.key for each in passes] == ["maria"]
     boat.look(MARIA, MARIA._replace(key="anna", age_s=-0.5))
     assert (boat.asked[1][0], boat.alarmed[1][6:8]) == (keepclear.Memory(since_s=7.0), ("on its way", {"maria": "near"}))
-    assert (boat.helm.step, boat.state.traffic.order, boat.state.traffic.nearness) == (control, None, 0.5)
+    assert (boat.helm.shapes, boat.state.traffic.order, boat.state.traffic.nearness) == ({}, None, 0.5)
     assert boat.notes == ["traffic: giving way to MARIA", "traffic: clear: back to the way"]
 
 
@@ -174,7 +175,7 @@ def test_what_was_decided_for_another_mode_does_not_count(monkeypatch: pytest.Mo
     boat = Boat(monkeypatch)
     boat.then = Mode.HOLD
     boat.look(MARIA, order=EAST)
-    assert (boat.state.mode, boat.state.traffic.order, boat.helm.step, boat.paid) == (Mode.HOLD, None, control, [])
+    assert (boat.state.mode, boat.state.traffic.order, boat.helm.shapes, boat.paid) == (Mode.HOLD, None, {}, [])
     boat.look(MARIA)
     assert boat.asked[1][0] == keepclear.Memory()
 
@@ -190,17 +191,17 @@ def test_a_guard_that_must_leave_the_boat_alone_does_so_at_once(
     boat.helm.troubles = {trigger: FENCE} if trigger else {}
     assert (boat.state.traffic.order is None) is (trigger is None), "the look after the round was the first that knew it"
     assert not boat.keeper.look(boat.helm, 101.5)
-    assert (boat.state.traffic.order, boat.helm.step) == (None, control)
+    assert (boat.state.traffic.order, boat.helm.shapes) == (None, {})
     assert (boat.helm.memory.north_m, boat.helm.memory.east_m) == (40.0, -30.0)
     boat.state.motion = HERE._replace(north_m=50.0)
     boat.look(MARIA, order=EAST)
     assert (len(boat.asked), boat.state.traffic.guard, boat.alarmed[1][6]) == (1, f"cannot avoid: {why}", "no")
-    assert (boat.helm.step, boat.helm.memory.north_m) == (watchkeeper._slowly, 40.0)
+    assert (boat.helm.shapes, boat.helm.memory.north_m) == ({"traffic": boat.keeper._slowly}, 40.0)
     assert boat.notes == ["traffic: giving way to MARIA", f"traffic: cannot avoid: {why}: slow"]
     boat.helm.troubles, boat.leash = {}, Leash()
     for _ in range(2):
         boat.look(MARIA)
-    assert (boat.helm.step, boat.state.traffic.guard, len(boat.notes)) == (control, "on", 2)
+    assert (boat.helm.shapes, boat.state.traffic.guard, len(boat.notes)) == ({}, "on", 2)
     assert boat.asked[1][0] == keepclear.Memory()
 
 
@@ -208,7 +209,7 @@ def test_nobody_is_told_that_nobody_can_be_avoided(monkeypatch: pytest.MonkeyPat
     boat = Boat(monkeypatch, on_failure="hold")
     boat.error = "math domain error"
     boat.look()
-    assert (boat.state.traffic.guard, boat.helm.step, boat.notes, boat.fallen) == ("on", control, [], [])
+    assert (boat.state.traffic.guard, boat.helm.shapes, boat.notes, boat.fallen) == ("on", {}, [], [])
 
 
 @pytest.mark.parametrize(("mode", "does", "falls"), [(Mode.GOTO, "hold", 1), (Mode.HOLD, "hold", 0), (Mode.GOTO, "warn", 0)])
@@ -217,7 +218,7 @@ def test_a_guard_that_fails_says_so_once(monkeypatch: pytest.MonkeyPatch, mode: 
     boat.error, why = "math domain error", "the guard failed: math domain error"
     for _ in range(3):
         boat.look(MARIA, order=EAST)
-        assert (boat.state.traffic.order, boat.helm.step) == (None, control)
+        assert (boat.state.traffic.order, boat.helm.shapes) == (None, {})
     assert boat.notes == [f"traffic: cannot avoid: {why}: {does}"]
     assert boat.fallen == falls * [(Action.HOLD, f"traffic cannot be avoided: {why}", 101.0)]
     boat.error = ""
@@ -372,9 +373,9 @@ def test_an_order_that_is_old_or_for_another_mode_leaves_the_step_as_it_is(monke
     found, own = boat.step()
     assert found == own
     boat.state.motion = HERE
-    args = Mode.GOTO, Memory(), HERE, TO, LIMITS, 0.2
     boat.state.traffic = boat.state.traffic._replace(order=None)
-    assert boat.keeper._kept_clear(*args) == control(*args)
+    own = control(Mode.GOTO, Memory(), HERE, TO, LIMITS, 0.2)
+    assert boat.keeper._kept_clear(Mode.GOTO, Memory(), own, LIMITS, 0.2) == own
 
 
 def test_a_mode_ends_while_the_boat_is_away_but_for_a_path(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -390,11 +391,17 @@ def test_a_mode_ends_while_the_boat_is_away_but_for_a_path(monkeypatch: pytest.M
 
 
 @pytest.mark.parametrize(("override_mps", "speed_mps"), [(None, 0.75), (1.0, 0.5)])
-def test_half_the_speed_that_is_set_or_asked_for(override_mps: float | None, speed_mps: float) -> None:
-    memory = Memory(Integrals(speed_mps=1.5))
-    setpoint = TO._replace(override_mps=override_mps)
-    found = watchkeeper._slowly(Mode.GOTO, memory, HERE, setpoint, LIMITS, 0.2)
+def test_half_the_speed_that_is_set_or_asked_for(
+    monkeypatch: pytest.MonkeyPatch, override_mps: float | None, speed_mps: float
+) -> None:
+    boat, memory = Boat(monkeypatch), Memory(Integrals(speed_mps=1.5))
+    boat.state.setpoint = setpoint = TO._replace(override_mps=override_mps)
+
+    def slowly(mode: Mode) -> Any:
+        return boat.keeper._slowly(mode, memory, control(mode, memory, HERE, setpoint, LIMITS, 0.2), LIMITS, 0.2)
+
+    found = slowly(Mode.GOTO)
     cruise_mps = 0.5 * LIMITS.control.speed.cruise_mps
     assert found[1].speed_mps == pytest.approx(cruise_mps if override_mps is None else speed_mps)
-    found = watchkeeper._slowly(Mode.COURSE, memory, HERE, setpoint, LIMITS, 0.2)
+    found = slowly(Mode.COURSE)
     assert found[1].speed_mps == 0.75

@@ -8,8 +8,8 @@ import pytest
 
 from delfim.base import geodesy
 from delfim.base.vessels import VesselFacts, VesselPosition
+from delfim.parts.traffic.reckoning import VesselTrack, begun
 from delfim.vehicle.target import NEVER_S, Target
-from delfim.vehicle.traffic.reckoning import VesselTrack, begun
 
 AT: Final = math.radians(50.0), math.radians(-9.0)
 ORIGIN: Final = geodesy.origin(*AT)

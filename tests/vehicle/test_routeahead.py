@@ -9,13 +9,13 @@ import pytest
 
 from delfim import config
 from delfim.base.modes import Mode
+from delfim.parts.traffic.encounter import Own
+from delfim.parts.traffic.routeahead import own_of, route_ahead
+from delfim.parts.traffic.trialways import RouteAhead
 from delfim.vehicle.control.hull import filled
 from delfim.vehicle.control.memory import Memory, settings_of
 from delfim.vehicle.plans.zones import Point
 from delfim.vehicle.state import Arc, Line, Motion, Plan, Setpoint, Waypoint
-from delfim.vehicle.traffic.encounter import Own
-from delfim.vehicle.traffic.routeahead import own_of, route_ahead
-from delfim.vehicle.traffic.trialways import RouteAhead
 
 LIMITS: Final = settings_of(filled(config.load(Path(__file__).parents[2] / "etc/delfimx.toml", ())))
 SPEEDS: Final = msgspec.structs.replace(LIMITS.control.speed, cruise_mps=1.3, max_mps=2.2)

@@ -6,12 +6,12 @@ from typing import Any
 import pytest
 
 from delfim.config import FenceTable
+from delfim.parts.traffic import shoreline
+from delfim.parts.traffic.cpa import Leg
+from delfim.parts.traffic.encounter import Own
+from delfim.parts.traffic.shoreline import Shoreline
 from delfim.vehicle.plans.fence import RECEDES_M, Fence
 from delfim.vehicle.plans.zones import Zone, circle
-from delfim.vehicle.traffic import shoreline
-from delfim.vehicle.traffic.cpa import Leg
-from delfim.vehicle.traffic.encounter import Own
-from delfim.vehicle.traffic.shoreline import Shoreline
 
 LIMITS = FenceTable(margin_m=4.0, mission_margin_m=8.0, reaction_s=1.0, deceleration_mps2=0.25)  # 3 m at 1 m/s, 10 m at 2 m/s
 OWN = Own(100.0, -200.0, 0.0, 1.0)

@@ -14,9 +14,9 @@ from hypothesis import strategies as st
 from delfim.base import geodesy
 from delfim.base.vessels import VesselFacts, VesselPosition
 from delfim.config import TrafficTable
+from delfim.parts.traffic.reckoning import MARGIN_MAX_M
+from delfim.parts.traffic.targets import FACTS_MOST, MOST, Tracker
 from delfim.vehicle.target import NEVER_S, Target
-from delfim.vehicle.traffic.reckoning import MARGIN_MAX_M
-from delfim.vehicle.traffic.targets import FACTS_MOST, MOST, Tracker
 
 AT = geodesy.origin(math.radians(38.5), math.radians(-9.0))
 OWN = 263_000_001

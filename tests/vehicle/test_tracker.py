@@ -6,9 +6,9 @@ from typing import Any
 import pytest
 
 from delfim.base.slices import Sliced
+from delfim.parts.traffic import targets
+from delfim.parts.traffic.targets import Tracker, met_s
 from delfim.vehicle.target import NEVER_S
-from delfim.vehicle.traffic import targets
-from delfim.vehicle.traffic.targets import Tracker, met_s
 from tests.vehicle.test_reckoning import north_of_the_equator
 from tests.vehicle.test_targets import AT, FULL, JUMP, MARIA, NOWHERE, OWN, TWICE, TWO, facts, report, seen, tracker
 

@@ -6,12 +6,12 @@ from typing import Any
 
 import pytest
 
+from delfim.parts.traffic import keepclear
+from delfim.parts.traffic.cpa import Approach, Domain, Leg, domain
+from delfim.parts.traffic.encounter import Duty, Own
+from delfim.parts.traffic.keepclear import Choice, Memory, Scene, Seen, measured, plausible
+from delfim.parts.traffic.trialways import Caution, RouteAhead, route_legs, trial_legs
 from delfim.vehicle.target import Target
-from delfim.vehicle.traffic import keepclear
-from delfim.vehicle.traffic.cpa import Approach, Domain, Leg, domain
-from delfim.vehicle.traffic.encounter import Duty, Own
-from delfim.vehicle.traffic.keepclear import Choice, Memory, Scene, Seen, measured, plausible
-from delfim.vehicle.traffic.trialways import Caution, RouteAhead, route_legs, trial_legs
 
 LIMITS, OWN = Caution(4.0, 0.25, 0.5), Own(100.0, -200.0, 0.0, 1.5)
 NORTH: tuple[Leg, ...] = ((0.0, math.inf, 0.0, 0.0, 1.0, 0.0),)

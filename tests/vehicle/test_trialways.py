@@ -4,8 +4,8 @@ import math
 
 import pytest
 
-from delfim.vehicle.traffic.encounter import Own
-from delfim.vehicle.traffic.trialways import Caution, RouteAhead, route_legs, trial_legs
+from delfim.parts.traffic.encounter import Own
+from delfim.parts.traffic.trialways import Caution, RouteAhead, route_legs, trial_legs
 
 OWN = Own(100.0, -200.0, 0.0, 1.0)
 

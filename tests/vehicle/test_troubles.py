@@ -11,10 +11,12 @@ import pytest
 from delfim import config
 from delfim.base.modes import Mode
 from delfim.canproxy.dsor.messages import BatteriesStatus, Fault, PropellerStatus, Status
+from delfim.vehicle.failsafe import AnyTrigger
 from delfim.vehicle.inputhealth import KINDS, InputHealth
 from delfim.vehicle.state import Actuation, HandsetReport, Killed, Reference, State, ThrusterReport
 from delfim.vehicle.target import CourseOrder, Danger, Traffic
 from delfim.vehicle.troubles import (
+    NUMBERS,
     Inputs,
     Look,
     Trigger,
@@ -27,7 +29,7 @@ from delfim.vehicle.troubles import (
     unstopped,
     voltage,
 )
-from tests.vehicle.test_failsafe import FENCE, OUTWARDS, RULES, WELL, state
+from tests.vehicle.test_failsafe import FENCE, OF_PARTS, OUTWARDS, RULES, TRIGGERS, WELL, state
 
 NOW_S = 100.0
 SETTINGS = RULES.settings
@@ -35,7 +37,7 @@ WITH = msgspec.structs.replace
 
 
 def seen(
-    trigger: Trigger,
+    trigger: AnyTrigger,
     here: State,
     inputs: Inputs = WELL,
     settings: config.Vehicle = SETTINGS,
@@ -52,8 +54,8 @@ def test_the_numbers_of_the_troubles_are_bits_of_the_log() -> None:
         *("HANDSET_SILENT", "SHALLOW", "TRAFFIC", "TRAFFIC_CLOSE", "AIS_SILENT", "FENCE_LEFT", "TRAFFIC_UNCLEAR"),
         *("RESTARTED", "OUTLET", "NAVIGATION_TWICE"),
     )
-    assert [trigger.name for trigger in Trigger] == list(names)
-    assert [trigger.value for trigger in Trigger] == list(range(len(names)))
+    assert {name.lower(): number for number, name in enumerate(names)} == NUMBERS
+    assert {trigger.name: int(trigger) for trigger in TRIGGERS} == {name: number for number, name in enumerate(names)}
 
 
 @pytest.mark.parametrize(
@@ -317,26 +319,26 @@ CLOSE, NONE = Danger("3", 4.0, 9.0, 0.5, "danger", "EVA is close"), Danger("4", 
 def test_traffic_is_told_by_the_nearest_of_each_level(told, near, close) -> None:
     here = state(Mode.PLAY)
     here.traffic = told
-    assert (seen(Trigger.TRAFFIC, here), seen(Trigger.TRAFFIC_CLOSE, here)) == (near, close)
+    assert (seen(OF_PARTS.TRAFFIC, here), seen(OF_PARTS.TRAFFIC_CLOSE, here)) == (near, close)
 
 
 def test_an_order_of_the_guard_has_its_own_words() -> None:
     here = state(Mode.HOLD)
     order = CourseOrder(**{name: 0.0 for name in CourseOrder._fields if name != "words"}, words="gives way to MARIA")
     here.traffic, here.reference = Traffic(dangers=(NEAR, CLOSE), order=order), Reference(distance_m=12.4)
-    assert seen(Trigger.TRAFFIC, here) == "gives way to MARIA; 12 m from its place"
-    assert seen(Trigger.TRAFFIC_CLOSE, here) == "EVA is close"
+    assert seen(OF_PARTS.TRAFFIC, here) == "gives way to MARIA; 12 m from its place"
+    assert seen(OF_PARTS.TRAFFIC_CLOSE, here) == "EVA is close"
     here.reference = Reference(distance_m=0.0)
-    assert seen(Trigger.TRAFFIC, here) == "gives way to MARIA"
+    assert seen(OF_PARTS.TRAFFIC, here) == "gives way to MARIA"
     here.mode, here.reference = Mode.PLAY, Reference(distance_m=12.4)
-    assert seen(Trigger.TRAFFIC, here) == "gives way to MARIA"
+    assert seen(OF_PARTS.TRAFFIC, here) == "gives way to MARIA"
 
 
 def test_what_the_guard_cannot_judge_is_told_before_what_is_unclear() -> None:
     here = state(Mode.PLAY)
     for told, words in ((Traffic(), None), (Traffic(unclear="a"), "a"), (Traffic(unclear="a", unjudged="b"), "b")):
         here.traffic = told
-        assert seen(Trigger.TRAFFIC_UNCLEAR, here) == words
+        assert seen(OF_PARTS.TRAFFIC_UNCLEAR, here) == words
 
 
 OWN = "AIS silent: own transponder not heard for 31 s"
@@ -361,7 +363,7 @@ def test_ais_is_silent_after_its_age_or_that_of_the_boats_own_transponder(heard_
     here.traffic = Traffic(
         **{name: age if age < 0.0 else NOW_S - age for name, age in (("heard_s", heard_s), ("own_s", own_s))}
     )
-    assert seen(Trigger.AIS_SILENT, here) == words
+    assert seen(OF_PARTS.AIS_SILENT, here) == words
 
 
 @pytest.mark.parametrize(
@@ -377,7 +379,7 @@ def test_a_receiver_that_never_spoke_is_told_where_the_boat_has_a_transponder(mm
     here, settings = state(mode), WITH(SETTINGS, traffic=WITH(SETTINGS.traffic, mmsi=mmsi))
     here.traffic = Traffic(heard_s=heard_s if heard_s < 0.0 else NOW_S - heard_s)
     words = "AIS never heard, not even the own transponder: other vessels are not seen" if is_told else None
-    assert seen(Trigger.AIS_SILENT, here, settings=settings) == words
+    assert seen(OF_PARTS.AIS_SILENT, here, settings=settings) == words
 
 
 @pytest.mark.parametrize(

@@ -12,11 +12,11 @@ from hypothesis import strategies as st
 
 from delfim import config
 from delfim.parts.mavlink.vesselsout import NEAR, guard, number, ordered
+from delfim.parts.traffic.encounter import BEGINNINGS, Duty, words
+from delfim.parts.traffic.lookout import LOOK_S
 from delfim.vehicle.grex import sighted
 from delfim.vehicle.state import State
 from delfim.vehicle.target import CourseOrder, Target
-from delfim.vehicle.traffic.encounter import BEGINNINGS, Duty, words
-from delfim.vehicle.traffic.lookout import LOOK_S
 from tests.parts.mavlink.mavlink_console import Console
 from tests.parts.mavlink.test_mavlink_station import afloat, sail
 

@@ -6,8 +6,8 @@ import msgspec
 
 from delfim.base import geodesy
 from delfim.base.slices import Sliced
+from delfim.parts.traffic.vesselwords import making, traffic_told
 from delfim.vehicle.target import Target, Traffic
-from delfim.vehicle.traffic.vesselwords import making, traffic_told
 
 AT = geodesy.origin(math.radians(38.5), math.radians(-9.0))
 MARIA = Target(

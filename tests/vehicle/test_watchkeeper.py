@@ -11,15 +11,15 @@ from delfim import config
 from delfim.base.clock import ManualClock
 from delfim.base.geodesy import from_plane, wrap
 from delfim.base.modes import Mode
+from delfim.parts.traffic import watchkeeper
+from delfim.parts.traffic.routeahead import route_ahead
+from delfim.parts.traffic.watchkeeper import LATE_S
 from delfim.simulator.lockstep import Lockstep
 from delfim.vehicle import console
 from delfim.vehicle.control.control import control
 from delfim.vehicle.control.memory import Memory
 from delfim.vehicle.state import Motion, NoLog, Setpoint, State, Waypoint
 from delfim.vehicle.target import Traffic
-from delfim.vehicle.traffic import watchkeeper
-from delfim.vehicle.traffic.routeahead import route_ahead
-from delfim.vehicle.traffic.watchkeeper import LATE_S
 from tests.vehicle.encounters import Ship, place, target
 
 VEHICLE = Path(__file__).parents[2] / "etc/delfimx.toml"
@@ -121,7 +121,7 @@ def test_the_boat_gives_way_and_returns_and_its_mode_is_never_entered_anew(mode:
     assert voyage.least > 1.0
     assert widest_rad > math.radians(28.0)
     assert voyage.state.traffic.order is None
-    assert voyage.run.vehicle.helm.step is control
+    assert voyage.run.vehicle.helm.shapes == {}
     assert abs(watchkeeper.own_of(voyage.state.motion).course_rad) < math.radians(20.0)
     notes = [line for line in voyage.run.log.lines if line.startswith("traffic:")]  # type: ignore[attr-defined]
     assert "giving way to SHIP 0, head-on, port to port" in notes[0]
@@ -209,7 +209,7 @@ def test_where_the_guard_fails_the_boat_does_as_its_file_says(does: str, monkeyp
     for _ in range(10):
         state.traffic = state.traffic._replace(at_s=voyage.run.elapsed_s - 0.1)
         voyage.run.cycle()
-    assert voyage.run.vehicle.helm.step is control
+    assert voyage.run.vehicle.helm.shapes == {}
 
 
 def test_half_the_speed_is_half_of_what_the_file_allows() -> None:
@@ -218,7 +218,7 @@ def test_half_the_speed_is_half_of_what_the_file_allows() -> None:
     setpoint = Setpoint(target=Waypoint(900.0, 0.0, 1.0, 5.0))
     memory = Memory()
     for _ in range(50):
-        memory, reference, _ = watchkeeper._slowly(Mode.GOTO, memory, motion, setpoint, limits, 0.2)
+        memory, reference, _ = control(Mode.GOTO, memory, motion, watchkeeper.slowed(setpoint, limits), limits, 0.2)
     assert reference.speed_mps == pytest.approx(0.5)
 
 
@@ -232,7 +232,9 @@ def test_legs_are_checked_off_while_the_boat_is_away() -> None:
     assert (order := state.traffic.order) is not None
     beside = state.motion._replace(north_m=42.0, east_m=8.0)
     helm = voyage.run.vehicle.helm
-    after, reference, wanted = helm.step(Mode.PLAY, helm.memory._replace(leg=1), beside, state.setpoint, helm.limits, 0.2)
+    helm.memory, state.motion = helm.memory._replace(leg=1), beside
+    wanted = helm.control(voyage.run.clock.monotonic_s())
+    after, reference = helm.memory, state.reference
     assert after.leg == 2
     assert wanted.run
     assert reference.course_rad == order.course_rad

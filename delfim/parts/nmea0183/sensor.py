@@ -3,7 +3,7 @@ source reads them, and leaves these values in the state.
 """
 
 from delfim import config
-from delfim.lines.nmea0183.aissentences import AisPart
+from delfim.base.vessels import Report
 from delfim.parts.nmea0183.source import AnyPort, Nmea0183Navigation, opened
 from delfim.vehicle.links import Links, Readable
 from delfim.vehicle.sensors import Sensor, Value
@@ -26,7 +26,7 @@ class Instruments:
     name = "nmea0183"
 
     def __init__(
-        self, lines: Nmea0183Navigation, measured: dict[str, tuple[float, float]], heard: list[tuple[AisPart, str, float]]
+        self, lines: Nmea0183Navigation, measured: dict[str, tuple[float, float]], heard: list[tuple[Report | str, str, float]]
     ) -> None:
         self.input: Readable = lines.input
         self._lines, self._measured, self._heard = lines, measured, heard
@@ -54,6 +54,6 @@ class ReadByTheSource:
 def open_sensor(settings: config.Vehicle, links: Links) -> Sensor:
     if "nmea0183" in settings.navigation.sources:
         return ReadByTheSource()
-    measured, heard = dict[str, tuple[float, float]](), list[tuple[AisPart, str, float]]()
-    lines = opened(settings, links, measured, lambda *part: heard.append(part))
+    measured, heard = dict[str, tuple[float, float]](), list[tuple[Report | str, str, float]]()
+    lines = opened(settings, links, measured, lambda *report: heard.append(report))
     return Instruments(lines, measured, heard)

@@ -6,7 +6,9 @@ from collections.abc import Callable, Iterator
 from typing import Final, NamedTuple
 
 from delfim import config
-from delfim.lines.nmea0183.aissentences import AisPart
+from delfim.base.errors import FormatError
+from delfim.base.vessels import Report
+from delfim.lines.nmea0183.aissentences import AisMessages, AisPart
 from delfim.parts.nmea0183.combining import Combined
 from delfim.parts.nmea0183.mixedline import Antennas, MixedLine
 from delfim.vehicle.links import Links, ReadableLine
@@ -16,10 +18,11 @@ from delfim.vehicle.state import State
 
 GREETING: Final = b'{"class":"VERSION"'  # of gpsd, whoever connects
 WATCH: Final = b'?WATCH={"enable":true,"nmea":true};\r\n'  # it answers with sentences
+NAME: Final = "nmea0183"
 GARBLED_S: Final = 3.0  # of nonsense alone that is told
 
 
-HearAis = Callable[[AisPart, str, float], object]  # with the port's name, and the time
+HearAis = Callable[[Report | str, str, float], object]  # a report, or why it cannot be read; the port's name, the time
 
 
 class Port(NamedTuple):
@@ -28,6 +31,7 @@ class Port(NamedTuple):
     name: str
     line: ReadableLine
     sentences: MixedLine
+    vessels: AisMessages
 
 
 class LineData(NamedTuple):
@@ -61,9 +65,9 @@ class AnyPort:
 class Nmea0183Navigation:
     """All ports of the vehicle's file."""
 
-    name = "nmea0183"
+    name = NAME
 
-    def __init__(self, ports: tuple[Port, ...], combined: Combined, hear: HearAis) -> None:
+    def __init__(self, ports: tuple[Port, ...], combined: Combined, hear: HearAis | None) -> None:
         self.input, self._ports, self._combined, self._hear = AnyPort(ports), ports, combined, hear
         self._next = 0  # the port that is read first
         self.heard_s, self.t_ns = -1e9, 0
@@ -79,13 +83,22 @@ class Nmea0183Navigation:
             self.t_ns = t_ns
             for sentence in port.sentences.feed(data):
                 if isinstance(sentence.message, AisPart):
-                    self._hear(sentence.message, port.name, now_s)
+                    self._tell_of_vessels(sentence.message, port, now_s)
                     continue
                 navigation = self._combined.take(port.name, sentence, now_s)
                 if navigation is not None:
                     fix = Fix(navigation, t_ns, now_s)
                     self.heard_s = now_s
         return fix
+
+    def _tell_of_vessels(self, part: AisPart, port: Port, now_s: float) -> None:
+        if self._hear is None:
+            return
+        try:
+            for report in port.vessels.join(part, now_s):
+                self._hear(report, port.name, now_s)
+        except FormatError as error:
+            self._hear(f"AIS sentence: {error}", port.name, now_s)
 
     def _waiting(self) -> Iterator[LineData]:
         """The next piece of one line, of each in its turn: others stay readable, and navigation, which may come by another
@@ -120,7 +133,7 @@ class Nmea0183Navigation:
 
 
 def open_source(settings: config.Vehicle, links: Links, state: State) -> Nmea0183Navigation:
-    return opened(settings, links, state.measured if "nmea0183" in settings.sensors.names else {}, state.hear)
+    return opened(settings, links, state.measured if NAME in settings.sensors.names else {}, state.hear)
 
 
 def opened(
@@ -133,7 +146,9 @@ def opened(
             name,
             links.line(port.device.replace("gpsd:", "tcp:"), port.baud),
             MixedLine(port.checksum, Antennas(port.baseline_m, math.radians(port.baseline_deg))),
+            AisMessages(),
         )
         for name, port in table.ports.items()
     )
-    return Nmea0183Navigation(ports, Combined(table, settings.navigation.stale_s, measured), hear)
+    combined = Combined(table, settings.navigation.stale_s, measured)
+    return Nmea0183Navigation(ports, combined, hear if NAME in settings.traffic.hears else None)

@@ -9,11 +9,12 @@ from itertools import combinations
 from typing import Final, NamedTuple
 
 from delfim.base.modes import Mode
+from delfim.base.parts import TROUBLES as OF_LABORATORIES
 from delfim.simulator.lockstep import Lockstep, Ordered
 from delfim.vehicle import console
 from delfim.vehicle.failsafe import Action
 from delfim.vehicle.loop import HELD_BY_HAND
-from delfim.vehicle.troubles import Trigger
+from delfim.vehicle.troubles import NUMBERS
 
 REFUSED: Final = " refused"
 NO_ORDERS: Final = (  # words of a console, and of the program, that ask nothing of the boat; of payloads, which campaigns lack
@@ -22,7 +23,7 @@ NO_ORDERS: Final = (  # words of a console, and of the program, that ask nothing
 OBEYED_ALWAYS: Final = ("stop", "kill", "leave", "speed", "rally", "take", "shutdown")  # by the helm, whatever happens
 
 MODES: Final = {mode: f"mode {mode.name.lower()}" for mode in Mode}
-TROUBLES: Final = {trigger: f"trouble {trigger.name.lower()}" for trigger in Trigger}
+TROUBLES: Final = {number: f"trouble {name}" for name, number in NUMBERS.items() if number not in OF_LABORATORIES}
 ACTIONS: Final = tuple(f"action {action.name.lower()}" for action in Action if action is not Action.NONE)
 OBEYED: Final = tuple(f"order {name}" for name in console.KINDS if name not in NO_ORDERS)
 ORDERS: Final = (*OBEYED, *(f"{each}{REFUSED}" for each in OBEYED if each.removeprefix("order ") not in OBEYED_ALWAYS))
@@ -149,7 +150,7 @@ class PairTape:
             return
         on, action, there = list[str](), tuple[str, ...](), state.notices
         if now_s != was_s:  # ten cycles a second may be one more than the failsafe looks
-            found = [(trigger, each) for trigger, each in helm.troubles.items() if isinstance(trigger, Trigger)]
+            found = [(trigger, each) for trigger, each in helm.troubles.items() if trigger in TROUBLES]
             on = [TROUBLES[trigger] for trigger, each in found if each.seen_s == now_s and each.acting_s <= now_s]
             action = (f"action {there[0].action}",) if there else ()
         self._meet((MODES[run.vehicle.judged_in], *on, *action))

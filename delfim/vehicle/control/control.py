@@ -12,12 +12,13 @@ from delfim.vehicle.control.memory import Memory, Settings, lacking, settings_of
 from delfim.vehicle.safe import STOP
 from delfim.vehicle.state import Motion, Reference, Setpoint, Wanted
 
-__all__ = ["MODES", "Memory", "Settings", "admit", "control", "enter", "first", "lacking", "settings_of"]
+__all__ = ["MODES", "Memory", "Settings", "Stepped", "admit", "control", "enter", "first", "lacking", "settings_of"]
 
 FAR_M = 1e7  # a plane position beyond this is nonsense, and so are the numbers below
 FAST_MPS = 100.0
 SPIN = 1e3  # rad and rad/s
 NONSENSE: Final = "set point makes no sense"
+Stepped = tuple[Memory, Reference, Wanted]  # a step of a mode: its memory after it, where it is going, its command
 
 
 class Program(Protocol):
@@ -31,9 +32,7 @@ class Program(Protocol):
 
     def enter(self, motion: Motion, setpoint: Setpoint, settings: Settings) -> Memory: ...
 
-    def step(
-        self, memory: Memory, motion: Motion, setpoint: Setpoint, settings: Settings, dt_s: float
-    ) -> tuple[Memory, Reference, Wanted]: ...
+    def step(self, memory: Memory, motion: Motion, setpoint: Setpoint, settings: Settings, dt_s: float) -> Stepped: ...
 
 
 class PartError(ValueError):
@@ -70,9 +69,7 @@ def first(mode: Mode, memory: Memory, setpoint: Setpoint) -> tuple[float, float]
     return None if to is None else (to.north_m, to.east_m)
 
 
-def control(
-    mode: Mode, memory: Memory, motion: Motion, setpoint: Setpoint, settings: Settings, dt_s: float
-) -> tuple[Memory, Reference, Wanted]:
+def control(mode: Mode, memory: Memory, motion: Motion, setpoint: Setpoint, settings: Settings, dt_s: float) -> Stepped:
     """One step of a mode, `dt_s` after the one before. Missing inputs and numbers without meaning stop the propellers, leave
     the memory as it was, and say why in the reference.
     """

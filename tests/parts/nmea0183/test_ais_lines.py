@@ -9,12 +9,12 @@ from delfim import config
 from delfim.base import geodesy
 from delfim.base.clock import ManualClock
 from delfim.lines.nmea0183.framing import framed
+from delfim.parts.traffic.lookout import TrafficLookout
 from delfim.simulator.line import LockstepLine
 from delfim.vehicle import sensors
 from delfim.vehicle.links import Links
 from delfim.vehicle.navigation.fixes import open_sources
 from delfim.vehicle.state import HEARD_MANY, HEARD_MAX, State
-from delfim.vehicle.traffic.lookout import TrafficLookout
 
 GGA = framed("GPGGA,120000.00,4734.9700,N,12220.7500,W,1,9,1.0,0.0,M,,M,,")
 SHIP = b"!AIVDM,1,1,,B,177KQJ5000G?tO`K>RA1wUbN0TKH,0*5C\r\n"

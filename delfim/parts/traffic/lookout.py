@@ -4,14 +4,12 @@ of them at a time."""
 from itertools import islice
 from typing import Final
 
-from delfim.base.errors import FormatError
 from delfim.base.slices import Sliced, Work
 from delfim.base.vessels import VesselFacts, VesselPosition
 from delfim.config import TrafficTable
-from delfim.lines.nmea0183.aissentences import AisMessages
+from delfim.parts.traffic.targets import MOST, Tracker
 from delfim.vehicle.state import Sighting, State
 from delfim.vehicle.target import NEVER_S, Target
-from delfim.vehicle.traffic.targets import MOST, Tracker
 
 AT_ONCE: Final = 24  # reports that one step takes; a busy harbour brings one
 LOOK_S: Final = 1.0
@@ -21,8 +19,7 @@ SLICE: Final = 200  # comparisons of one step
 
 class TrafficLookout:
     def __init__(self, settings: TrafficTable) -> None:
-        self.tracker, self._hears_lines = Tracker(settings), "nmea0183" in settings.hears
-        self._lines = dict[str, AisMessages]()  # by port
+        self.tracker = Tracker(settings)
         self._looked_s = self._flooded_s = NEVER_S
         self._dropped = 0
         self._look: Sliced[tuple[Target, ...]] | None = None
@@ -74,14 +71,8 @@ class TrafficLookout:
             self.tracker.hear(told, by, at_s, key)
         elif isinstance(told, VesselFacts):
             self.tracker.facts(told, at_s, key)
-        elif self._hears_lines:
-            try:
-                reports = self._lines.setdefault(by, AisMessages()).join(told, at_s)
-            except FormatError as error:
-                self.tracker.refuse(f"AIS sentence: {error}")
-                return
-            for report in reports:
-                self._take(sighting._replace(told=report))
+        else:
+            self.tracker.refuse(told)
 
 
 def _nobody() -> Work[tuple[Target, ...]]:

@@ -6,13 +6,13 @@ from itertools import chain, islice
 from typing import Final
 
 from delfim.base.modes import Mode
+from delfim.parts.traffic.encounter import Own
+from delfim.parts.traffic.trialways import RouteAhead
 from delfim.vehicle import setpoints
 from delfim.vehicle.control.memory import Memory, Settings
 from delfim.vehicle.control.path import arc_point, nearest, piece_of, start
 from delfim.vehicle.plans.zones import Point
 from delfim.vehicle.state import Arc, Line, Motion, Setpoint
-from delfim.vehicle.traffic.encounter import Own
-from delfim.vehicle.traffic.trialways import RouteAhead
 
 POINTS: Final = 12
 FAR_M: Final = 20_000.0  # a course leads there

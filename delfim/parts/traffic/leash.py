@@ -10,10 +10,10 @@ from itertools import pairwise
 from typing import Final, NamedTuple
 
 from delfim.config import TrafficGuard
+from delfim.parts.traffic.encounter import Own
+from delfim.parts.traffic.trialways import RouteAhead
 from delfim.vehicle.plans.zones import Point, from_segment
 from delfim.vehicle.target import NEVER_S, CourseOrder
-from delfim.vehicle.traffic.encounter import Own
-from delfim.vehicle.traffic.trialways import RouteAhead
 
 REST_S: Final = 60.0  # at least
 LOOK_S: Final = 10.0  # between two looks, at most

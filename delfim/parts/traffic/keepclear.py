@@ -18,12 +18,12 @@ from typing import Final, NamedTuple
 
 from delfim.base.geodesy import wrap
 from delfim.base.slices import Sliced, Work
+from delfim.parts.traffic.cpa import Approach, Domain, Leg, approach, domain, passing_by
+from delfim.parts.traffic.encounter import PRIVILEGED, Duty, Own, duty, passing, stands_on, words
+from delfim.parts.traffic.shoreline import Shoreline
+from delfim.parts.traffic.trialways import LOOK_MAX_S, Caution, RouteAhead, route_legs, trial_legs
 from delfim.vehicle.plans.fence import Fence
 from delfim.vehicle.target import CourseOrder, Target
-from delfim.vehicle.traffic.cpa import Approach, Domain, Leg, approach, domain, passing_by
-from delfim.vehicle.traffic.encounter import PRIVILEGED, Duty, Own, duty, passing, stands_on, words
-from delfim.vehicle.traffic.shoreline import Shoreline
-from delfim.vehicle.traffic.trialways import LOOK_MAX_S, Caution, RouteAhead, route_legs, trial_legs
 
 MOST: Final = 12  # vessels that are judged: those that could be met first
 PASS: Final = 2  # comparisons that how one way passes one vessel costs

@@ -4,9 +4,9 @@ import math
 from typing import Final, NamedTuple
 
 from delfim.base.geodesy import wrap
+from delfim.parts.traffic.cpa import Leg
+from delfim.parts.traffic.encounter import Own
 from delfim.vehicle.plans.zones import Point
-from delfim.vehicle.traffic.cpa import Leg
-from delfim.vehicle.traffic.encounter import Own
 
 LOOK_MAX_S: Final = 900.0
 

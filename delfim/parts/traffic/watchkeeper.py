@@ -14,25 +14,26 @@ from delfim.base.clock import Clock
 from delfim.base.geodesy import wrap
 from delfim.base.modes import Mode
 from delfim.base.slices import Sliced, Work
+from delfim.parts.traffic import alarm, keepclear
+from delfim.parts.traffic.beside import Company, company, danger_beside
+from delfim.parts.traffic.judged import judged
+from delfim.parts.traffic.keepclear import PassedBy, deciding
+from delfim.parts.traffic.leash import Leash, paid_out
+from delfim.parts.traffic.routeahead import own_of, route_ahead
+from delfim.parts.traffic.trialways import Caution, RouteAhead
+from delfim.parts.traffic.vesselwords import making, traffic_told
 from delfim.vehicle import setpoints
 from delfim.vehicle.control.autopilot import steer
-from delfim.vehicle.control.control import control
+from delfim.vehicle.control.control import Stepped, control
 from delfim.vehicle.control.guidance import course_to_steer
 from delfim.vehicle.control.memory import LineOfSight, Memory, Settings
 from delfim.vehicle.failsafe import Action
 from delfim.vehicle.helm import Helm
-from delfim.vehicle.state import Motion, Reference, Setpoint, State, StateLog, Wanted
+from delfim.vehicle.state import Reference, Setpoint, State, StateLog
 from delfim.vehicle.target import NEVER_S, CourseOrder, Target
-from delfim.vehicle.traffic import alarm, keepclear
-from delfim.vehicle.traffic.beside import Company, company, danger_beside
-from delfim.vehicle.traffic.judged import judged
-from delfim.vehicle.traffic.keepclear import PassedBy, deciding
-from delfim.vehicle.traffic.leash import Leash, paid_out
-from delfim.vehicle.traffic.routeahead import own_of, route_ahead
-from delfim.vehicle.traffic.trialways import Caution, RouteAhead
-from delfim.vehicle.traffic.vesselwords import making, traffic_told
 from delfim.vehicle.troubles import Trigger
 
+NAME: Final = "traffic"  # of its shape of the mode's steps
 LATE_S: Final = 5.0  # an older order does not count
 SLICE: Final = 200  # comparisons of one step
 SILENT_S: Final = 360.0  # a lost vessel is kept clear of until its last report is so old
@@ -49,6 +50,12 @@ def caution(settings: config.Vehicle, limits: Settings) -> Caution:
     turn_radps = gains.p_limit_nm / max(gains.d_nm_per_radps + limits.hull.damping_nm_per_radps, 1e-6)
     turn_radps = min(max(turn_radps, TURN_MIN_RADPS), TURN_MAX_RADPS)
     return Caution(settings.boat.length_m, turn_radps, limits.control.speed.ramp_mps2, guard.look_s, guard.stand_on)
+
+
+def slowed(setpoint: Setpoint, settings: Settings) -> Setpoint:
+    """At half the speed that is set, or half the cruising speed."""
+    slow_mps = SLOW * setpoints.speed(setpoint.override_mps, settings.control.speed)
+    return setpoint._replace(speed_mps=SLOW * setpoint.speed_mps, override_mps=slow_mps)
 
 
 class Watchkeeper:
@@ -68,7 +75,8 @@ class Watchkeeper:
         """Call it with the watchdog. Returns whether it did a slice of work: the next look of the look-out waits for it."""
         if self._state.traffic.order is not None and self._denied(helm):  # at once: the next decision is a second away
             self._resume(helm)
-            self._state.traffic, helm.step = self._state.traffic._replace(order=None), control
+            self._state.traffic = self._state.traffic._replace(order=None)
+            helm.shapes.pop(NAME, None)
         if self._round is None and self._looked_s < self._state.traffic.at_s:
             self._looked_s = self._state.traffic.at_s
             self._round = Sliced(self._watch(helm, now_s))
@@ -148,23 +156,24 @@ class Watchkeeper:
         return [each for each in targets if (not each.is_lost or each.age_s < SILENT_S) and not beside.has(each.key)]
 
     def _act(self, helm: Helm, order: CourseOrder | None, failing: str, now_s: float) -> None:
-        """From now on the steps of the mode are these."""
+        """From now on the steps of the mode are shaped so."""
         is_new, self._failing = failing and not self._failing, failing
         does = self._guard.on_failure if failing else ""
-        helm.step = self._kept_clear if order is not None else _slowly if does == "slow" else control
+        helm.shapes.pop(NAME, None)
+        if order is not None:
+            helm.shapes[NAME] = self._kept_clear
+        elif does == "slow":
+            helm.shapes[NAME] = self._slowly
         if is_new:
             self._log.note(f"traffic: cannot avoid: {failing}: {does}")
             if does == "hold" and self._state.mode is not Mode.HOLD:
                 helm.fall_back(Action.HOLD, f"traffic cannot be avoided: {failing}", now_s)
 
-    def _kept_clear(
-        self, mode: Mode, memory: Memory, motion: Motion, setpoint: Setpoint, settings: Settings, dt_s: float
-    ) -> tuple[Memory, Reference, Wanted]:
-        """One step of a mode with the order's course and speed in place of its own. The crab angle stays measured."""
-        after, reference, wanted = control(mode, memory, motion, setpoint, settings, dt_s)
-        order = self._state.traffic.order
+    def _kept_clear(self, mode: Mode, memory: Memory, stepped: Stepped, settings: Settings, dt_s: float) -> Stepped:
+        """A step of the mode with the order's course and speed in place of its own. The crab angle stays measured."""
+        (after, reference, wanted), motion, order = stepped, self._state.motion, self._state.traffic.order
         if order is None or mode not in self._modes or not wanted.run or self._clock.monotonic_s() - order.at_s > LATE_S:
-            return after, reference, wanted
+            return stepped
         was = LineOfSight(memory.course.crab_rad)
         course, heading_rad = course_to_steer(was, motion, order.course_rad, 0.0, settings.control.path, dt_s)
         integrals, wanted = steer(memory.integrals, motion, heading_rad, order.speed_mps, settings, dt_s)
@@ -172,6 +181,10 @@ class Watchkeeper:
         told = wrap(heading_rad), order.speed_mps, *reference[2:7], done, reference.reason, order.course_rad
         reference = _new(Reference, told)
         return _new(Memory, (integrals, course, *after[2:])), reference, wanted
+
+    def _slowly(self, mode: Mode, memory: Memory, stepped: Stepped, settings: Settings, dt_s: float) -> Stepped:
+        """A step of the mode at half the speed, in place of this one."""
+        return control(mode, memory, self._state.motion, slowed(self._state.setpoint, settings), settings, dt_s)
 
     def _resume(self, helm: Helm) -> None:
         """Past and clear: the present leg begins anew from here."""
@@ -206,12 +219,3 @@ class Watchkeeper:
         found, self._alarms = told
         nearness = min((each.nearness for each in found), default=math.nan)
         state.traffic = state.traffic._replace(dangers=found + tuple(map(danger_beside, self._beside())), nearness=nearness)
-
-
-def _slowly(
-    mode: Mode, memory: Memory, motion: Motion, setpoint: Setpoint, settings: Settings, dt_s: float
-) -> tuple[Memory, Reference, Wanted]:
-    """One step of a mode at half the speed that is set for it, or half the cruising speed."""
-    slow_mps = SLOW * setpoints.speed(setpoint.override_mps, settings.control.speed)
-    slow = setpoint._replace(speed_mps=SLOW * setpoint.speed_mps, override_mps=slow_mps)
-    return control(mode, memory, motion, slow, settings, dt_s)

@@ -5,10 +5,10 @@ import math
 from collections.abc import Sequence
 from typing import Final
 
+from delfim.parts.traffic.cpa import Leg
+from delfim.parts.traffic.encounter import Own
 from delfim.vehicle.plans.fence import RECEDES_M, Fence, stopping_m
 from delfim.vehicle.plans.zones import apart, clearance_m, cost, least
-from delfim.vehicle.traffic.cpa import Leg
-from delfim.vehicle.traffic.encounter import Own
 
 LOOKS: Final = 600  # comparisons for all trials of a decision, about a microsecond each
 

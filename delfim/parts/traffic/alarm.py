@@ -6,11 +6,11 @@ from typing import Final, Literal, NamedTuple
 
 from delfim.base.slices import Work
 from delfim.config import TrafficNear
+from delfim.parts.traffic.cpa import approach, closest, passing_by
+from delfim.parts.traffic.encounter import AT_REST_MPS, Own
+from delfim.parts.traffic.keepclear import PassedBy, measured, plausible
+from delfim.parts.traffic.trialways import Caution, RouteAhead, route_legs
 from delfim.vehicle.target import Danger, Target
-from delfim.vehicle.traffic.cpa import approach, closest, passing_by
-from delfim.vehicle.traffic.encounter import AT_REST_MPS, Own
-from delfim.vehicle.traffic.keepclear import PassedBy, measured, plausible
-from delfim.vehicle.traffic.trialways import Caution, RouteAhead, route_legs
 
 OVER: Final = 1.5  # a danger is over when every measure was beyond so many times its limit ...
 OVER_S: Final = 10.0  # ... for so long

@@ -13,8 +13,8 @@ from delfim.base.geodesy import Origin
 from delfim.base.slices import Sliced, Work
 from delfim.base.vessels import VesselFacts, VesselPosition
 from delfim.config import TrafficTable
+from delfim.parts.traffic.reckoning import VesselTrack, begun
 from delfim.vehicle.target import NEVER_S, Target
-from delfim.vehicle.traffic.reckoning import VesselTrack, begun
 
 MOST: Final = 200  # vessels that are known at once
 NUMBER: Final = 9  # digits of a number of AIS

@@ -12,8 +12,8 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Final, NamedTuple
 
+from delfim.parts.traffic.encounter import AT_REST_MPS, Own
 from delfim.vehicle.target import BESIDE_MAX, NEVER_S, Danger, Target
-from delfim.vehicle.traffic.encounter import AT_REST_MPS, Own
 
 KINDS: Final = ("A", "B")  # of AIS. What a payload sees is no transponder, a distress signal is a person
 NEAREST: Final = 4  # vessels that are looked at

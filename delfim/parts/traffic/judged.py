@@ -7,11 +7,11 @@ from heapq import nsmallest
 from typing import Final
 
 from delfim.base.slices import Work
+from delfim.parts.traffic.cpa import passing_by
+from delfim.parts.traffic.encounter import Own
+from delfim.parts.traffic.keepclear import MOST, PASS, SLOWEST_MPS, SOFT, Choice, measured, plausible
+from delfim.parts.traffic.trialways import Caution, RouteAhead, route_legs, trial_legs
 from delfim.vehicle.target import Target
-from delfim.vehicle.traffic.cpa import passing_by
-from delfim.vehicle.traffic.encounter import Own
-from delfim.vehicle.traffic.keepclear import MOST, PASS, SLOWEST_MPS, SOFT, Choice, measured, plausible
-from delfim.vehicle.traffic.trialways import Caution, RouteAhead, route_legs, trial_legs
 
 ASKED: Final = 2 * PASS  # comparisons that one vessel costs
 
