@@ -236,7 +236,10 @@ NAMED = {  # with the reason; a row that goes does not come back
     "config.py: sysstat",  # the nodes that it requires are those of other tables
     "services/vehicle.py: nmea0183.out.",  # the name of their reports, which tools read
     "services/suite.py: dronecan.interface",  # its own service's row
-    "vehicle/snapshot.py: sysstat",  # a name of the report, which pages and tools read
+    "config.py: handset",  # its device is one of the serial lines: it goes with its table
+    "vehicle/grex.py: guest",  # who tells of other vessels
+    "vehicle/loop.py: guest",
+    *(f"vehicle/snapshot.py: {name}" for name in ("sysstat", "handset", "guest")),  # of the report, which pages and tools read
 }
 
 
@@ -295,7 +298,7 @@ def test_the_vehicles_state_is_changed_by_the_loop_alone() -> None:
         "navigation/fixes",
         "navigation/estimated",
         "sensors/*",
-        "handset/*",
+        "../parts/handset/*",
         "../parts/*/driver",
         "../parts/*/sensor",
         "../parts/traffic/lookout",

@@ -3,10 +3,13 @@
 from typing import Final
 
 _FILES: Final = (
-    *("gate", "failsafe", "plans/fence", "propulsion", "control/control", "kills", "killswitch"),
+    *("gate", "failsafe", "plans/fence", "propulsion", "control/control", "kills"),
     *("plans/zones", "troubles", "checks", "helm"),
 )
-_HANDS: Final = "hands", "handset/__init__", "handset/channels", "handset/crsf", "handset/sbus"
+_HANDS: Final = (
+    *("parts/handset/operator", "parts/handset/killswitch"),
+    *("lines/radiocontrol/channels", "lines/radiocontrol/crsf", "lines/radiocontrol/sbus"),
+)
 _TRAFFIC: Final = (
     *("alarm", "beside", "cpa", "encounter", "judged", "keepclear", "leash", "reckoning", "routeahead", "shoreline", "targets"),
     *("trialways", "troubles", "watchkeeper"),
@@ -16,7 +19,8 @@ _SERVICES: Final = (
     *("access/door", "access/doors"),
 )
 CORE: Final = (
-    *map("delfim/vehicle/{}.py".format, (*_FILES, *_HANDS)),
+    *map("delfim/vehicle/{}.py".format, _FILES),
+    *map("delfim/{}.py".format, _HANDS),
     *map("delfim/parts/traffic/{}.py".format, _TRAFFIC),
     *map("delfim/services/{}.py".format, _SERVICES),
     *("delfim/parts/mavlink/signing.py", "delfim/parts/pwm/outlet.py"),

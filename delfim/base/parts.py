@@ -137,6 +137,8 @@ OWN: Final = {  # in the order in which sources are listed
             instruments=True,
             ports=True,
         ),
+        Part("mavlink", vessels=True),
+        Part("guest", vessels=True, keys=("nmea0183.guest.device",), aboard="delfim.parts.guest.pilotline:opened"),
         Part(
             "traffic",
             keys=("traffic.hears", "traffic.mmsi", "payload"),
@@ -148,8 +150,7 @@ OWN: Final = {  # in the order in which sources are listed
                 TroubleRow("traffic_unclear", 21, OF_FILE, "delfim.parts.traffic.troubles:unclear"),
             ),
         ),
-        Part("mavlink", vessels=True),
-        Part("guest", vessels=True),
+        Part("handset", keys=("handset.device", "kill.chip"), aboard="delfim.parts.handset.aboard:opened"),
         Part(
             "mavlink_front_seat",
             "delfim.parts.frontseats.table:MavlinkFrontSeat",

@@ -35,13 +35,12 @@ from delfim.services.image import slots
 from delfim.services.runtime import Runtime
 from delfim.services.telling import tellers
 from delfim.services.voyagekeeping import VoyageKeeping
+from delfim.vehicle.aboard import Hand
 from delfim.vehicle.build import build
 from delfim.vehicle.command import CommandServer
 from delfim.vehicle.console import Commands, ShutDown
 from delfim.vehicle.entrusting import payload_of
-from delfim.vehicle.foreign import in_real_time
 from delfim.vehicle.grex import Guest
-from delfim.vehicle.hands import Hand
 from delfim.vehicle.links import Links, Readable, ReadableLine
 from delfim.vehicle.logbook import Logbook
 from delfim.vehicle.loop import LOCAL, VehicleLoop
@@ -146,7 +145,10 @@ async def _sail(runtime: Runtime, last: contextlib.AsyncExitStack) -> None:
         broken = _breakable(runtime, links)
         record_to, make_guest = (broken.log(log), broken.guest) if broken else (log, Guest)
 
-        in_real_time()
+        if settings.aboard:
+            from delfim.vehicle.foreign import in_real_time  # other boats do without
+
+            in_real_time()
         opened = OpenedLinks(runtime, links)
         boat, inputs, hands, outlets = build(
             settings, clock, state, Links(opened.bus, opened.line, opened.gpio), record_to, make_guest

@@ -6,10 +6,10 @@ import msgspec
 
 from delfim import config
 from delfim.base import tables
+from delfim.lines.radiocontrol.channels import CHANNELS, MIDDLE, STEP_US
+from delfim.lines.radiocontrol.crsf import CHANNELS as CHANNELS_FRAME
+from delfim.lines.radiocontrol.crsf import LINK, checksum
 from delfim.simulator.line import LockstepLine
-from delfim.vehicle.handset.channels import CHANNELS, MIDDLE, STEP_US
-from delfim.vehicle.handset.crsf import CHANNELS as CHANNELS_FRAME
-from delfim.vehicle.handset.crsf import LINK, checksum
 
 FRAMES = 4  # of channels, at once: a cycle has several of them
 ON_US, OFF_US = 2000.0, 1000.0

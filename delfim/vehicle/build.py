@@ -6,24 +6,17 @@ from typing import NamedTuple, Protocol, cast
 
 from delfim import config
 from delfim.base.clock import Clock
-from delfim.base.parts import OWN, Part, find, load
+from delfim.base.parts import OWN, Part, load
 from delfim.canproxy.socket import CanAddress, CanSocket
 from delfim.lines.serialform import Form
-from delfim.vehicle import sensors
-from delfim.vehicle.aboard import Added, OpenedWith
-from delfim.vehicle.actuators import Actuator, open_actuator
+from delfim.vehicle.aboard import Added, Hand, OpenedWith
+from delfim.vehicle.actuators import open_actuator
 from delfim.vehicle.control.control import MODES
-from delfim.vehicle.foreign import GuardedActuator, GuardedSensor, GuardedSource, orders, programs
-from delfim.vehicle.foreign import triggers as of_laboratory
 from delfim.vehicle.grex import Guest
-from delfim.vehicle.hands import Hand
-from delfim.vehicle.handset import open_handset
-from delfim.vehicle.killswitch import KillSwitch
 from delfim.vehicle.links import Links, LoopInput, ReadableLine
 from delfim.vehicle.loop import VehicleLoop
 from delfim.vehicle.navigation.estimated import between
 from delfim.vehicle.navigation.fixes import open_sources
-from delfim.vehicle.pilotline import open_pilot_line
 from delfim.vehicle.propulsion import Propulsion
 from delfim.vehicle.sensors import open_sensors
 from delfim.vehicle.sharedline import SecondEnd
@@ -58,16 +51,19 @@ def build(
     make_guest: Callable[[State, Clock], Guest] = Guest,
 ) -> Built:
     """The vehicle of this file. Its sources are `vehicle.sources`. Raises DelfimError where an input cannot be opened."""
-    sources = tuple(
-        GuardedSource(each, each.name, state) if find(settings.aboard, each.name) else each
-        for each in open_sources(settings, links, state)
-    )
+    sources = open_sources(settings, links, state)
+    if settings.aboard:
+        from delfim.vehicle import foreign  # other boats do without
+
+        MODES.update(foreign.programs(settings))
+        sources = foreign.sources(settings, sources, state)
     opened = list[object](sources)
     board = next((cast(SharingSource, each) for each in sources if hasattr(each, "share")), None)
     if settings.navigation.estimator:
         sources = between(sources, settings, state)
-    hands = _hands(settings, links)
-    readings = _sensors(settings, links, state)
+    readings: tuple[LoopInput, ...] = open_sensors(settings, links)
+    if settings.aboard:
+        readings = foreign.sensors(settings, readings, state)
     outlets = list[CanSocket]()
 
     def outlet(interface: str, filters: tuple[CanAddress, ...]) -> CanSocket:
@@ -78,19 +74,21 @@ def build(
         return board.share() if board is not None and board.device == device else links.line(device, baud, form)
 
     to_actuators = links._replace(bus=outlet, line=line)
-    actuators = tuple(_actuator(name, settings, to_actuators, state) for name in settings.drivers)
+    actuators = tuple(open_actuator(name, settings, to_actuators) for name in settings.drivers)
+    if settings.aboard:
+        actuators = foreign.actuators(settings, actuators, state)
     propulsion = Propulsion(actuators, links.bus(settings.can.interface, ()), settings.thrusters, state)
-    MODES.update(programs(settings))
-    aboard = tuple(opened_part(part, OpenedWith(settings, clock, state, links, log)) for part in fitted(settings))
-    guest, watches = make_guest(state, clock), tuple(each.watch for each in aboard)
+    guest = make_guest(state, clock)
+    aboard = tuple(opened_part(part, OpenedWith(settings, clock, state, links, log, guest)) for part in fitted(settings))
+    watches = tuple(each.watch for each in aboard if each.watch is not None)
     vehicle = VehicleLoop(settings, clock, state, sources, propulsion, guest, log, watches, triggers(settings))
-    vehicle.helm.orders = orders(settings, state, [*opened, *readings, *actuators])
+    if settings.aboard:
+        vehicle.helm.orders.update(foreign.orders(settings, state, [*opened, *readings, *actuators]))
     told = [each for actuator in actuators for each in actuator.inputs]
     reports = [each for each in told if not isinstance(each.input, SecondEnd)]
     if board is not None:
         board.hand_on_to(tuple(each for each in told if isinstance(each.input, SecondEnd)))
-    if settings.nmea0183.guest.device:
-        reports.append(open_pilot_line(settings, links, vehicle.guest))
+    hands = tuple(each for part in aboard for each in part.hands)
     reports += [each for part in aboard for each in part.inputs]
     return Built(vehicle, (*readings, *hands, *reports), hands, tuple(outlets))
 
@@ -109,32 +107,8 @@ def opened_part(part: Part, boat: OpenedWith) -> Added:
 def triggers(settings: config.Vehicle) -> tuple[PartTrigger, ...]:
     """The troubles of the parts, the boat's own and a laboratory's. Raises PermanentFailure where one cannot be imported."""
     own = [PartTrigger(row, load(part, row.sees)) for part in fitted(settings) for row in part.troubles]
-    return (*own, *of_laboratory(settings))
+    if settings.aboard:
+        from delfim.vehicle import foreign
 
-
-def _sensors(settings: config.Vehicle, links: Links, state: State) -> tuple[LoopInput, ...]:
-    opened = zip(settings.sensors.names, open_sensors(settings, links), strict=True)
-    parts = {part.name for part in settings.aboard}
-    return tuple(
-        GuardedSensor(each, name, state, tuple(value.name for value in sensors.module(name, settings).VALUES))
-        if name in parts
-        else each
-        for name, each in opened
-    )
-
-
-def _actuator(name: str, settings: config.Vehicle, links: Links, state: State) -> Actuator:
-    opened = open_actuator(name, settings, links)
-    if find(settings.aboard, name) is None:
-        return opened
-    return GuardedActuator(opened, sum(row.driver == name for row in settings.thrusters), state)
-
-
-def _hands(settings: config.Vehicle, links: Links) -> tuple[Hand, ...]:
-    """The operators aboard. Raises DelfimError."""
-    hands, kill = list[Hand](), settings.kill
-    if settings.handset.device:
-        hands.append(open_handset(settings.handset, links))
-    if kill.chip and links.gpio:
-        hands.append(KillSwitch(kill, links.gpio(kill.chip, kill.line, kill.bias)))
-    return tuple(hands)
+        own += foreign.triggers(settings)
+    return tuple(own)

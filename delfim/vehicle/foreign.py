@@ -19,7 +19,7 @@ import msgspec
 from delfim import config
 from delfim.base.errors import ConfigError, FormatError, Refused, in_words, one_line
 from delfim.base.modes import Mode
-from delfim.base.parts import ModeRow, OrderRow, Part, load
+from delfim.base.parts import ModeRow, OrderRow, Part, find, load
 from delfim.base.tables import Table, decode
 from delfim.canproxy.dsor.messages import Navigation
 from delfim.vehicle import console
@@ -204,6 +204,30 @@ class GuardedActuator(_Guarded):
 
     def report(self) -> dict[str, object]:
         return self._call({}, "report", self._actuator.report)
+
+
+def sources(settings: config.Vehicle, opened: tuple[Source, ...], state: State) -> tuple[Source, ...]:
+    """The sources of navigation, those of parts guarded."""
+    return tuple(GuardedSource(each, each.name, state) if find(settings.aboard, each.name) else each for each in opened)
+
+
+def sensors(settings: config.Vehicle, opened: tuple[LoopInput, ...], state: State) -> tuple[LoopInput, ...]:
+    """The sensors in the order of their names, those of parts guarded."""
+    found = list[LoopInput]()
+    for name, each in zip(settings.sensors.names, opened, strict=True):
+        part = find(settings.aboard, name)
+        values = () if part is None else tuple(value.name for value in load(part, part.sensor).VALUES)
+        found.append(each if part is None else GuardedSensor(each, name, state, values))
+    return tuple(found)
+
+
+def actuators(settings: config.Vehicle, opened: tuple[Actuator, ...], state: State) -> tuple[Actuator, ...]:
+    """The drivers in the order of their names, those of parts guarded."""
+    rows = [row.driver for row in settings.thrusters]
+    return tuple(
+        GuardedActuator(each, rows.count(name), state) if find(settings.aboard, name) else each
+        for name, each in zip(settings.drivers, opened, strict=True)
+    )
 
 
 class OrderAsked(NamedTuple):

@@ -2,13 +2,14 @@
 
 import math
 from collections.abc import Callable
-from typing import Any, Final
+from typing import Any, Final, Protocol
 
 from delfim import config
 from delfim.base import geodesy
 from delfim.base.clock import Clock
 from delfim.base.errors import ConfigError, Refused, did_you_mean
 from delfim.base.modes import Mode, mode_named
+from delfim.base.parts import OrderRow
 from delfim.base.slices import Sliced
 from delfim.vehicle import console, detour, failsafe, kills, setpoints
 from delfim.vehicle.alone import Alone
@@ -19,7 +20,6 @@ from delfim.vehicle.control.control import control as step
 from delfim.vehicle.control.control import enter as begin
 from delfim.vehicle.control.hull import filled
 from delfim.vehicle.failsafe import Action
-from delfim.vehicle.foreign import GuardedOrder
 from delfim.vehicle.planning import Plans
 from delfim.vehicle.plans import fence
 from delfim.vehicle.plans.track import Track, back
@@ -32,6 +32,14 @@ from delfim.vehicle.troubles import Inputs, PartTrigger, unstopped
 
 PUSHED_S = 1.0  # manual commands at shorter intervals are one push of the joystick
 Shape = Callable[[Mode, Memory, Stepped, Settings, float], Stepped]  # of a step of the mode, with the memory before it
+
+
+class CarriesOut(Protocol):
+    """An order of a part: it answers with the order of the console that it stands for, if it is one, or raises Refused."""
+
+    row: OrderRow
+
+    def carry_out(self, values: console.Values, settings: config.Vehicle, now_s: float) -> console.Meant | None: ...
 
 
 class Helm:
@@ -57,7 +65,7 @@ class Helm:
         self.changed = dict[str, float | str]()  # keys of the vehicle's file that consoles set
         self.taken = False  # the failsafe changed the mode; a joystick held over does not change it back
         self.paused: Paused | None = None
-        self.orders = dict[str, GuardedOrder]()  # of parts, by name
+        self.orders = dict[str, CarriesOut]()  # of parts, by name
         self.alone = Alone(settings.thrusters, state, propulsion, log)
         self._announcing = Announcing(state, log)
         self._seeking: Sliced[tuple[Point, float]] | None = None  # the search for a better place to hold

@@ -4,8 +4,8 @@ import pytest
 
 from delfim import config
 from delfim.base.modes import Mode
+from delfim.parts.handset.operator import Debounced, Handset, fraction, open_handset
 from delfim.vehicle import console
-from delfim.vehicle.handset import Debounced, Handset, fraction, open_handset
 from delfim.vehicle.links import Links
 from delfim.vehicle.loop import HELD_BY_HAND
 from delfim.vehicle.state import HANDSET, Killed, Line, Plan, StartConditions, State, Waypoint

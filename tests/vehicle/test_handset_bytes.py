@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from delfim.vehicle.handset.crsf import Crsf
-from delfim.vehicle.handset.sbus import Sbus
+from delfim.lines.radiocontrol.crsf import Crsf
+from delfim.lines.radiocontrol.sbus import Sbus
 from tests.vehicle import receivers
 
 ALL_MIDDLE = (1500.0,) * 16

@@ -4,8 +4,8 @@ import pytest
 
 from delfim import config
 from delfim.base.modes import Mode
+from delfim.parts.handset.killswitch import KillSwitch
 from delfim.vehicle import console
-from delfim.vehicle.killswitch import KillSwitch
 from tests.test_gpio import Pin
 
 SETTINGS = config.KillTable(chip="/dev/gpiochip0", line="KILL")

@@ -2,7 +2,7 @@
 
 import contextlib
 import logging
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import nullcontext
 
 from delfim import config
@@ -17,17 +17,25 @@ from delfim.lines.serialform import Form
 from delfim.lines.serialline import SerialLine
 from delfim.vehicle import actuators
 from delfim.vehicle.actuators import Actuator
-from delfim.vehicle.foreign import breaking_off
 from delfim.vehicle.links import Links
 
 log = logging.getLogger(__name__)
+
+
+def _limit(settings: config.Vehicle) -> Callable[[], contextlib.AbstractContextManager[object]]:
+    """What breaks off the call of a laboratory's driver, loaded before it is needed."""
+    if not settings.aboard:
+        return nullcontext
+    from delfim.vehicle.foreign import breaking_off
+
+    return breaking_off
 
 
 class PropellerStop:
     """When called, stops all actuators. A link that failed is opened anew the next time."""
 
     def __init__(self, settings: config.Vehicle) -> None:
-        self._settings, self._names = settings, settings.drivers
+        self._settings, self._names, self._limit = settings, settings.drivers, _limit(settings)
         for name in self._names:
             try:
                 actuators.module(name, settings)
@@ -40,7 +48,7 @@ class PropellerStop:
         """Raises DelfimError if one of them could not be told; the others were told."""
         refused = list[str]()
         for name in self._names:
-            limit = nullcontext() if find(self._settings.aboard, name) is None else breaking_off()
+            limit = nullcontext() if find(self._settings.aboard, name) is None else self._limit()
             try:
                 with limit:
                     if name not in self._opened:

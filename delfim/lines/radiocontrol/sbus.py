@@ -7,7 +7,7 @@ When the radio is lost most receivers go on sending the last or preset positions
 
 from typing import Final
 
-from delfim.vehicle.handset.channels import PACKED, Pulses, unpack
+from delfim.lines.radiocontrol.channels import PACKED, Pulses, unpack
 
 BAUD: Final = 100_000
 LENGTH: Final = 25

@@ -6,7 +6,7 @@ A frame is an address, a length of 2 to 62, a type, the payload, and a checksum 
 
 from typing import Final
 
-from delfim.vehicle.handset.channels import PACKED, Pulses, unpack
+from delfim.lines.radiocontrol.channels import PACKED, Pulses, unpack
 
 BAUD: Final = 420_000
 ADDRESSES: Final = frozenset((0xC8, 0x00, 0xEA, 0xEC, 0xEE))  # flight controller; others that receivers use

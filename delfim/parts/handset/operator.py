@@ -10,10 +10,10 @@ from typing import Final
 
 from delfim import config
 from delfim.base.modes import Mode
+from delfim.lines.radiocontrol import crsf, sbus
+from delfim.lines.radiocontrol.channels import Decoder, Pulses
+from delfim.parts.handset.killswitch import change
 from delfim.vehicle import console
-from delfim.vehicle.hands import change
-from delfim.vehicle.handset import crsf, sbus
-from delfim.vehicle.handset.channels import Decoder, Pulses
 from delfim.vehicle.links import Links, Readable, ReadableLine
 from delfim.vehicle.state import HANDSET, HandsetReport, State
 

@@ -15,10 +15,11 @@ from delfim.base.errors import FormatError
 from delfim.base.modes import Mode
 from delfim.lines.nmea0183.proprietary import FieldReader
 from delfim.lines.nmea0183.tracklines import TrackLine, track_line
+from delfim.vehicle.aboard import Added, OpenedWith
 from delfim.vehicle.control.guidance import course_to_steer
 from delfim.vehicle.control.memory import LineOfSight
 from delfim.vehicle.grex import Guest, HeadingReference
-from delfim.vehicle.links import Links, Readable, ReadableLine
+from delfim.vehicle.links import Readable, ReadableLine
 from delfim.vehicle.state import State
 
 HELD_S: Final = 3.0  # the direction of APB stands so long for XTE, and for so long RMB adds nothing
@@ -87,7 +88,8 @@ class PilotLine:
         return HeadingReference(math.degrees(heading_rad) % 360.0, speed_mps)
 
 
-def open_pilot_line(settings: config.Vehicle, links: Links, guest: Guest) -> PilotLine:
+def opened(boat: OpenedWith) -> Added:
     """Raises DelfimError."""
-    table = settings.nmea0183.guest
-    return PilotLine(settings, links.line(table.device, table.baud), guest)
+    table = boat.settings.nmea0183.guest
+    line = boat.links.line(table.device, table.baud)
+    return Added(inputs=(PilotLine(boat.settings, line, boat.guest),))

@@ -6,11 +6,16 @@ from typing import Final
 from delfim import config
 from delfim.lines.gpio import GpioLine
 from delfim.vehicle import console
-from delfim.vehicle.hands import change
 from delfim.vehicle.links import Readable
 from delfim.vehicle.state import State
 
 NAME: Final = "kill switch"
+
+
+def change(name: str, reason: str, state: State) -> Iterator[console.Kill]:
+    """The order of a switch that says kill for this reason, or does not (empty), if that is new."""
+    if bool(reason) != (name in state.killed.held):
+        yield console.Kill(name, reason, "on") if reason else console.Kill(name, switch="off")
 
 
 class KillSwitch:

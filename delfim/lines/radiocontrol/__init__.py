@@ -1,0 +1,1 @@
+"""Radio controls on serial lines: the channels of SBUS and CRSF."""

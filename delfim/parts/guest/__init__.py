@@ -1,0 +1,1 @@
+"""Guests by other protocols than that of the vehicle (docs/guest.md)."""
