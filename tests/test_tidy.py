@@ -290,6 +290,7 @@ def test_the_vehicles_state_is_changed_by_the_loop_alone() -> None:
     called = (
         "loop",
         "helm",
+        "orders",
         "alone",
         "entrusting",
         "failing",
@@ -297,7 +298,7 @@ def test_the_vehicles_state_is_changed_by_the_loop_alone() -> None:
         "returning",
         "navigation/fixes",
         "navigation/estimated",
-        "sensors/*",
+        "../parts/dsor/sysstat",
         "../parts/handset/*",
         "../parts/*/driver",
         "../parts/*/sensor",

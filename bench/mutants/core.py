@@ -4,7 +4,7 @@ from typing import Final
 
 _FILES: Final = (
     *("gate", "failsafe", "plans/fence", "propulsion", "control/control", "kills"),
-    *("plans/zones", "troubles", "checks", "helm"),
+    *("plans/zones", "troubles", "checks", "helm", "orders"),
 )
 _HANDS: Final = (
     *("parts/handset/operator", "parts/handset/killswitch"),

@@ -98,7 +98,7 @@ OWN_NODES: Final = "dsor"  # the part of the boat's own nodes: their source and 
 OWN: Final = {  # in the order in which sources are listed
     row.name: row
     for row in (
-        Part("sysstat", sensor="delfim.vehicle.sensors.sysstat"),
+        Part("sysstat", sensor="delfim.parts.dsor.sysstat"),
         Part(
             OWN_NODES,
             "delfim.parts.dsor.table:Dsor",

@@ -40,7 +40,7 @@ from delfim.services.page.api import State
 from delfim.services.runtime import Runtime
 from delfim.services.supervision import shutdown
 from delfim.services.watching import watch
-from delfim.vehicle.sensors.sysstat import NAMES
+from delfim.vehicle.nodehealth import NAMES
 from delfim.vehicle.troubles import DEAD_V
 
 LOOK_S: Final = 0.25  # between two looks at button and batteries

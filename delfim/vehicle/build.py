@@ -81,6 +81,7 @@ def build(
     guest = make_guest(state, clock)
     aboard = tuple(opened_part(part, OpenedWith(settings, clock, state, links, log, guest)) for part in fitted(settings))
     watches = tuple(each.watch for each in aboard if each.watch is not None)
+    MODES.load()
     vehicle = VehicleLoop(settings, clock, state, sources, propulsion, guest, log, watches, triggers(settings))
     if settings.aboard:
         vehicle.helm.orders.update(foreign.orders(settings, state, [*opened, *readings, *actuators]))

@@ -7,11 +7,10 @@ from typing import NamedTuple
 
 from delfim import config
 from delfim.base.modes import Mode
-from delfim.vehicle import inputhealth
+from delfim.vehicle import inputhealth, nodehealth
 from delfim.vehicle.failsafe import Action, Rules
 from delfim.vehicle.navigation import gnss
 from delfim.vehicle.plans.fence import outside
-from delfim.vehicle.sensors import sysstat
 from delfim.vehicle.state import HANDSET, State
 from delfim.vehicle.troubles import Inputs, Trigger, charge, handset_missed, low, outlet_missed, unheard, voltage
 
@@ -38,7 +37,7 @@ ADVISORY = frozenset({"clock", "mission", "link", "last shutdown", "image"})  # 
 def checks(rules: Rules, state: State, inputs: Inputs, now_s: float, time_ns: int) -> list[Check]:
     """All lines, in the order in which they matter. `time_ns`: the computer's clock, since 1970."""
     age_s = now_s - state.navigation_s
-    bad = sysstat.wrong(state, rules.settings.sysstat, now_s) or unheard(rules.settings.sensors, state, now_s)
+    bad = nodehealth.wrong(state, rules.settings.sysstat, now_s) or unheard(rules.settings.sensors, state, now_s)
     critical = low(rules.settings, rules.table.battery_critical, state, now_s, was_low=False)
     plan = state.setpoint.plan
     missed = handset_missed(rules.settings.handset, state.handset, now_s)

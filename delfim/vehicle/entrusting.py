@@ -12,7 +12,7 @@ import msgspec
 from delfim import config
 from delfim.base.errors import DelfimError, Refused
 from delfim.base.modes import Mode
-from delfim.vehicle import console, grex
+from delfim.vehicle import console, grex, orders
 from delfim.vehicle.helm import Helm
 from delfim.vehicle.plans.underway import SAILS
 from delfim.vehicle.state import State
@@ -79,7 +79,7 @@ def order(helm: Helm, name: str, command: console.Commands, now_s: float) -> str
         return f"continue refused: {helm.paused.mode.name.lower()} was interrupted, which is no mission"
     if not isinstance(command, console.Alive):
         try:
-            helm.obey(command, now_s)
+            orders.obey(helm, command, now_s)
         except DelfimError as refusal:
             return str(refusal)
         helm.steer(now_s)
@@ -96,7 +96,7 @@ def obey(helm: Helm, command: console.Commands, now_s: float) -> None:
     if isinstance(command, console.Entrust):
         entrust(helm, command.name, now_s)
     else:
-        helm.obey(command, now_s)
+        orders.obey(helm, command, now_s)
 
 
 def entrust(helm: Helm, name: str, now_s: float) -> None:

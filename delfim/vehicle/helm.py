@@ -2,20 +2,20 @@
 
 import math
 from collections.abc import Callable
-from typing import Any, Final, Protocol
+from typing import Protocol
 
 from delfim import config
 from delfim.base import geodesy
 from delfim.base.clock import Clock
-from delfim.base.errors import ConfigError, Refused, did_you_mean
-from delfim.base.modes import Mode, mode_named
+from delfim.base.errors import Refused
+from delfim.base.modes import Mode
 from delfim.base.parts import OrderRow
 from delfim.base.slices import Sliced
-from delfim.vehicle import console, detour, failsafe, kills, setpoints
+from delfim.vehicle import console, detour, failsafe, setpoints
 from delfim.vehicle.alone import Alone
 from delfim.vehicle.announcing import Announcing
 from delfim.vehicle.checks import Check, checks, refusal
-from delfim.vehicle.control.control import MODES, Memory, Settings, Stepped, admit, first, lacking, settings_of
+from delfim.vehicle.control.control import Memory, Settings, Stepped, admit, lacking, settings_of
 from delfim.vehicle.control.control import control as step
 from delfim.vehicle.control.control import enter as begin
 from delfim.vehicle.control.hull import filled
@@ -23,14 +23,13 @@ from delfim.vehicle.failsafe import Action
 from delfim.vehicle.planning import Plans
 from delfim.vehicle.plans import fence
 from delfim.vehicle.plans.track import Track, back
-from delfim.vehicle.plans.underway import SAILS, Paused, UnderWay, under_way
+from delfim.vehicle.plans.underway import Paused, UnderWay, under_way
 from delfim.vehicle.plans.zones import Point
 from delfim.vehicle.propulsion import Propulsion
 from delfim.vehicle.safe import STOP
 from delfim.vehicle.state import Reference, Setpoint, State, StateLog, Wanted
-from delfim.vehicle.troubles import Inputs, PartTrigger, unstopped
+from delfim.vehicle.troubles import Inputs, PartTrigger
 
-PUSHED_S = 1.0  # manual commands at shorter intervals are one push of the joystick
 Shape = Callable[[Mode, Memory, Stepped, Settings, float], Stepped]  # of a step of the mode, with the memory before it
 
 
@@ -56,11 +55,11 @@ class Helm:
     ) -> None:
         """`troubles`: of the parts aboard."""
         self.settings, self.state = filled(settings), state
-        self._clock, self._propulsion, self._log, self.note = clock, propulsion, log, log.note
+        self._clock, self.propulsion, self._log, self.note = clock, propulsion, log, log.note
         self.limits, self.shapes = settings_of(settings), dict[str, Shape]()  # by who changes the steps of the mode now
         self.memory = begin(Mode.IDLE, state.motion, state.setpoint, self.limits)
         self.track = Track(settings.control.home)
-        self.plans = Plans(settings.fence, self.limits, state, self.track, log, self._under_way)
+        self.plans = Plans(settings.fence, self.limits, state, self.track, log, self.under_way)
         self.rules, self.troubles = failsafe.Rules(settings, troubles), failsafe.NO_TROUBLE
         self.changed = dict[str, float | str]()  # keys of the vehicle's file that consoles set
         self.taken = False  # the failsafe changed the mode; a joystick held over does not change it back
@@ -69,23 +68,23 @@ class Helm:
         self.alone = Alone(settings.thrusters, state, propulsion, log)
         self._announcing = Announcing(state, log)
         self._seeking: Sliced[tuple[Point, float]] | None = None  # the search for a better place to hold
-        self._detour: detour.Detour | None = None  # and for a way round zones
+        self.detour: detour.Detour | None = None  # and for a way round zones
         self._retreat: tuple[Point, ...] = ()  # the driven track, up to where the boat went back to; empty: it did not
         self._controlled_s = clock.monotonic_s()
 
     def stop(self, reason: str) -> None:
         """Idle and propellers off, now. The reason is shown and logged; a kill remains the reason until it is cleared."""
         self.enter(Mode.IDLE, f"kill: {killed}" if (killed := self.state.killed.reason) else reason)
-        self.state.actuation = self._propulsion.send(STOP, self._clock.monotonic_s())
+        self.state.actuation = self.propulsion.send(STOP, self._clock.monotonic_s())
 
     def steer(self, now_s: float) -> None:
         """One step of the mode; its command goes to the propellers."""
-        self.state.actuation = self._propulsion.send(self.control(now_s), now_s)
+        self.state.actuation = self.propulsion.send(self.control(now_s), now_s)
 
     def control(self, now_s: float) -> Wanted:
         state = self.state
         dt_s, self._controlled_s = min(now_s - self._controlled_s, 1.0), now_s
-        if (short := self._propulsion.short) is not None:
+        if (short := self.propulsion.short) is not None:
             self.memory = lacking(self.memory, short)
         stepped = step(state.mode, self.memory, state.motion, state.setpoint, self.limits, dt_s)
         for shape in self.shapes.values():
@@ -114,7 +113,7 @@ class Helm:
         if words := state.relieve(f"failsafe: {reason}"):
             self.note(words)
         if action >= Action.STOP:
-            self._propulsion.disconnect(state.overdue)
+            self.propulsion.disconnect(state.overdue)
         if action is Action.DISCONNECT:
             return
         setpoint = state.setpoint._replace(track=self.track.way_home())
@@ -149,20 +148,20 @@ class Helm:
         state, silent_s = self.state, now_s - self.state.manual_s
         held = state.mode is Mode.MANUAL and (state.setpoint.starboard or state.setpoint.port)
         if held and silent_s > self.settings.failsafe.manual_silent.thrust_s:
-            self._release(f"no thrust: no manual command for {silent_s:.1f} s", now_s)
+            self.release(f"no thrust: no manual command for {silent_s:.1f} s", now_s)
 
-    def _release(self, reason: str, now_s: float) -> None:
+    def release(self, reason: str, now_s: float) -> None:
         """No thrust by hand from now on."""
         state, self.taken = self.state, True
         state.setpoint, state.reason = state.setpoint._replace(starboard=0.0, port=0.0), reason
         self._log.note(reason)
-        state.actuation = self._propulsion.send(STOP, now_s)  # at once; from the next cycle on, none
+        state.actuation = self.propulsion.send(STOP, now_s)  # at once; from the next cycle on, none
 
     def go_on(self) -> None:
         """A slice of long work."""
         self.plans.go_on()
         self._seek()
-        if self._detour is not None and (found := self._detour.step()) is not None:
+        if self.detour is not None and (found := self.detour.step()) is not None:
             self.state.setpoint, reason = found
             self.enter(Mode.GOTO, reason)
         self.state.announced = self._announcing.news(self.plans.mission)
@@ -201,7 +200,7 @@ class Helm:
             state.relieve(reason)
         self._remember(mode)
         self.memory, self._seeking, self._retreat = begin(mode, state.motion, state.setpoint, self.limits), None, ()
-        self._detour = None
+        self.detour = None
         if resumed is not None:
             self.memory = resumed._replace(integrals=self.memory.integrals)
         if mode is Mode.HOLD or (mode is Mode.GOTO and state.setpoint.target is None):
@@ -242,7 +241,7 @@ class Helm:
             if reason is None and mode is Mode.GREX and now_s - state.guest_s > self.settings.failsafe.guest_silent.after_s:
                 reason = "no set point from the guest"
             memory = begin(mode, state.motion, setpoint, self.limits) if resumed is None else resumed
-            to = None if reason else first(mode, memory, setpoint)
+            to = None if reason else setpoints.first(mode, memory, setpoint)
             reason = reason or setpoints.too_far(to, state.motion) or self.plans.barred(mode, memory.leg)
             if reason is None and self.plans.fence is not None:
                 reason = fence.crossing(self.plans.fence, state.motion, to)
@@ -254,187 +253,5 @@ class Helm:
             self.troubles, self.taken = failsafe.overruled(self.troubles), False
         self.enter(mode, restarted or (who if resumed is None else f"{who} continues"), resumed)
 
-    def obey(self, command: console.Commands, now_s: float) -> None:
-        """Raises DelfimError with the reason why not."""
-        _OBEYED[type(command)](self, command, now_s)
-
-    def _halt(self, command: console.Stop | console.ShutDown, now_s: float) -> None:
-        """The vehicle does nothing else for a shutdown."""
-        self.taken = False
-        self.stop("operator")
-
-    def _kill(self, command: console.Kill, now_s: float) -> None:
-        self.state.killed = after = kills.killed(self.state.killed, command)
-        if after.reason:
-            self.taken = False
-            self.stop("")
-
-    def _clear(self, command: console.Clear, now_s: float) -> None:
-        self.state.killed = kills.cleared(self.state.killed)
-        self.stop("operator cleared the kill")
-
-    def _leave(self, command: console.Leave, now_s: float) -> None:
-        if not command.lost:
-            self.stop(f"operator gave the boat back: {self.state.operator or 'nobody'}")
-        elif self.state.mode is Mode.MANUAL:
-            self._release(f"no thrust: {command.lost}", now_s)
-
-    def _change_mode(self, command: console.SetMode, now_s: float) -> None:
-        wanted, setpoint = mode_named(command.mode), self.state.setpoint
-        if wanted is Mode.MANUAL:  # without thrust until a command comes
-            self.state.manual_s, setpoint = now_s, setpoint._replace(starboard=0.0, port=0.0)
-        elif wanted in (Mode.HEADING, Mode.COURSE):
-            setpoint = setpoints.onwards(wanted, self.state, self.settings.control.speed)
-        elif wanted is Mode.GOTO:  # waits for a point
-            setpoint = setpoint._replace(target=None, via=())
-        elif command.piece is None and (way := self._under_way()) is not None and way.is_paused and way.mode is wanted:
-            self._continue(None, now_s)
-            return
-        elif wanted is Mode.PATH:
-            setpoint = setpoint._replace(piece=command.piece or 0)
-        self.request(wanted, setpoint, now_s)
-
-    def _head(self, command: console.Heading | console.Course, now_s: float) -> None:
-        self.request(*setpoints.headed(command, self.state, self.settings.control.speed), now_s)
-
-    def _set_speed(self, command: console.SetSpeed, now_s: float) -> None:
-        asked_mps, speeds = command.speed_mps, self.settings.control.speed
-        if command.speed_pct is not None:
-            asked_mps = command.speed_pct / 100.0 * speeds.max_mps
-        speed_mps = setpoints.speed(asked_mps, speeds)
-        override_mps = None if asked_mps is None else speed_mps
-        self.state.setpoint = self.state.setpoint._replace(speed_mps=speed_mps, override_mps=override_mps)
-
-    def _go(self, command: console.Goto, now_s: float) -> None:
-        target = setpoints.target(command, self.state, self.settings.control)
-        self._go_to(self.state.setpoint._replace(target=target, end=command.end or self.settings.control.goto.end), now_s)
-
-    def _go_to(self, setpoint: Setpoint, now_s: float) -> None:
-        """Straight there, or, where zones are in the way, round them once a way is found: meanwhile goto waits."""
-        setpoint = setpoint._replace(via=())
-        found = detour.begun(self.plans.fence, self.state.motion, setpoint, self.state.orderer)
-        self.request(Mode.GOTO, setpoint._replace(target=None) if found else setpoint, now_s)
-        self._detour = found
-        if found is not None:
-            self._log.note(f"goto: {found.why}: a way round is looked for")
-
-    def _pause(self, command: console.Pause, now_s: float) -> None:
-        """Never refused under way: where the boat cannot hold, it stops."""
-        state = self.state
-        if state.mode is Mode.IDLE:
-            raise Refused("pause refused: the boat is idle")
-        if state.mode is Mode.HOLD:
-            return
-        leg = f" on leg {self.memory.leg + 1}" if state.mode is Mode.PLAY else ""
-        why = f"{state.orderer} paused {state.mode.name.lower()}{leg}"
-        mode, reason = failsafe.fallback(Action.HOLD, why, state.motion.has, state.setpoint)
-        if not state.helmsman:
-            self.troubles, self.taken = failsafe.overruled(self.troubles), False
-        self.enter(mode, reason)
-
-    def _continue(self, command: console.Continue | None, now_s: float) -> None:
-        paused, setpoint = self.paused, self.state.setpoint
-        if paused is None:
-            raise Refused("continue refused: nothing is paused")
-        mode, memory = paused.mode, paused.memory
-        if mode is Mode.GOTO and setpoint.via:
-            self._go_to(setpoint, now_s)
-            return
-        if mode in SAILS and (setpoint.plan is None or setpoint.plan.number != paused.number):
-            raise Refused("continue refused: the mission has changed since the pause; choose the mode again")
-        # The track grew, or another leg was chosen.
-        afresh = mode is Mode.HOME or (mode is Mode.PLAY and setpoint.leg != memory.leg)
-        self.request(mode, setpoint, now_s, None if afresh else memory)
-
-    def _under_way(self) -> UnderWay | None:
+    def under_way(self) -> UnderWay | None:
         return under_way(self.state.mode, self.memory.leg, self.paused, self.state.setpoint.plan)
-
-    def _load(self, command: console.Plan, now_s: float) -> None:
-        if isinstance(command, console.LoadMission) and command.more:
-            self.plans.gather(command)
-        else:
-            self.plans.accept(command)
-
-    def _reset(self, command: console.Reset, now_s: float) -> None:
-        if (turning := unstopped(self.settings, self.state, now_s)) or self.state.mode is not Mode.IDLE:
-            raise Refused(f"reset refused: {' and '.join(turning)} still turning" if turning else "reset refused: stop first")
-        self._propulsion.reset(command.node)
-
-    def _choose(self, command: console.Leg, now_s: float) -> None:
-        setpoint = self.state.setpoint._replace(leg=command.leg)
-        if (reason := MODES[Mode.PLAY].lacks(setpoint)) is not None:
-            raise Refused(f"leg refused: {reason}")
-        if self.state.mode is Mode.PLAY:
-            self.request(Mode.PLAY, setpoint, now_s)
-        self.state.setpoint = self.state.setpoint._replace(leg=command.leg)
-
-    def _push(self, command: console.Manual, now_s: float) -> None:
-        """Manual thrust. After the failsafe took it away, the operator first lets go: by silence, or by asking for none."""
-        state, starboard, port = self.state, command.starboard, command.port
-        pushed, state.manual_s = now_s - state.manual_s < PUSHED_S, now_s
-        if state.mode is Mode.MANUAL and not starboard and not port:
-            self.taken = False
-        if self.taken and (pushed or state.mode is Mode.MANUAL):
-            raise Refused(f"manual refused: {state.reason}; release the joystick for {PUSHED_S:g} s or choose a mode")
-        if state.mode is not Mode.MANUAL:
-            self.request(Mode.MANUAL, state.setpoint._replace(starboard=starboard, port=port), now_s)
-        state.setpoint = state.setpoint._replace(starboard=starboard, port=port)
-
-    def _arm(self, command: console.Arm, now_s: float) -> None:
-        if self.state.mode is Mode.IDLE and (reason := self.unfit()) is not None:
-            raise Refused(f"arm refused: {reason}")
-        self.state.armed = True
-
-    def _set(self, command: console.Set, now_s: float) -> None:
-        """A value of the tables that may change while the boat sails. Raises Refused with the allowed values."""
-        try:
-            self.settings = settings = config.changed(self.settings, command.key, command.value)
-        except ConfigError as error:
-            raise Refused(f"set refused: {error.key}: {error.reason}; {error.allowed}") from None
-        self.changed[command.key] = command.value
-        self.limits = self.plans.limits = settings_of(settings)
-        if command.key.startswith("failsafe."):
-            self.rules = failsafe.Rules(settings, self.rules.of_parts)
-        else:
-            self.rules.settings = settings
-
-    def _order(self, command: console.PartOrder, now_s: float) -> None:
-        """An order of a part; what that asks of the boat goes through the same door as the operator's own."""
-        if self.state.killed.reason:  # it may turn something that people are near
-            raise Refused(f"order refused: kill: {self.state.killed.reason}")
-        if (found := self.orders.get(command.name)) is None:
-            others = did_you_mean(command.name, self.orders) or f"; there are {', '.join(self.orders) or 'none'}"
-            raise Refused(f"order refused: there is no order {command.name!r}{others}")
-        if (meant := found.carry_out(command.values, self.settings, now_s)) is not None:
-            self.obey(meant, now_s)
-
-
-_OBEYED: Final[dict[type[console.Command], Callable[[Helm, Any, float], None]]] = {
-    console.Alive: lambda helm, command, now_s: None,  # the loop has already noted that the console is there, ...
-    console.Stop: Helm._halt,
-    console.Kill: Helm._kill,
-    console.Clear: Helm._clear,
-    console.Leave: Helm._leave,
-    console.SetMode: Helm._change_mode,
-    console.Manual: Helm._push,
-    console.Actuate: lambda helm, command, now_s: helm.alone.ask(command, now_s),
-    console.Heading: Helm._head,
-    console.Course: Helm._head,
-    console.SetSpeed: Helm._set_speed,
-    console.Goto: Helm._go,
-    console.Pause: Helm._pause,
-    console.Continue: Helm._continue,
-    console.LoadMission: Helm._load,
-    console.Upload: Helm._load,
-    console.Play: lambda helm, command, now_s: helm.request(Mode.PLAY, helm.state.setpoint._replace(leg=command.leg), now_s),
-    console.Leg: Helm._choose,
-    console.Unload: lambda helm, command, now_s: helm.plans.unload(),
-    console.SetFence: Helm._load,
-    console.Rally: lambda helm, command, now_s: helm.plans.call_at(command.points),
-    console.Take: lambda helm, command, now_s: None,  # ... or commands
-    console.Arm: Helm._arm,
-    console.Reset: Helm._reset,
-    console.Set: Helm._set,
-    console.PartOrder: Helm._order,
-    console.ShutDown: Helm._halt,
-}

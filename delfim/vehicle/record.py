@@ -8,7 +8,7 @@ from delfim import config
 from delfim.canproxy.dsor.messages import BatteriesStatus, Node
 from delfim.vehicle import sensors
 from delfim.vehicle.failsafe import bits
-from delfim.vehicle.sensors.sysstat import NAMES
+from delfim.vehicle.nodehealth import NAMES
 from delfim.vehicle.state import State
 
 NAN = math.nan

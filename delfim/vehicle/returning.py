@@ -11,7 +11,7 @@ from delfim import config
 from delfim.base import geodesy
 from delfim.base.errors import DelfimError, Refused
 from delfim.base.modes import Mode
-from delfim.vehicle import console
+from delfim.vehicle import console, orders
 from delfim.vehicle.helm import Helm
 from delfim.vehicle.plans.legs import NOTHING, Behind
 from delfim.vehicle.plans.underway import Paused
@@ -40,7 +40,7 @@ class Returning:
             if isinstance(command, console.Return):
                 self._begin(command, now_s)
             else:
-                self._helm.obey(command, now_s)
+                orders.obey(self._helm, command, now_s)
         except DelfimError as refusal:
             why = str(refusal)
         if isinstance(command, console.Plan):

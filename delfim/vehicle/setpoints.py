@@ -7,7 +7,9 @@ from delfim.base import geodesy
 from delfim.base.errors import Refused
 from delfim.base.modes import Mode
 from delfim.vehicle.console import Course, Goto, Heading
+from delfim.vehicle.control import path
 from delfim.vehicle.control.guidance import COURSE_MPS
+from delfim.vehicle.control.memory import Memory
 from delfim.vehicle.plans.mission import FAR_MAX_M
 from delfim.vehicle.plans.zones import Point
 from delfim.vehicle.state import Motion, Setpoint, State, Waypoint
@@ -49,6 +51,16 @@ def target(asked: Goto, state: State, control: config.ControlTable) -> Waypoint:
         raise Refused("goto refused: no position yet")
     place = math.radians(asked.latitude_deg), math.radians(asked.longitude_deg)
     return Waypoint(*geodesy.to_plane(state.origin, *place), speed(asked.speed_mps, control.speed), control.path.acceptance_m)
+
+
+def first(mode: Mode, memory: Memory, setpoint: Setpoint) -> tuple[float, float] | None:
+    """(north_m, east_m) of the point that a mode goes to at its beginning; None where it has none."""
+    plan, to = setpoint.plan, setpoint.target if mode is Mode.GOTO else None
+    if mode is Mode.PLAY and plan is not None:
+        to = plan.waypoints[setpoint.leg]
+    if mode is Mode.PATH and plan is not None and memory.leg < 0:
+        return path.start(plan.path[path.piece_of(memory.leg)])
+    return None if to is None else (to.north_m, to.east_m)
 
 
 def too_far(to: Point | None, motion: Motion) -> str | None:

@@ -17,21 +17,20 @@ from delfim.base.geodesy import wrap
 from delfim.base.modes import Mode
 from delfim.base.parts import OWN, TroubleRow
 from delfim.canproxy.dsor.messages import BatteriesStatus, Node
-from delfim.vehicle import inputhealth
+from delfim.vehicle import inputhealth, nodehealth
 from delfim.vehicle.navigation import gnss
 from delfim.vehicle.plans.fence import Fence, ahead, left, outside
-from delfim.vehicle.sensors import sysstat
 from delfim.vehicle.state import HandsetReport, State
 from delfim.vehicle.target import NEVER_S
 
 TURNING: Final = 0.04  # of full command; below this a propeller moves no boat
 SURE: Final = 0.3  # of full command; above this a propeller turns, whatever its revolutions
 DEAD_V: Final = 5.0  # no battery of a thruster is so low
-_PROPELLERS: Final = (sysstat.NAMES[Node.PROPELLER_STARBOARD], sysstat.NAMES[Node.PROPELLER_PORT])
+_PROPELLERS: Final = (nodehealth.NAMES[Node.PROPELLER_STARBOARD], nodehealth.NAMES[Node.PROPELLER_PORT])
 FRESH_S: Final = 1.0  # an older report of a propeller does not count
 CHARGE_BACK: Final = 0.02  # a battery is low until it has this much more charge, ...
 VOLTAGE_BACK: Final = 1.05  # ... or so many times the voltage: it rises when the load is gone
-_BATTERIES: Final = (sysstat.NAMES[Node.BATTERIES_STARBOARD], sysstat.NAMES[Node.BATTERIES_PORT])
+_BATTERIES: Final = (nodehealth.NAMES[Node.BATTERIES_STARBOARD], nodehealth.NAMES[Node.BATTERIES_PORT])
 
 
 class Inputs(NamedTuple):
@@ -132,7 +131,7 @@ def navigation_twice(look: Look) -> str | None:
 def sensor_bad(look: Look) -> str | None:
     state, since_s = look.state, look.state.started_s  # each has its time to report
     but: Collection[str] = _PROPELLERS if _has_no_power(look) else ()
-    wrong = sysstat.wrong(state, look.settings.sysstat, look.now_s, but, since_s)
+    wrong = nodehealth.wrong(state, look.settings.sysstat, look.now_s, but, since_s)
     return wrong or unheard(look.settings.sensors, state, look.now_s, since_s)
 
 

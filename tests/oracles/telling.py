@@ -29,7 +29,7 @@ from delfim.vehicle import console
 from delfim.vehicle.build import build
 from delfim.vehicle.links import Links
 from delfim.vehicle.loop import VehicleLoop
-from delfim.vehicle.sensors.sysstat import NAMES
+from delfim.vehicle.nodehealth import NAMES
 from delfim.vehicle.state import (
     Actuation,
     Announced,

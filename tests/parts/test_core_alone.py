@@ -1,5 +1,5 @@
 """The core without its parts: all of delfim/parts is taken away but the boat's own nodes, the thesis' bus, and the tables: any
-vehicle's file is checked."""
+vehicle's file is checked. The boat hears of no other vessels."""
 
 import json
 import os
@@ -22,7 +22,7 @@ from tests.afloat import running
 ROOT = Path(__file__).parents[2]
 SAIL = """import pathlib, sys, delfim
 from tests.logging.sailing import sailed
-sailed(pathlib.Path(sys.argv[1])).end()
+sailed(pathlib.Path(sys.argv[1]), "traffic.hears=[]").end()
 print(delfim.__file__)"""
 
 
@@ -61,7 +61,7 @@ def test_it_sails_in_real_time_and_the_dead_man_stops_it(core, tmp_path):
             except DelfimError:  # it does not run yet, or is not ready
                 continue
 
-    with running(tmp_path, 14550, "mavlink.enabled=false", "supervisor.deadman_s=1.0", package=core):
+    with running(tmp_path, 14550, "mavlink.enabled=false", "traffic.hears=[]", "supervisor.deadman_s=1.0", package=core):
         ask("heading", heading_deg=90.0, speed_mps=1.0)
         while not ask("state")["thrusters"]["starboard"]["thrust"]:
             pass

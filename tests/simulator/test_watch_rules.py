@@ -13,7 +13,7 @@ from delfim.simulator.invariants import thrustspec
 from delfim.simulator.scenarios.mixed import mixed_mission, place_of
 from delfim.simulator.scenarios.scenario import FaultAt, Scenario, settings_of
 from delfim.simulator.scenarios.trial import sail
-from delfim.vehicle import console, failing, failsafe, helm, loop, propulsion, record, setpoints, snapshot, troubles
+from delfim.vehicle import console, failing, failsafe, helm, loop, orders, propulsion, record, setpoints, snapshot, troubles
 from delfim.vehicle.control import goto, guidance, heading, hold, hull, play
 from delfim.vehicle.helm import Helm
 from delfim.vehicle.voyagestate import VoyageState
@@ -118,7 +118,7 @@ TO_AND_FRO = [
     {"at_s": 7.0 + 0.6 * n, **({"command": "mode", "mode": "manual"} if n % 2 else {"command": "stop"})} for n in range(13)
 ]
 TAKE, ENTERED = loop.take, Helm.enter
-PUSHED, WENT_ON = Helm._push, Helm.go_on
+PUSHED, WENT_ON = orders.OBEYED[console.Manual], Helm.go_on
 BREAKS: dict[str, tuple[Any, str, Any, tuple[dict[str, Any], ...], FaultAt | None, str]] = {
     "rate": (propulsion, "limited", twice(propulsion.limited, 3), (EAST,), None, "thrust from"),
     "off": (propulsion, "limited", but(propulsion.limited, off), (EAST,), None, "the thrusters are off"),
@@ -187,7 +187,7 @@ BREAKS: dict[str, tuple[Any, str, Any, tuple[dict[str, Any], ...], FaultAt | Non
         "is not there",
     ),
     "changed": (
-        *(helm, "_OBEYED", {**helm._OBEYED, console.Manual: refused_late}),
+        *(orders, "OBEYED", {**orders.OBEYED, console.Manual: refused_late}),
         *(({**PUSH, "at_s": 9.6},), DARK, "and changed boat"),
     ),
     "forbidden": (helm, "refusal", lambda *given: None, ({**EAST, "at_s": 10.0},), DARK, "was obeyed, and is forbidden"),

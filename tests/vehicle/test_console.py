@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from delfim.base.errors import FormatError
-from delfim.vehicle import console, helm
+from delfim.vehicle import console, orders
 
 
 @pytest.mark.parametrize(
@@ -106,7 +106,7 @@ def test_heading_is_shown_on_the_compass(boat):
 def test_what_may_be_asked_is_obeyed() -> None:
     """But for those that the loop answers: they only ask for the state, are the program's own, or of payload programs."""
     of_payloads = {console.Entrust, console.Sight, console.OfPayload}
-    assert set(helm._OBEYED) == set(console.KINDS.values()) - {console.TellState, console.Watch, console.Return} - of_payloads
+    assert set(orders.OBEYED) == set(console.KINDS.values()) - {console.TellState, console.Watch, console.Return} - of_payloads
 
 
 @pytest.mark.parametrize(

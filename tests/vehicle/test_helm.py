@@ -336,15 +336,15 @@ def test_long_work_goes_on_and_ends_with_the_mode_that_it_was_for(boat):
     helm.track.restore(((0.0, 0.0), (90.0, 0.0)), 5.0)
     helm.track.call_at(((90.0, 0.0),), 5.0)
     helm.plans.fence, helm._seeking = ROCK, Sliced(endless())
-    helm._detour = SimpleNamespace(step=lambda: (boat.state.setpoint, "a way is found"))
+    helm.detour = SimpleNamespace(step=lambda: (boat.state.setpoint, "a way is found"))
     helm.stop("enough")
     helm.go_on()
     assert (boat.state.mode, boat.state.reason, helm._seeking) == (Mode.IDLE, "enough", None)
     assert helm.track.end() == (90.0, 0.0), "the harbour was looked for"
-    helm._detour = SimpleNamespace(step=lambda: None)
+    helm.detour = SimpleNamespace(step=lambda: None)
     helm.go_on()
     assert boat.state.mode is Mode.IDLE
-    helm._detour = SimpleNamespace(step=lambda: (boat.state.setpoint, "a way is found"))
+    helm.detour = SimpleNamespace(step=lambda: (boat.state.setpoint, "a way is found"))
     helm.go_on()
     assert (boat.state.mode, boat.state.reason) == (Mode.GOTO, "a way is found")
 

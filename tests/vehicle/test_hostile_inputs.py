@@ -15,9 +15,9 @@ from delfim.base.frames import CAN_ERR, CAN_RTR, Frame, extended, standard
 from delfim.canproxy.dsor.messages import SYSSTAT_SUBJECT, Node
 from delfim.canproxy.dsor.protocol import Kind, dsor_arb
 from delfim.config import Sysstat
+from delfim.parts.dsor import sysstat
 from delfim.vehicle import console
 from delfim.vehicle.grex import LINE_BYTES, LINES_A_CALL, Guest
-from delfim.vehicle.sensors import sysstat
 from delfim.vehicle.state import State
 from tests.mutations import BINARY, TEXT
 

@@ -11,8 +11,8 @@ from delfim.canproxy.socket import CanSocket
 from delfim.parts.dronecan.receiving import messages
 from delfim.parts.dronecan.table import Dronecan
 from delfim.vehicle.links import Links
+from delfim.vehicle.nodehealth import NAMES
 from delfim.vehicle.sensors import Value
-from delfim.vehicle.sensors.sysstat import NAMES
 from delfim.vehicle.state import State
 
 VALUES: tuple[Value, ...] = ()  # record.py has the logged fields

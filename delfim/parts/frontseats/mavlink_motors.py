@@ -20,7 +20,7 @@ from delfim.canproxy.dsor.messages import BatteriesStatus, Fault, Node, Status
 from delfim.parts.frontseats.frontseat import FrontSeatLine, SeatSide, sides
 from delfim.parts.frontseats.table import MavlinkFrontSeat
 from delfim.vehicle.links import Links, ReadableLine
-from delfim.vehicle.sensors.sysstat import NAMES
+from delfim.vehicle.nodehealth import NAMES
 from delfim.vehicle.state import Actuation, State, ThrusterReport
 
 FULL: Final = 1000

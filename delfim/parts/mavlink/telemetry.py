@@ -20,7 +20,7 @@ from delfim.parts.mavlink.wire import Message, dialect
 from delfim.vehicle import sensors, thrusters
 from delfim.vehicle.failsafe import Action, bits
 from delfim.vehicle.loop import VehicleLoop
-from delfim.vehicle.sensors.sysstat import NAMES
+from delfim.vehicle.nodehealth import NAMES
 from delfim.vehicle.troubles import charge
 
 Profile = Literal["lean", "radio", "wifi"]

@@ -7,12 +7,11 @@ from importlib import import_module
 from typing import Final, Protocol, cast
 
 from delfim.base.modes import Mode
-from delfim.vehicle.control import path
 from delfim.vehicle.control.memory import Memory, Settings, lacking, settings_of
 from delfim.vehicle.safe import STOP
 from delfim.vehicle.state import Motion, Reference, Setpoint, Wanted
 
-__all__ = ["MODES", "Memory", "Settings", "Stepped", "admit", "control", "enter", "first", "lacking", "settings_of"]
+__all__ = ["MODES", "Memory", "Settings", "Stepped", "admit", "control", "enter", "lacking", "settings_of"]
 
 FAR_M = 1e7  # a plane position beyond this is nonsense, and so are the numbers below
 FAST_MPS = 100.0
@@ -39,7 +38,20 @@ class PartError(ValueError):
     """A mode of a laboratory's part that cannot go on; the text is the reason."""
 
 
-MODES: Final[dict[Mode, Program]] = {mode: cast(Program, import_module(f"{__package__}.{mode.name.lower()}")) for mode in Mode}
+class Programs(dict[Mode, Program]):
+    """Of the modes. One of the boat's own is loaded when it is asked for first."""
+
+    def __missing__(self, mode: Mode) -> Program:
+        self[mode] = program = cast(Program, import_module(f"{__package__}.{mode.name.lower()}"))
+        return program
+
+    def load(self) -> None:
+        """Load all, before the boat sails: nothing is imported under way."""
+        for mode in Mode:
+            self[mode]
+
+
+MODES: Final = Programs()
 
 
 def admit(mode: Mode, has: frozenset[str], setpoint: Setpoint) -> str | None:
@@ -57,16 +69,6 @@ def enter(mode: Mode, motion: Motion, setpoint: Setpoint, settings: Settings) ->
         return MODES[mode].enter(motion, setpoint, settings) if _plausible(motion) else Memory()
     except (ValueError, ArithmeticError):
         return Memory()
-
-
-def first(mode: Mode, memory: Memory, setpoint: Setpoint) -> tuple[float, float] | None:
-    """(north_m, east_m) of the point that a mode goes to at its beginning; None where it has none."""
-    plan, to = setpoint.plan, setpoint.target if mode is Mode.GOTO else None
-    if mode is Mode.PLAY and plan is not None:
-        to = plan.waypoints[setpoint.leg]
-    if mode is Mode.PATH and plan is not None and memory.leg < 0:
-        return path.start(plan.path[path.piece_of(memory.leg)])
-    return None if to is None else (to.north_m, to.east_m)
 
 
 def control(mode: Mode, memory: Memory, motion: Motion, setpoint: Setpoint, settings: Settings, dt_s: float) -> Stepped:

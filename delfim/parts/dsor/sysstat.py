@@ -1,6 +1,6 @@
 """System status of the other nodes (sysstat.c in the thesis): extended frames and segmented messages, one function."""
 
-from collections.abc import Container, Sequence
+from collections.abc import Sequence
 
 from delfim import config
 from delfim.base.errors import BusError, FormatError
@@ -9,10 +9,8 @@ from delfim.canproxy.dsor.messages import (
     GPS_SYSSTAT_ID,
     SYSSTAT_MASK,
     SYSSTAT_SUBJECT,
-    Fault,
     Node,
     PropellerStatus,
-    Status,
     sysstat_arb,
     unpack_sysstat,
 )
@@ -20,19 +18,11 @@ from delfim.canproxy.dsor.protocol import message_filter
 from delfim.canproxy.dsor.receiver import Receiver
 from delfim.canproxy.socket import CanAddress, CanSocket
 from delfim.vehicle.links import FRAMES_PER_READ, Links
+from delfim.vehicle.nodehealth import NAMES, PROPELLERS, named
 from delfim.vehicle.sensors import Value
 from delfim.vehicle.state import State, ThrusterReport
-from delfim.vehicle.target import NEVER_S
 
 VALUES: tuple[Value, ...] = ()  # record.py has the logged fields
-PROPELLERS = (Node.PROPELLER_STARBOARD, Node.PROPELLER_PORT)  # by address of the driver dsor
-NAMES: dict[int, str] = {
-    Node.GPS: "gps",
-    Node.PROPELLER_STARBOARD: "propeller_starboard",
-    Node.PROPELLER_PORT: "propeller_port",
-    Node.BATTERIES_STARBOARD: "batteries_starboard",
-    Node.BATTERIES_PORT: "batteries_port",
-}
 
 
 class SystemStatus:
@@ -82,37 +72,6 @@ def _report_of(row: config.ThrusterTable, status: PropellerStatus, now_s: float)
     turns_rpm = None if rpm is None else float(-rpm if row.reversed else rpm)
     told = (now_s, turns_rpm, current_a, None, celsius, None, tuple(named(faults)) if faults else (), "")
     return tuple.__new__(ThrusterReport, told)  # a third of the time of ThrusterReport(...)
-
-
-def wrong(
-    state: State, required: config.Sysstat, now_s: float, but: Container[str] = (), since_s: float = NEVER_S
-) -> str | None:
-    """The first reason why the boat may not sail, in words: a required node that is silent or bad, and not among `but`. From
-    `since_s` on each has its time to report, and a propeller to report that it hears commands."""
-    reports, stale_s, bad = state.sysstat, required.stale_s, Status.BAD
-    is_new = now_s - since_s <= stale_s
-    for name in required.required or ():
-        if name in but:
-            continue
-        report = reports.get(name)
-        if report is None:
-            if is_new:
-                continue
-            return f"{name.replace('_', ' ')} has not reported"
-        status, at_s = report
-        if now_s - at_s > stale_s:
-            return f"{name.replace('_', ' ')} silent for {now_s - at_s:.1f} s"
-        if status.status == bad and not (is_new and status.faults == Fault.NO_COMMAND):
-            return f"{name.replace('_', ' ')} bad: {words(status.faults)}"
-    return None
-
-
-def named(faults: Fault) -> list[str]:
-    return [fault.name.lower().replace("_", " ") for fault in Fault if fault in faults and fault.name]
-
-
-def words(faults: Fault) -> str:
-    return ", ".join(named(faults)) or "no reason given"
 
 
 def _report(frame: Frame, segmented: Receiver, now_s: float) -> tuple[int, bytes | None]:
