@@ -6,7 +6,7 @@ part (`parts.py`) that the file names has its keys beside these: `whole` adds th
 
 import math
 from collections.abc import Iterator, Sequence
-from ipaddress import IPv4Address, IPv4Interface, ip_address, ip_network
+from ipaddress import IPv4Address, IPv4Interface, ip_network
 from itertools import combinations, pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Final, Literal, cast, get_args, get_type_hints
@@ -30,7 +30,6 @@ from delfim.base.ranges import (
     Fraction,
     Interface,
     LinuxInterface,
-    Listen,
     Listeners,
     Megabytes,
     Metres,
@@ -41,7 +40,6 @@ from delfim.base.ranges import (
     Ports,
     Seconds,
     Speed,
-    address,
     is_loopback,
 )
 from delfim.base.slices import Sliced, Work
@@ -69,11 +67,6 @@ else:
 GuardedName = Literal["hold", "goto", "play", "path", "home", "course", "heading", "grex"]
 GuardedModes = Annotated[tuple[GuardedName, ...], msgspec.Meta(max_length=len(get_args(GuardedName)))]
 HELMSMEN_MAX, MODE_NAME_MAX = 16, 26  # payload programs that may have the boat; characters of their names
-PayloadRight = Literal["hold", "goto", "speed", "heading", "mission", "obstacles"]  # of a payload program
-ToldName = Literal[  # rows in delfim/parts/nmea2000/nmea2000rows.py
-    "position", "course", "heading", "turn", "attitude", "rudder", "engine", "battery", "route", "alerts"
-]
-IsoName = Annotated[str, text("[0-9A-Fa-f]{16}", "a NAME of 16 hexadecimal digits in quotes")]
 Place = Annotated[float, msgspec.Meta(ge=-100.0, le=100.0)]  # m from the middle of the boat
 Newtons = Annotated[float, msgspec.Meta(ge=-1e5, le=1e5)]
 Curve = Annotated[tuple[tuple[Annotated[float, msgspec.Meta(ge=-1.0, le=1.0)], Newtons], ...], msgspec.Meta(max_length=64)]
@@ -92,10 +85,8 @@ ReturnName = Literal["same", "hold", "resume", "home", "idle"]
 EndMode = Literal["hold", "idle"]
 FixName = Literal["2d", "3d", "differential", "rtk_float", "rtk"]  # from bad to good
 Position = tuple[Annotated[float, msgspec.Meta(ge=-89.0, le=89.0)], Annotated[float, msgspec.Meta(ge=-180.0, le=180.0)]]
-LINES = 8  # of NMEA 0183, at most
 CORNERS, ZONES, AREAS = 100, 100, 20  # of a polygon, to keep out of, and to keep in, at most
 Ring = Annotated[tuple[Position, ...], msgspec.Meta(max_length=CORNERS)]  # corners of a polygon, degrees north and east
-BatteryInstances = Annotated[tuple[Annotated[int, msgspec.Meta(ge=0, le=252)], ...], msgspec.Meta(max_length=2)]
 ValueName = Annotated[str, text("[a-z][a-z0-9_]{0,31}", "the name of a value, as depth_m")]
 Password = Annotated[  # hashed; a log shows a hash that no password has
     str,
@@ -110,54 +101,6 @@ Identifiers = Annotated[  # one or a range; three digits are a standard identifi
 ]
 PublicKey = Annotated[str, text(r"ssh-ed25519 [A-Za-z0-9+/]+=*( [^\n]*)?\n?", "ssh-ed25519 KEY, as in a .pub file")]
 Carrier = Annotated[str, text("(none|dcd|file:/[^ ]+)", "none, dcd, or file:/PATH")]
-LineDevice = Annotated[
-    str,
-    text(
-        rf"(/[^ ]+|(udp|tcp|tcp-listen|gpsd):([0-9.]+|\[[0-9A-Fa-f:.]+\]):{PORT})",
-        "/DEVICE, or udp:, tcp:, tcp-listen: or gpsd: before ADDRESS:PORT, the address in numbers",
-    ),
-]
-PilotDevice = Annotated[
-    str,
-    text(
-        rf"((/[^ ]+|(udp|tcp|tcp-listen):([0-9.]+|\[[0-9A-Fa-f:.]+\]):{PORT})?)",
-        "/DEVICE, or udp:, tcp: or tcp-listen: before ADDRESS:PORT of this computer, or empty",
-    ),
-]
-OutDevice = Annotated[
-    str,
-    text(rf"(/[^ ]+|udp:([0-9.]+|\[[0-9A-Fa-f:.]+\]):{PORT})", "/DEVICE, or udp:ADDRESS:PORT, the address in numbers"),
-]
-SPOKEN_BYTES = {"RMC": 80, "HDT": 20, "GGA": 77, "VTG": 48, "ROT": 24}  # at most, of each sentence that is told
-SpokenName = Literal["RMC", "HDT", "GGA", "VTG", "ROT"]
-CorrectionsTo = Annotated[
-    str,
-    text(
-        rf"([A-Za-z][A-Za-z0-9_-]{{0,31}}|/[^ ]+|tcp:([0-9.]+|\[[0-9A-Fa-f:.]+\]):{PORT})?",
-        "a name of nmea0183.ports, /DEVICE, tcp:ADDRESS:PORT, or empty",
-    ),
-]
-CasterPlace = Annotated[
-    str,
-    text(
-        rf"(ntrips?://([A-Za-z0-9.-]+|\[[0-9A-Fa-f:]+\]):{PORT}/[!-~]{{1,100}})?",
-        "ntrip://HOST:PORT/MOUNTPOINT, or ntrips, or empty",
-    ),
-]
-FleetBroker = Annotated[
-    str,
-    text(
-        rf"(mqtts?://([A-Za-z0-9.-]+|\[[0-9A-Fa-f:]+\]):{PORT}(/[A-Za-z0-9_-]{{1,40}})?)?",
-        "mqtts://HOST:PORT or mqtts://HOST:PORT/FLEET, or mqtt, or empty",
-    ),
-]
-ZenohRouter = Annotated[str, text(rf"((tcp|tls)/([^ :/]+|\[[0-9A-Fa-f:]+\]):{PORT})?", "tcp/HOST:PORT, tls/HOST:PORT or empty")]
-TalkerName = Annotated[
-    str, text("[A-Za-z][A-Za-z0-9_-]{0,31}(:[A-Z0-9]{2})?", "a port's name, or PORT:TALKER with the talker's two letters")
-]
-TransducerName = Annotated[
-    str, text(r"-?[^ ,*$\x00-\x1f-]{0,32}", "the name that the device sends, or - and the name, or empty")
-]
 InstrumentRate = Annotated[float, msgspec.Meta(ge=0.0, le=50.0)]
 INSTRUMENTS = ("receiver", "compass", "gyro", "sounder", "wind", "ais")
 InstrumentName = Annotated[
@@ -228,87 +171,6 @@ class EstimatorTable(Table, frozen=True):
     heading_latency_s: Annotated[float, msgspec.Meta(ge=0.0, le=1.0)] = 0.0  # age of a heading when it comes
 
 
-class Nmea2000(Table, frozen=True):
-    """A bus of off-the-shelf sensors. Of several that send the same value, the first in `preferred_sources` is used. With
-    `send` the boat is a device there, which tells others what it knows."""
-
-    interface: Interface = "can1"  # the bus of the sensors
-    bitrate_bps: BitRate = 250_000  # of a Linux interface, as NMEA 2000 has it
-    preferred_sources: tuple[Annotated[int, msgspec.Meta(ge=0, le=251)] | IsoName, ...] = ()  # best first; empty: any
-    variation_deg: Annotated[float, msgspec.Meta(ge=-180.0, le=180.0)] = 0.0  # used while the bus sends none
-    batteries: BatteryInstances = ()  # instances of the starboard or only battery, and of the port one; empty: not read
-    send: Annotated[tuple[ToldName, ...], msgspec.Meta(max_length=len(get_args(ToldName)))] = ()  # to the other devices
-    unique_number: Annotated[int, msgspec.Meta(ge=0, le=0x1FFFFF)] = 0  # of this device; 0: made of the boat's name
-
-    @property
-    def joins(self) -> bool:
-        """Whether the boat takes part in the bus: it tells others something, or asks them for their NAMEs."""
-        return bool(self.send) or any(isinstance(each, str) for each in self.preferred_sources)
-
-
-class Nmea0183Port(Table, frozen=True):
-    """A line of NMEA 0183, of UBX, or of both."""
-
-    device: LineDevice  # a serial port, or where its sentences come from over the network
-    baud: Annotated[int, msgspec.Meta(ge=1200, le=4_000_000)] = 4800  # of a serial port
-    checksum: bool = True  # a sentence without a checksum is refused; one with a wrong checksum always is
-    baseline_m: Annotated[float, msgspec.Meta(ge=0.0, le=100.0)] = 0.0  # between two antennas of a u-blox pair; 0: no heading
-    baseline_deg: Degrees = 0.0  # their line, from the moving base's to the rover's, clockwise from the bow
-
-
-class Nmea0183Out(Table, frozen=True):
-    """Navigation told to another instrument, as a receiver tells it. Unknown values are not told."""
-
-    to: OutDevice  # a serial port of its own, or where datagrams go
-    baud: Annotated[int, msgspec.Meta(ge=1200, le=4_000_000)] = 4800  # of a serial port
-    sentences: Annotated[tuple[SpokenName, ...], msgspec.Meta(min_length=1, max_length=5)] = ("RMC", "HDT")  # in this order
-    rate_hz: Annotated[float, msgspec.Meta(ge=0.1, le=20.0)] = 1.0  # of each
-
-    def __post_init__(self) -> None:
-        baud = 10.0 * self.rate_hz * sum(SPOKEN_BYTES[name] for name in self.sentences)
-        if not self.to.startswith("udp:") and baud > self.baud:
-            raise ValueError(
-                f"{', '.join(self.sentences)} {self.rate_hz:g} times a second need {baud:.0f} baud: all would be late"
-            )
-
-
-class Nmea0183Guest(Table, frozen=True):
-    """A line on which survey software or a plotter steers the boat as its guest, by APB, RMB and XTE (docs/guest.md)."""
-
-    device: PilotDevice = ""  # a port of its own; empty: nobody steers so
-    baud: Annotated[int, msgspec.Meta(ge=1200, le=4_000_000)] = 4800  # of a serial port
-    speed_mps: Speed = 1.0  # these sentences tell none; the operator's speed counts before it
-    lookahead_m: Metres = 20.0  # the boat steers for a point of the line this far ahead
-    variation_deg: Annotated[float, msgspec.Meta(ge=-180.0, le=180.0)] | None = None  # without it magnetic bearings are refused
-
-    def __post_init__(self) -> None:
-        if self.device and not self.device.startswith("/") and not is_loopback(self.device.partition(":")[2]):
-            raise ValueError("these sentences prove no key: name a serial port or this computer; elsewhere guests use [guest]")
-
-
-class Nmea0183(Table, frozen=True):
-    """Receivers, compasses and sounders on lines of text. Of several that send the same value, the first in `preferred` is
-    used, then the one whose port stands first."""
-
-    preferred: Annotated[tuple[TalkerName, ...], msgspec.Meta(max_length=32)] = ()  # ports, or talkers of one, best first
-    senders: tuple[Network, ...] = ("127.0.0.0/8", "::1/128")  # networks from which udp and tcp-listen take sentences
-    variation_deg: Annotated[float, msgspec.Meta(ge=-180.0, le=180.0)] = 0.0  # used while nobody sends one; east positive
-    pitch: TransducerName = ""  # name of the XDR transducer that measures it, with - before it if bow up is negative there
-    roll: TransducerName = ""  # likewise; starboard down is positive here
-    ports: dict[Name, Nmea0183Port] = msgspec.field(default_factory=dict)
-    out: dict[Name, Nmea0183Out] = msgspec.field(default_factory=dict)
-    guest: Nmea0183Guest = Nmea0183Guest()
-
-    def __post_init__(self) -> None:
-        for network in self.senders:
-            ip_network(network)
-        if max(len(self.ports), len(self.out)) > LINES:
-            raise ValueError(f"ports and out: {LINES} at most of each")
-        for each in self.preferred:
-            if each.partition(":")[0] not in self.ports:
-                raise ValueError(f"preferred: there is no port {each.partition(':')[0]}")
-
-
 class TrafficGuard(Table, frozen=True):
     """Keeping clear of other vessels by the rules of the road (docs/traffic.md)."""
 
@@ -331,22 +193,6 @@ class TrafficTable(Table, frozen=True):
     lost_rest_s: Seconds = 1080.0  # of class A at anchor, moored or aground, and of class B below 2 kn
     lost_near_s: Seconds = 15.0  # of boats of the fleet and what a payload sees
     guard: TrafficGuard = TrafficGuard()
-
-
-class Corrections(Table, frozen=True):
-    """Corrections (RTCM 3) for a receiver with RTK: from an NTRIP caster, and by MAVLink from a console (docs/rtk.md)."""
-
-    to: CorrectionsTo = ""  # the receiver's port: a name of nmea0183.ports, a port of its own, or a connection; "": none
-    baud: Baud = 115_200  # of a serial port of its own
-    caster: CasterPlace = ""  # where they come from; ntrips is over TLS; "": by MAVLink alone
-    credentials: str = ""  # file with USER:PASSWORD in one line, mode 0600; "": the caster asks for none
-    gga_s: Annotated[float, msgspec.Meta(ge=0.0, le=600.0)] = 10.0  # the caster is told the boat's place so often; 0: never
-
-    def __post_init__(self) -> None:
-        if self.caster and not self.to:
-            raise ValueError("a caster needs a receiver: write to = ...")
-        if self.credentials and not self.caster:
-            raise ValueError("credentials without a caster: write caster = ...")
 
 
 class Steer(Table, frozen=True):
@@ -886,61 +732,6 @@ class Console(Table, frozen=True):
     clients: Annotated[int, msgspec.Meta(ge=1, le=100)] = 16  # connections at once
 
 
-class Mavlink(Table, frozen=True):
-    """The console's link: MAVLink 2 over UDP, and over a serial radio if there is one (docs/mavlink.md)."""
-
-    enabled: bool = True  # serve it
-    listen: Listen = "127.0.0.1:14555"  # address and port; port 0: any
-    peers: Annotated[tuple[Listen, ...], msgspec.Meta(max_length=8)] = ("127.0.0.1:14550",)  # the boat announces itself here
-    profile: Literal["lean", "radio", "wifi"] = "wifi"  # amount of telemetry, until a console asks for another profile
-    key: str = ""  # file of the key, from `delfim console --keygen FILE`: only its holders are heard; "": only this computer
-    autopilot: Literal["generic", "ardurover"] = "generic"  # the autopilot that the boat claims to be to other programs
-    command_age_s: Seconds = 3.0  # a signed command that is older on arrival is refused
-    serial: Annotated[str, text("(/[^ ]+)?", "/DEVICE, or empty")] = ""  # the port of a radio as SiK's; it needs a key
-    baud: Baud = 57_600  # of that port
-
-    def __post_init__(self) -> None:
-        if self.serial and not self.key:
-            raise ValueError("anybody may be heard on a radio: it needs a key; make one with: delfim console --keygen FILE")
-
-    @property
-    def unreachable(self) -> tuple[str, ...]:
-        """The peers beyond this computer, if it is the only one that `listen` reaches."""
-        return tuple(peer for peer in self.peers if is_loopback(self.listen) and not is_loopback(peer))
-
-
-class FleetTable(Table, frozen=True):
-    """An MQTT broker, at which consoles hear the boat and whoever may read it finds its state (docs/fleets.md)."""
-
-    broker: FleetBroker = ""  # where it is, and the fleet's name (delfim); mqtts is over TLS; "": none
-    credentials: str = ""  # file with USER:PASSWORD in one line, mode 0600; "": the broker asks for none
-    authorities: str = ""  # PEM file of who signs the broker's certificate; "": those that the system trusts
-    listen: Listen = "127.0.0.1:14560"  # the boat's frames come here: an address of this computer, one of mavlink.peers too
-    period_s: Annotated[float, msgspec.Meta(ge=0.2, le=3600.0)] = 1.0  # the retained state is renewed so often
-
-    def __post_init__(self) -> None:
-        if (self.credentials or self.authorities) and not self.broker:
-            raise ValueError("credentials or authorities without a broker: write broker = ...")
-        plain = self.broker.removeprefix("mqtt://").partition("/")[0] if self.broker.startswith("mqtt://") else ""
-        if plain and self.credentials and not is_loopback(plain):
-            raise ValueError("the password would go over the network in the clear: write mqtts in place of mqtt")
-        if not is_loopback(self.listen):
-            raise ValueError("listen: an address of this computer, as 127.0.0.1:14560")
-
-
-class RosTable(Table, frozen=True):
-    """The boat's topics for ROS 2, over a Zenoh router as rmw_zenoh has it (docs/ros2.md)."""
-
-    router: ZenohRouter = ""  # where it is, as tcp/127.0.0.1:7447; "": no topics
-    domain: Annotated[int, msgspec.Meta(ge=0, le=232)] = 0  # ROS_DOMAIN_ID of the others
-    namespace: Annotated[str, text("([a-z][a-z0-9_]{0,31})?", "small letters, digits or _, or empty")] = ""  # "": boat.name
-    commands: bool = False  # Twist and goal of ROS steer in mode grex, as the guest; the router on this computer only
-
-    def __post_init__(self) -> None:
-        if self.commands and not (self.router and is_loopback(self.router.partition("/")[2])):
-            raise ValueError("commands: whoever reaches the router could steer: it must be one of this computer")
-
-
 class GuestTable(Table, frozen=True):
     """The guest computer's TCP server (GREX in the thesis)."""
 
@@ -1187,24 +978,6 @@ class ServiceTable(Table, frozen=True):
     log: Literal["debug", "info", "warning", "error"] = "info"  # the least level of its words that the system log keeps
 
 
-class PayloadTable(Table, frozen=True):
-    """An outside program: started and supervised, given navigation, its values logged and shown (docs/payloads.md)."""
-
-    command: Annotated[tuple[str, ...], msgspec.Meta(min_length=1, max_length=32)]  # absolute path, and words
-    user: str = "nobody"  # system user that runs it, not root; where the suite itself is not run by root, that user
-    memory_max_mb: Annotated[int, msgspec.Meta(ge=1, le=1 << 20)] = 128  # of all; without control groups, of each process
-    cpu_max: Annotated[float, msgspec.Meta(gt=0.0, le=1024.0)] = 0.5  # processors, of what nobody else wants
-    processes_max: Annotated[int, msgspec.Meta(ge=1, le=1000)] = 16  # processes and threads at once
-    network: bool = False  # it may connect, also to the boat's doors on this computer; otherwise it has no network at all
-    may: tuple[PayloadRight, ...] = ()  # orders that the boat takes from it, in the mode of its name, below all others
-
-    def __post_init__(self) -> None:
-        if not self.command[0].startswith("/"):
-            raise ValueError("command: the program's absolute path comes first, as /log/programs/sonar")
-        if self.user == "root":
-            raise ValueError("user: a payload does not run as root")
-
-
 class Sea(Table, frozen=True):
     """The simulator's weather. As sailors say it, wind is named by where it comes from, current by where it goes."""
 
@@ -1405,9 +1178,6 @@ class Vehicle(Table, frozen=True):
     parts: dict[PartName, PartVersion] = msgspec.field(default_factory=dict)  # a laboratory's own, each with its version
     can: Can = Can()
     navigation: NavigationTable = NavigationTable()
-    nmea2000: Nmea2000 = Nmea2000()
-    nmea0183: Nmea0183 = Nmea0183()
-    corrections: Corrections = Corrections()
     traffic: TrafficTable = TrafficTable()
     estimator: EstimatorTable = EstimatorTable()
     propulsion: PropulsionTable = PropulsionTable()
@@ -1420,9 +1190,6 @@ class Vehicle(Table, frozen=True):
     sensors: Sensors = Sensors()
     sysstat: Sysstat = Sysstat()
     console: Console = Console()
-    mavlink: Mavlink = Mavlink()
-    fleet: FleetTable = FleetTable()
-    ros: RosTable = RosTable()
     handset: HandsetTable = HandsetTable()
     kill: KillTable = KillTable()
     guest: GuestTable = GuestTable()
@@ -1440,38 +1207,19 @@ class Vehicle(Table, frozen=True):
     runtime: RuntimeTable = RuntimeTable()
     supervisor: SupervisorTable = SupervisorTable()
     image: Image = Image()
-    payload: dict[Name, PayloadTable] = msgspec.field(default_factory=dict)
     services: dict[Name, ServiceTable] = msgspec.field(default_factory=dict)
     simulation: Simulation = Simulation()
 
     def __post_init__(self) -> None:
-        for name in self.__struct_fields__:
-            if isinstance(table := getattr(self, name), Table) and (its := table.settled(self)) is not table:
-                msgspec.structs.force_setattr(self, name, its)
-        if self.mavlink.serial and self.mavlink.serial == self.slipd.device:
-            raise ValueError("mavlink.serial and slipd.device are one port: a radio carries MAVLink or IP")
-        if self.fleet.broker:
-            self._check_fleet()
-        if self.ros.commands and not self.guest.enabled:
-            raise ValueError("ros.commands: it steers as the guest: guest.enabled must be true")
-        here, networks = (ip_address("127.0.0.1"), ip_address("::1")), list(map(ip_network, self.guest.networks))
-        if self.ros.commands and not any(each in network for each in here for network in networks):
-            raise ValueError("ros.commands: it steers as the guest: guest.networks must have 127.0.0.0/8, where it comes from")
         for name, ports in self.ports.items():
             if not ports:
                 raise ValueError(f"{name} needs a port: a table [{name}.ports.NAME] with its device")
-        if self.guest.enabled and self.nmea0183.guest.device:
-            raise ValueError("guest.enabled and nmea0183.guest.device: two guests would steer by turns; choose one")
-        alike = {name for name in self.sensors.names if parts.row(self.aboard, name).instruments}
+        for name in self.__struct_fields__:
+            if isinstance(table := getattr(self, name), Table) and (its := table.settled(self)) is not table:
+                msgspec.structs.force_setattr(self, name, its)
+        alike = {part.name for part in self.sensing if part.instruments}
         if len(alike) > 1:
             raise ValueError(f"sensors.names: {' and '.join(sorted(alike))} give the same values; name one of them")
-        for each in self.simulation.instruments:
-            if (port := each.partition(":")[0]) not in self.nmea0183.ports:
-                raise ValueError(f"simulation.instruments: there is no port {port} in nmea0183")
-        if (to := self.corrections.to) and not to.startswith(("/", "tcp:")):
-            device = self.nmea0183.ports[to].device if to in self.nmea0183.ports else ""
-            if not device.startswith(("/", "tcp:")):
-                raise ValueError(f"corrections.to: nmea0183.ports has no serial port or connection of the name {to}")
         if (fault := thrusters_fault(self.thrusters, self.aboard)) is not None:
             raise ValueError(f"thrusters: {fault}")
         for row in self.thrusters:
@@ -1506,7 +1254,12 @@ class Vehicle(Table, frozen=True):
         return float(getattr(self.table(row.driver), "rpm_max", row.rpm_max))
 
     @property
-    def ports(self) -> dict[str, dict[str, Nmea0183Port]]:
+    def sensing(self) -> list[Part]:
+        """The parts of the sensors beside navigation."""
+        return [parts.row(self.aboard, name) for name in self.sensors.names]
+
+    @property
+    def ports(self) -> dict[str, dict[str, Any]]:
         """The lines of the sources and sensors that have several, by their parts and names."""
         read = dict.fromkeys((*self.navigation.sources, *self.sensors.names))
         return {name: getattr(self, name).ports for name in read if parts.row(self.aboard, name).ports}
@@ -1525,7 +1278,7 @@ class Vehicle(Table, frozen=True):
     @property
     def helmsmen(self) -> tuple[str, ...]:
         """The payload programs that may have the boat, in the order of the file."""
-        return tuple(name for name, table in self.payload.items() if {*table.may} - {"obstacles"})
+        return tuple(name for name, table in self.table("payload").items() if {*table.may} - {"obstacles"})
 
     def figures_of(self, source: str) -> str:
         """The name of a source's figures in the state: motors of the same bus have the name itself."""
@@ -1536,16 +1289,6 @@ class Vehicle(Table, frozen=True):
         """The interfaces where only devices speak: they command motors, or tell the boat where it is."""
         buses, kinds = self.outside("interface").items(), {*self.drivers, *self.navigation.sources}
         return tuple(interface for key, interface in buses if key.partition(".")[0] in kinds)
-
-    def _check_fleet(self) -> None:
-        if not (self.mavlink.enabled and self.mavlink.key):
-            raise ValueError(
-                "fleet.broker: anybody may speak there: mavlink needs a key; delfim console --keygen FILE makes one"
-            )
-        if self.fleet.listen not in self.mavlink.peers:
-            raise ValueError(f'fleet.broker: the boat must tell its frames there: add "{self.fleet.listen}" to mavlink.peers')
-        if address(self.mavlink.listen)[1] == 0:
-            raise ValueError("fleet.broker: orders must find the boat: mavlink.listen needs a port of its own, as 14555")
 
     def _check_helmsmen(self) -> None:
         names = [name.lower() for name in self.helmsmen]
@@ -1572,8 +1315,8 @@ class Vehicle(Table, frozen=True):
         names = ("can", "handset", *self.navigation.sources, *self.sensors.names, *self.drivers, *spoken)
         routed = {f"routing.buses.{name}": bus for name, bus in self.routing.buses.items()}
         lines = {f"{part}.ports.{name}": port for part, ports in self.ports.items() for name, port in ports.items()}
-        pilot = {"nmea0183.guest": self.nmea0183.guest} if self.nmea0183.guest.device else {}
-        return {name: self.table(name) for name in names} | routed | lines | pilot
+        beside = {key: table for tables in self.facts("lines") for key, table in tables.items()}
+        return {name: self.table(name) for name in names} | routed | lines | beside
 
     @property
     def bit_rates(self) -> dict[str, int]:
@@ -1679,9 +1422,8 @@ def _protocol(vehicle: Vehicle, table: str) -> str:
 def _lines_apart(vehicle: Vehicle, file: str) -> None:
     """A serial line has one reader: two would each get a part of what comes. Raises ConfigError."""
     readers: dict[str, str] = {}
-    told = {f"nmea0183.out.{name}.to": out.to for name, out in vehicle.nmea0183.out.items() if out.to.startswith("/")}
-    told |= {"corrections.to": to} if (to := vehicle.corrections.to).startswith("/") else {}
-    for key, device in {"slipd.device": vehicle.slipd.device, **vehicle.outside("device"), **told}.items():
+    told = [(key, to) for ends in vehicle.facts("ends") for key, to in ends.items() if to.startswith("/")]
+    for key, device in [("slipd.device", vehicle.slipd.device), *vehicle.outside("device").items(), *told]:
         if device and device in readers:
             raise ConfigError(file, key, f"{device} is read by {readers[device]} already, and a serial line has one reader")
         readers[device] = key

@@ -231,10 +231,7 @@ CORE = (  # what every boat runs, whatever it owns
 )
 NAMED = {  # with the reason; a row that goes does not come back
     "config.py: dsor.rpm_max",  # where a key of older files went
-    "config.py: nmea0183.guest",  # keys of lines beside those of its source: they go with its table
-    "config.py: nmea0183.out.",
     "config.py: sysstat",  # the nodes that it requires are those of other tables
-    "services/vehicle.py: nmea0183.out.",  # the name of their reports, which tools read
     "services/suite.py: dronecan.interface",  # its own service's row
     "config.py: handset",  # its device is one of the serial lines: it goes with its table
     "vehicle/grex.py: guest",  # who tells of other vessels
@@ -271,18 +268,29 @@ KNOWN = {  # parts that others import, with the reason; a row that goes does not
     "desk/firstcontact.py: nmea0183",  # a line on a desk is heard as the boat hears it
     "parts/nmea2000/sensor.py: nmea0183",  # the values that both measure
 }
+READ = {  # parts whose tables others read, with the reason; a row that goes does not come back
+    "commands/check.py: nmea2000",  # what the boat sends
+    "commands/commission.py: fleet",  # what is carried to a boat
+    "commands/commission.py: ros",
+    "commands/sim.py: mavlink",  # the console beside a simulated boat
+    "desk/hearing.py: nmea0183",  # a line on a desk is opened as the boat opens it
+    "parts/fleet/fleetd.py: mavlink",  # the broker is another way for the same frames
+    "parts/gnss/corrections.py: nmea0183",  # the receiver's port may be one of its lines
+}
 
 
 def test_a_part_is_imported_by_itself_alone() -> None:
-    """Others load what its row names. The list only shrinks."""
-    found = set[str]()
+    """Others load what its row names. The lists only shrink."""
+    found, read = set[str](), set[str]()
     for at, node in _nodes(MODULES):
         if isinstance(node, ast.Import | ast.ImportFrom):
             file = at.removeprefix("delfim/").partition(":")[0]
             base = f"{node.module}." if isinstance(node, ast.ImportFrom) else ""
-            parts = {each[2] for name in node.names if (each := f"{base}{name.name}".split("."))[:2] == ["delfim", "parts"]}
-            found |= {f"{file}: {part}" for part in parts if not file.startswith(f"parts/{part}/")}
-    assert found == KNOWN
+            names = (each for name in node.names if (each := f"{base}{name.name}".split("."))[:2] == ["delfim", "parts"])
+            for _, _, part, *module in names:
+                if not file.startswith(f"parts/{part}/"):
+                    (read if module[:1] == ["table"] else found).add(f"{file}: {part}")
+    assert (found, read) == (KNOWN, READ)
 
 
 def test_the_vehicles_state_is_changed_by_the_loop_alone() -> None:

@@ -88,6 +88,8 @@ class Part(NamedTuple):
     vessels: bool = False  # it tells of other vessels
     separate: bool = False  # its source reads separate sensors, which an estimator may take (docs/estimator.md)
     outlet: str = ""  # of drivers whose motors are told by pulses: module:function of the process that writes them
+    batteries: bool = False  # its sensor tells of batteries
+    output: str = ""  # module:function that yields, by name, who tells others what the boat knows; for the `out` of its table
     ports: bool = False  # its lines are `ports` of its table, by their names, of which it needs one
     after: str = ""  # its table stands behind this one in the file
     keys: tuple[str, ...] = ()  # of the vehicle's file: a boat has this part where one of them is set
@@ -109,6 +111,8 @@ OWN: Final = {  # in the order in which sources are listed
         ),
         Part(
             "nmea2000",
+            "delfim.parts.nmea2000.table:Nmea2000",
+            after="navigation",
             source="delfim.parts.nmea2000.source",
             sensor="delfim.parts.nmea2000.sensor",
             vessels=True,
@@ -124,20 +128,24 @@ OWN: Final = {  # in the order in which sources are listed
             source="delfim.parts.dronecan.source",
             sensor="delfim.parts.dronecan.sensor",
             played="delfim.parts.dronecan.sim",
+            batteries=True,
             protocol="DroneCAN",
             separate=True,
             drives=Drives(motors=20, turns=15, revolves=True, played=True),  # of one command
         ),
         Part(
             "nmea0183",
+            "delfim.parts.nmea0183.table:Nmea0183",
+            after="nmea2000",
             source="delfim.parts.nmea0183.source",
             sensor="delfim.parts.nmea0183.sensor",
             vessels=True,
             separate=True,
             instruments=True,
+            output="delfim.parts.nmea0183.output:tellers",
             ports=True,
         ),
-        Part("mavlink", vessels=True),
+        Part("mavlink", "delfim.parts.mavlink.table:Mavlink", after="console", vessels=True),
         Part("guest", vessels=True, keys=("nmea0183.guest.device",), aboard="delfim.parts.guest.pilotline:opened"),
         Part(
             "traffic",
@@ -151,6 +159,10 @@ OWN: Final = {  # in the order in which sources are listed
             ),
         ),
         Part("handset", keys=("handset.device", "kill.chip"), aboard="delfim.parts.handset.aboard:opened"),
+        Part("corrections", "delfim.parts.gnss.table:Corrections", after="nmea0183"),
+        Part("fleet", "delfim.parts.fleet.table:FleetTable", after="mavlink"),
+        Part("ros", "delfim.parts.ros.table:RosTable", after="fleet"),
+        Part("payload", "delfim.parts.payload.table:Payloads", after="image"),
         Part(
             "mavlink_front_seat",
             "delfim.parts.frontseats.table:MavlinkFrontSeat",

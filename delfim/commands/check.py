@@ -9,8 +9,9 @@ from ipaddress import IPv4Interface, ip_network
 from pathlib import Path
 
 from delfim import config
-from delfim.base.ranges import NETWORKED, address
+from delfim.base.ranges import NETWORKED
 from delfim.commands import example_file
+from delfim.parts.nmea2000.table import Nmea2000
 
 TOLD = 50  # faults listed for one file
 
@@ -42,7 +43,7 @@ def run(asked: argparse.Namespace) -> int:
         print(f"delfim: warning: {doubt}", file=sys.stderr)
     if asked.sea and _at_sea(vehicle, running):
         return 1
-    if vehicle.nmea2000.joins and "nmea2000d" in running:
+    if vehicle.of(Nmea2000).joins and "nmea2000d" in running:
         print(_told(vehicle))
     print(f"{asked.file}: {vehicle.boat.name}: nothing is wrong with this file")
     return 0
@@ -53,7 +54,7 @@ def _told(vehicle: config.Vehicle) -> str:
     from delfim.canproxy.nmea2000.device import device_name, facts_of
     from delfim.parts.nmea2000.nmea2000rows import pgns_of
 
-    table = vehicle.nmea2000
+    table = vehicle.of(Nmea2000)
     rows = [f"{name} ({', '.join(map(str, pgns_of((name,))))})" for name in table.send]
     sent = f"sends {', '.join(rows)}" if rows else "sends nothing but who it is"
     return f"{table.interface}: NMEA 2000 device {device_name(facts_of(vehicle).unique):016x} {sent}"
@@ -84,18 +85,15 @@ def _doubts(file: str, vehicle: config.Vehicle) -> Iterator[str]:
     for key, bus in vehicle.outside("interface").items():
         if ":" not in bus and not Path("/sys/class/net", bus).exists():
             yield f"{key}: this computer has no {bus}; the boat needs it, `delfim sim` does not"
-    for peer in vehicle.mavlink.unreachable:
-        yield f"mavlink.peers: {peer} cannot be reached, for mavlink.listen is {vehicle.mavlink.listen}; write 0.0.0.0 there"
+    yield from (doubt for doubts in vehicle.facts("doubts") for doubt in doubts)
     if vehicle.canip.enabled and vehicle.canip.address:
         yield from _on_the_bus(vehicle)
-    files = {"mavlink.key": vehicle.mavlink.key, "mavlink.serial": vehicle.mavlink.serial, "kill.chip": vehicle.kill.chip}
-    files |= {"corrections.credentials": vehicle.corrections.credentials}
-    files |= {"corrections.to": to} if (to := vehicle.corrections.to).startswith("/") else {}
+    files = {key: path for named in vehicle.facts("files") for key, path in named.items()} | {"kill.chip": vehicle.kill.chip}
     files |= {"slipd.device": vehicle.slipd.device} | vehicle.outside("device")
     for key, path in files.items():
         if path and not path.startswith(NETWORKED) and not Path(path).exists():
             yield f"{key}: there is no file {path} on this computer"
-    for name, payload in vehicle.payload.items():
+    for name, payload in vehicle.table("payload").items():
         if not os.access(payload.command[0], os.X_OK):
             yield f"payload.{name}.command: there is no program {payload.command[0]} on this computer"
     if vehicle.simulation.mission:
@@ -109,7 +107,7 @@ def _on_the_bus(vehicle: config.Vehicle) -> Iterator[str]:
     """Addresses of the file that the network of canip takes from all others: what is sent to them goes onto the bus."""
     bus = IPv4Interface(vehicle.canip.address).network
     named = {"guest.networks": vehicle.guest.networks if vehicle.guest.enabled else (), "cantcpd.watch": vehicle.cantcpd.watch}
-    named |= {"mavlink.peers": tuple(address(peer)[0] for peer in vehicle.mavlink.peers)}
+    named |= {key: places for told in vehicle.facts("addresses") for key, places in told.items()}
     named |= {"slipd.peer": (vehicle.slipd.peer,) if vehicle.slipd.device else ()}
     for key, places in named.items():
         for place in places:

@@ -15,6 +15,8 @@ from delfim import config
 from delfim.base.errors import DelfimError, Refused
 from delfim.base.ranges import address, is_loopback
 from delfim.commands import overrides, shipped
+from delfim.parts.fleet.table import FleetTable
+from delfim.parts.ros.table import RosTable
 from delfim.services.access import commissioned
 from delfim.services.access.commissioned import BOAT
 
@@ -163,9 +165,10 @@ def _addresses(answers: Mapping[str, str], network: IPv4Interface, settings: con
     own, console = str(network.network), answers["console"]
     radio = {"slipd.device": answers["radio"], "slipd.address": answers["radio-address"], "slipd.peer": console}
     found: dict[str, Any] = radio if answers["radio"] else {"slipd.device": ""} if settings.slipd.device else {}
-    found |= {"mavlink.peers": [f"{console}:14550", *([settings.fleet.listen] if settings.fleet.broker else [])]}
+    fleet = settings.of(FleetTable)
+    found |= {"mavlink.peers": [f"{console}:14550", *([fleet.listen] if fleet.broker else [])]}
     if settings.guest.enabled:
-        found |= {"guest.networks": [*(["127.0.0.0/8"] if settings.ros.commands else []), own]}
+        found |= {"guest.networks": [*(["127.0.0.0/8"] if settings.of(RosTable).commands else []), own]}
     if commissioned.bus(settings):
         found |= {"cantcpd.watch": ["127.0.0.0/8", console, own]}
     return found

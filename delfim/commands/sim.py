@@ -26,6 +26,7 @@ from delfim.canproxy.opening import open_can
 from delfim.canproxy.socket import ANYTHING
 from delfim.commands import OWN_FILE, example_file, seconds, shipped
 from delfim.console.onlooker import CTRL_C, START_S, Voyage
+from delfim.parts.mavlink.table import Mavlink
 from delfim.simulator.berth import BOATS, PAGE, SIMULATED, Berth, berth, settings_of
 from delfim.vehicle.logbook import Logbook
 from delfim.vehicle.plans.mission import Mission, canonical, load_mission
@@ -111,7 +112,7 @@ def _real_time(asked: argparse.Namespace, settings: config.Vehicle, mission: Mis
         if asked.console:
             console, heard, page_at = _console(asked, settings, its)
             overrides += [] if "httpd.console" in named else [f"httpd.console={json.dumps(f'http://{page_at}/')}"]
-            peers = [heard, *(peer for peer in settings.mavlink.peers if peer != BOATS)][:8]
+            peers = [heard, *(peer for peer in settings.of(Mavlink).peers if peer != BOATS)][:8]
             overrides += [] if "mavlink.peers" in named else [f"mavlink.peers={json.dumps(peers)}"]
         settings = config.load(asked.file, overrides)
         _alone(settings.can.interface)
@@ -144,7 +145,7 @@ def _console(asked: argparse.Namespace, settings: config.Vehicle, its: Berth) ->
     place, boats = its.folder.resolve() / "console", asked.boats or its.address(BOATS, udp=True)
     page = asked.page or its.address(PAGE)
     words = ["--vehicle", asked.file, "--boats", boats, "--page", page]
-    words += ["--key", settings.mavlink.key] if settings.mavlink.key else []
+    words += ["--key", settings.of(Mavlink).key] if settings.of(Mavlink).key else []
     words += [] if asked.browser else ["--no-browser"]
     kept = [word for name in ("missions", "charts", "sessions", "token") for word in (f"--{name}", str(place / name))]
     return [*words, *kept], boats, page

@@ -22,6 +22,7 @@ from delfim.lines.networkline import LISTENING, NetworkLine
 from delfim.lines.serialform import Form
 from delfim.lines.serialline import SerialLine
 from delfim.logging.linelog import line_id
+from delfim.parts.nmea0183.table import Nmea0183
 from delfim.vehicle import sensors
 from delfim.vehicle.link import Link
 from delfim.vehicle.links import Links, Readable, ReadableLine
@@ -66,7 +67,7 @@ class Running:
 
     def __init__(self, settings: config.Vehicle, link: Link) -> None:
         self._settings, self._link = settings, link
-        self._devices = {name: line_id(_opened(port.device)) for name, port in settings.nmea0183.ports.items()}
+        self._devices = {name: line_id(_opened(port.device)) for name, port in settings.of(Nmea0183).ports.items()}
 
     def told(self, wait_s: float) -> SensorsTold:
         """Raises DelfimError."""
@@ -120,7 +121,7 @@ class Opened:
                     read(self._clock.monotonic_s())
         now_s = self._clock.monotonic_s()
         figures = {source.name: {**source.report(now_s), "messages": self._messages[source.name]} for source in self._sources}
-        ports = {name: self._lines.get(_opened(port.device)) for name, port in self._settings.nmea0183.ports.items()}
+        ports = {name: self._lines.get(_opened(port.device)) for name, port in self._settings.of(Nmea0183).ports.items()}
         troubles = self._troubles | {name: line.trouble for name, line in ports.items() if line is not None}
         measured = {name: value for name, (value, _) in self._state.measured.items()}
         return SensorsTold(now_s, copy.deepcopy(figures), troubles, dict(self._values), measured)
@@ -164,7 +165,7 @@ class Opened:
         if device in self._lines:
             return self._lines[device]
         if device.startswith(LISTENING):
-            line: SerialLine | NetworkLine = NetworkLine(device, self._settings.nmea0183.senders, self._clock)
+            line: SerialLine | NetworkLine = NetworkLine(device, self._settings.of(Nmea0183).senders, self._clock)
         else:
             line = SerialLine(
                 device, baud, self._clock, may_lack=True, form=form, allowance=Allowance(SECOND_BYTES, self._clock.monotonic_s)

@@ -198,7 +198,7 @@ def _least(told: Mapping[str, tuple[float, float]], now_s: float) -> float:
 
 def is_told_by_vehicle(settings: config.Vehicle) -> bool:
     """Whether batteries or motors of this boat are unknown on DelfimX's own bus, or its voltage matters."""
-    others = settings.nmea2000.batteries or "dronecan" in settings.sensors.names
+    others = any(settings.facts("batteries")) or any(part.batteries for part in settings.sensing)
     return bool(others or settings.powerd.battery_v or settings.driven("nodes", False))
 
 

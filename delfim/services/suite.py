@@ -97,7 +97,7 @@ SERVICES = (
         "delfim.parts.nmea2000.nmea2000d:serve",
         place="process",
         uvloop=False,
-        when=lambda settings: settings.nmea2000.joins,
+        when=lambda settings: any(settings.facts("joins")),
     ),
     Service("httpd", "delfim.services.page.httpd:serve", late=True),
     Service("ftpd", "delfim.services.files.ftpd:serve", place="process", when=lambda settings: settings.ftpd.users),
@@ -111,23 +111,29 @@ SERVICES = (
     ),
     Service("powerd", "delfim.services.powerd:serve"),
     Service(
-        "payload", "delfim.parts.payload.payload:serve", place="process", when=lambda settings: settings.payload, uvloop=False
+        "payload",
+        "delfim.parts.payload.payload:serve",
+        place="process",
+        when=lambda settings: settings.table("payload"),
+        uvloop=False,
     ),
     Service(
         "corrections",
         "delfim.parts.gnss.corrections:serve",
         place="process",
         uvloop=False,
-        when=lambda settings: settings.corrections.to,
+        when=lambda settings: settings.table("corrections").to,
     ),
     Service(
         "fleetd",
         "delfim.parts.fleet.fleetd:serve",
         place="process",
         uvloop=False,
-        when=lambda settings: settings.fleet.broker,
+        when=lambda settings: settings.table("fleet").broker,
     ),
-    Service("rosd", "delfim.parts.ros.rosd:serve", place="process", uvloop=False, when=lambda settings: settings.ros.router),
+    Service(
+        "rosd", "delfim.parts.ros.rosd:serve", place="process", uvloop=False, when=lambda settings: settings.table("ros").router
+    ),
     Service("vehicle", "delfim.services.vehicle:serve"),
 )
 

@@ -33,7 +33,6 @@ from delfim.services.clock.kernelclock import KernelClock
 from delfim.services.guestdoor import GuestDoor
 from delfim.services.image import slots
 from delfim.services.runtime import Runtime
-from delfim.services.telling import tellers
 from delfim.services.voyagekeeping import VoyageKeeping
 from delfim.vehicle.aboard import Hand
 from delfim.vehicle.build import build
@@ -88,13 +87,11 @@ class OpenedLinks:
         self._links.callback(log.close)
         line: SerialLine | NetworkLine
         if device.startswith(LISTENING):
-            line = NetworkLine(device, settings.nmea0183.senders, clock, log.heard)
+            line = NetworkLine(device, next(iter(settings.facts("senders"))), clock, log.heard)
         else:
-            table = settings.nmea0183
-            ports, outs = (port.device for port in table.ports.values()), (out.to for out in table.out.values())
             waits = [name for name in settings.navigation.sources if parts.row(settings.aboard, name).waits]
             boards = (settings.table(name).device for name in waits)
-            may_lack = device in {*ports, *outs, table.guest.device, *boards}
+            may_lack = device in {*(each for spare in settings.facts("spare") for each in spare), *boards}
             line = SerialLine(device, baud, clock, log.heard, may_lack, form, Allowance(SECOND_BYTES, clock.monotonic_s))
         self._links.callback(line.close)
         if not line.rebind():
@@ -161,9 +158,11 @@ async def _sail(runtime: Runtime, last: contextlib.AsyncExitStack) -> None:
         for source in boat.sources:
             links.enter_context(runtime.navigating(source.input.fileno(), partial(boat.on_navigation, source)))
             links.enter_context(runtime.publishing(settings.figures_of(source.name), partial(_figures, source, clock)))
-        for name, teller in tellers(settings, opened.line, links, state, clock):
-            links.enter_context(runtime.ticking(teller.period_s, teller.tell))
-            links.enter_context(runtime.publishing(f"nmea0183.out.{name}", teller.report))
+        for part in parts.OWN.values():
+            if part.output and settings.table(part.name).out:
+                for name, teller in parts.load(part, part.output)(settings, opened.line, links, state, clock):
+                    links.enter_context(runtime.ticking(teller.period_s, teller.tell))
+                    links.enter_context(runtime.publishing(f"{part.name}.out.{name}", teller.report))
         for actuator in boat.propulsion.actuators:
             if actuator.period_s:
                 links.enter_context(runtime.ticking(actuator.period_s, partial(boat.on_outlet, actuator)))
@@ -205,7 +204,7 @@ async def _attend(
         log.command(command, refused, boat.state, operator, reviews.written(command))
         return refused
 
-    mavlink = runtime.load("delfim.parts.mavlink.stationsocket") if settings.mavlink.enabled else None
+    mavlink = runtime.load("delfim.parts.mavlink.stationsocket") if settings.table("mavlink").enabled else None
     reviews, aboard = Reviews(boat, obeyed, asyncio.get_running_loop()), {hand.name for hand in hands}
     voyage.bring_back(obeyed, reviews)
     commands = CommandServer(obeyed, reviews, snapshot, settings.console.clients)

@@ -139,5 +139,5 @@ def _boot() -> str:
 def _key(settings: config.Vehicle) -> bytes:
     """The consoles' key proves, too, that a record is the boat's own; without it, who writes to the disk can make one."""
     with contextlib.suppress(ConfigError):  # the link to the consoles reports it
-        return read_key(settings.mavlink.key) if settings.mavlink.key else b""
+        return read_key(settings.table("mavlink").key) if settings.table("mavlink").key else b""
     return b""

@@ -130,13 +130,12 @@ def settings_of(vehicle: config.Vehicle, its: Berth, named: Collection[str]) -> 
         "log.directory": f"{place}/log",
         "runtime.run_directory": str(place),
         "supervisor.hardware_watchdog": "",
-        **{f"nmea0183.ports.{name}.device": _device(name, port.device, its) for name, port in vehicle.nmea0183.ports.items()},
-        **_board(vehicle, its),
+        **_instruments(vehicle, its),
         **_of_parts(vehicle, place, loop),
         **_beside(vehicle, its),
         **{key: "" for key in (*RADIOS, *HANDS, *_corrected(vehicle), *_shared(vehicle, named)) if key not in named},
         "guest.listen": free("guest.listen", vehicle.guest.listen),
-        "mavlink.listen": free("mavlink.listen", vehicle.mavlink.listen, udp=True),
+        "mavlink.listen": free("mavlink.listen", vehicle.table("mavlink").listen, udp=True),
         "httpd.listen": page,
         "ftpd.listen": free("simulation.ftpd", simulation.ftpd),
         "ftpd.root": f"{place}/log",
@@ -165,10 +164,11 @@ def settings_of(vehicle: config.Vehicle, its: Berth, named: Collection[str]) -> 
     return BerthSettings(overrides, boat_id, page, moved)
 
 
-def _board(vehicle: config.Vehicle, its: Berth) -> dict[str, str]:
-    """Where a board is played that tells the boat its position; its motors are told by pulses here."""
-    device = vehicle.table(BOARD).device
-    return {f"{BOARD}.device": _device("board", device, its)} if BOARD in vehicle.navigation.sources else {}
+def _instruments(vehicle: config.Vehicle, its: Berth) -> dict[str, str]:
+    """Where instruments on lines are played, and a board that tells the position; its motors are told by pulses here."""
+    ports = {f"nmea0183.ports.{name}": (name, port) for name, port in vehicle.table("nmea0183").ports.items()}
+    boards = {BOARD: ("board", vehicle.table(BOARD))} if BOARD in vehicle.navigation.sources else {}
+    return {f"{key}.device": _device(name, table.device, its) for key, (name, table) in (ports | boards).items()}
 
 
 def _of_parts(vehicle: config.Vehicle, place: Path, loop: str) -> dict[str, str]:
@@ -181,8 +181,8 @@ def _of_parts(vehicle: config.Vehicle, place: Path, loop: str) -> dict[str, str]
 def _beside(vehicle: config.Vehicle, its: Berth) -> dict[str, str]:
     """Where the boat tells others its navigation, and where a pilot steers it. A simulated position on a real bridge, or a real
     plotter that steers a simulated boat, would deceive somebody. On this computer the datagrams' own port stays."""
-    outs = {f"nmea0183.out.{name}.to": (f"out-{name}", out.to) for name, out in vehicle.nmea0183.out.items()}
-    pilot = {"nmea0183.guest.device": ("guest", vehicle.nmea0183.guest.device)}
+    outs = {f"nmea0183.out.{name}.to": (f"out-{name}", out.to) for name, out in vehicle.table("nmea0183").out.items()}
+    pilot = {"nmea0183.guest.device": ("guest", vehicle.table("nmea0183").guest.device)}
     return {key: _device(name, to, its) for key, (name, to) in {**outs, **pilot}.items() if not _is_here(to)}
 
 
@@ -193,10 +193,10 @@ def _is_here(place: str) -> bool:
 
 def _corrected(vehicle: config.Vehicle) -> tuple[str, ...]:
     """The sources of corrections for a receiver that is none of the boat's simulated ports."""
-    to = vehicle.corrections.to
+    to = vehicle.table("corrections").to
     return (
         ()
-        if to in vehicle.nmea0183.ports or _is_here(to)
+        if to in vehicle.table("nmea0183").ports or _is_here(to)
         else ("corrections.to", "corrections.caster", "corrections.credentials")
     )
 
@@ -205,7 +205,7 @@ def _shared(vehicle: config.Vehicle, named: Collection[str]) -> Iterator[str]:
     """The fleet's broker and a ROS 2 elsewhere: who listens there would take the simulated boat for the one of its name."""
     if "fleet.broker" not in named:
         yield from ("fleet.broker", "fleet.credentials", "fleet.authorities")
-    if not _is_here(vehicle.ros.router.replace("/", ":", 1)):
+    if not _is_here(vehicle.table("ros").router.replace("/", ":", 1)):
         yield "ros.router"
 
 

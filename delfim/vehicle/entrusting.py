@@ -12,13 +12,14 @@ import msgspec
 from delfim import config
 from delfim.base.errors import DelfimError, Refused
 from delfim.base.modes import Mode
+from delfim.base.ranges import PayloadRight
 from delfim.vehicle import console, grex, orders
 from delfim.vehicle.helm import Helm
 from delfim.vehicle.plans.underway import SAILS
 from delfim.vehicle.state import State
 
 PAYLOAD: Final = "payload:"  # begins the name under which a program orders
-RIGHTS: Final[dict[type[console.Command], config.PayloadRight]] = {
+RIGHTS: Final[dict[type[console.Command], PayloadRight]] = {
     console.Pause: "hold",
     console.Goto: "goto",
     console.SetSpeed: "speed",
@@ -40,7 +41,7 @@ def payload_of(operator: str) -> str:
 def forbidden(settings: config.Vehicle, state: State, name: str, command: console.Commands) -> str:
     """Why a program may not order this now, in words; empty: it may."""
     word, right = str(command.__struct_config__.tag), RIGHTS.get(type(command))
-    table = settings.payload.get(name)
+    table = settings.table("payload").get(name)
     if table is None:
         return f"there is no payload {name[:40]}"
     if right is None and not isinstance(command, console.Alive):

@@ -13,6 +13,7 @@ from delfim.base.frames import CAN_ERR, CAN_RTR, Frame
 from delfim.canproxy.dsor.messages import Navigation
 from delfim.parts.nmea2000.combining import Nmea2000Source
 from delfim.parts.nmea2000.sensor import Nmea2000Instruments
+from delfim.parts.nmea2000.table import Nmea2000
 from delfim.parts.traffic.aisbus import AisBus
 from delfim.simulator.lockstepbus import LockstepBus
 from delfim.vehicle.state import State
@@ -39,7 +40,7 @@ class Readers(NamedTuple):
 
 
 def readers() -> Readers:
-    settings = config.Vehicle(boat=config.BoatTable(name="test"), nmea2000=config.Nmea2000(batteries=(0, 1)))
+    settings = config.Vehicle(boat=config.BoatTable(name="test"), nmea2000=Nmea2000(batteries=(0, 1)))
     bus = LockstepBus(ManualClock()).bound()
     return Readers(Nmea2000Source(settings.nmea2000, 2.5), Nmea2000Instruments(settings, bus), AisBus(bus), State())
 

@@ -22,6 +22,7 @@ from delfim.canproxy.nmea2000.fastpacket import FastPacket
 from delfim.canproxy.nmea2000.instruments import FAST, KELVIN, MESSAGES, Battery, BatteryCharge, decode
 from delfim.canproxy.socket import accepts
 from delfim.parts.nmea2000.sensor import FILTERS, VALUES, Nmea2000Instruments
+from delfim.parts.nmea2000.table import Nmea2000
 from delfim.simulator.lockstep import Lockstep
 from delfim.simulator.lockstepbus import LockstepBus
 from delfim.vehicle.record import fields, values
@@ -124,7 +125,7 @@ class Bus:
     """The sensor alone, in lock step."""
 
     def __init__(self, **nmea2000: object) -> None:
-        settings = config.Vehicle(boat=config.BoatTable(name="test"), nmea2000=config.Nmea2000(**nmea2000))  # type: ignore[arg-type]
+        settings = config.Vehicle(boat=config.BoatTable(name="test"), nmea2000=Nmea2000(**nmea2000))  # type: ignore[arg-type]
         self.state = State()
         self._world = LockstepBus(ManualClock())
         self._outlet = self._world.socket("devices")

@@ -29,8 +29,8 @@ from delfim.canproxy.nmea2000.pgns import (
     encode,
 )
 from delfim.canproxy.socket import CanAddress, accepts
-from delfim.config import Nmea2000
 from delfim.parts.nmea2000.combining import Nmea2000Source
+from delfim.parts.nmea2000.table import Nmea2000
 from delfim.vehicle.navigation.fusion import VARIATION_S
 from tests.canproxy.pgn_of import pgn_of
 

@@ -24,8 +24,8 @@ from delfim.canproxy.nmea2000.device import Device, DeviceFacts
 from delfim.canproxy.nmea2000.fastpacket import FastPacket
 from delfim.canproxy.nmea2000.pgns import decode
 from delfim.canproxy.socket import CanAddress, accepts
-from delfim.config import Nmea2000
 from delfim.parts.nmea2000.combining import Nmea2000Source
+from delfim.parts.nmea2000.table import Nmea2000
 from delfim.vehicle.navigation.fusion import SLOW_S
 from tests.canproxy.pgn_of import pgn_of
 

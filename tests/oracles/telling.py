@@ -21,6 +21,7 @@ from delfim.parts.mavlink.station import Station
 from delfim.parts.mavlink.telemetry import PROFILES
 from delfim.parts.mavlink.wire import Address
 from delfim.parts.nmea2000.nmea2000d import BoatDevice
+from delfim.parts.nmea2000.table import ToldName
 from delfim.services.page import api
 from delfim.services.page.metrics import metrics
 from delfim.simulator.line import LockstepLine
@@ -57,7 +58,7 @@ PLACE: Final = 0.675123456, -0.160876543  # rad
 OVERRIDES: Final = (
     'sensors.names=["sysstat","nmea2000"]',
     'nmea2000.interface="can1"',
-    f"nmea2000.send={list(get_args(config.ToldName))}".replace("'", '"'),
+    f"nmea2000.send={list(get_args(ToldName))}".replace("'", '"'),
     "nmea2000.unique_number=77",
 )
 MEASURED: Final = {

@@ -11,8 +11,8 @@ from delfim.base.frames import Frame, standard
 from delfim.base.modes import Mode
 from delfim.canproxy.dsor.messages import TIME, TIME_FRAME, Navigation, time_frame
 from delfim.canproxy.nmea2000.pgns import GnssPosition, PositionRapid, SystemTime, encode
-from delfim.config import Nmea2000
 from delfim.parts.nmea2000.combining import Nmea2000Source
+from delfim.parts.nmea2000.table import Nmea2000
 from delfim.services.clock.clockkeeper import ENOUGH
 from delfim.services.clock.clockkeeping import OURS, ClockKeeping
 from delfim.vehicle.state import State

@@ -19,6 +19,7 @@ from delfim.canproxy.nmea2000 import instruments
 from delfim.canproxy.opening import open_bound
 from delfim.canproxy.socket import ANYTHING, CanAddress, CanSocket
 from delfim.parts.frontseats.table import MavlinkFrontSeat
+from delfim.parts.nmea2000.table import Nmea2000
 from delfim.services import powerd
 from delfim.services.page.api import State as ToldState
 from delfim.services.powerd import FRESH_S, Powerd, is_told_by_vehicle
@@ -78,7 +79,7 @@ def nmea2000() -> tuple[config.Vehicle, State]:
     bus = Bus(batteries=(1,))
     bus.say(instruments.BATTERY, struct.pack("<BhhHB", 1, 2310, -123, 29_315, 0), 1, 0.0)
     bus.say(instruments.BATTERY_CHARGE, struct.pack("<BBBBBHHH", 0, 1, 0, 4, 255, 0xFFFF, 0xFFFF, 0xFFFF), 1, 0.0)
-    return config.Vehicle(boat=config.BoatTable(name="test"), nmea2000=config.Nmea2000(batteries=(1,))), bus.state
+    return config.Vehicle(boat=config.BoatTable(name="test"), nmea2000=Nmea2000(batteries=(1,))), bus.state
 
 
 def told_by_motors(name: str, **tables: config.Table) -> tuple[config.Vehicle, State]:

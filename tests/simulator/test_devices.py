@@ -14,6 +14,8 @@ from delfim.base.errors import ConfigError
 from delfim.base.modes import Mode
 from delfim.base.parts import OWN
 from delfim.canproxy.nmea2000.pgns import NorthReference, VesselHeading, encode
+from delfim.parts.nmea0183.table import Nmea0183, Nmea0183Port
+from delfim.parts.nmea2000.table import Nmea2000
 from delfim.simulator.lockstep import Lockstep
 from delfim.simulator.nodes.devices import COMPASS, NAMES, RECEIVER, Devices
 from delfim.vehicle import console
@@ -32,9 +34,9 @@ def boat(
 ) -> Lockstep:
     sea = config.Sea(current_mps=0.5, current_to_deg=towards_deg)
     simulation = config.Simulation(sea=sea, gyro=gyro)
-    ports = {"gnss": config.Nmea0183Port(device="/dev/gnss"), "compass": config.Nmea0183Port(device="/dev/compass")}
+    ports = {"gnss": Nmea0183Port(device="/dev/gnss"), "compass": Nmea0183Port(device="/dev/compass")}
     settings = config.Vehicle(
-        boat=config.BoatTable(name="test"), navigation=navigation, simulation=simulation, nmea0183=config.Nmea0183(ports=ports)
+        boat=config.BoatTable(name="test"), navigation=navigation, simulation=simulation, nmea0183=Nmea0183(ports=ports)
     )
     return Lockstep(settings, seed, lambda clock: NoLog())
 
@@ -242,7 +244,7 @@ def test_after_a_silence_of_the_receiver_everything_begins_with_a_position():
 
 
 def test_sources_are_chosen_by_name_where_the_vehicles_file_has_names() -> None:
-    table = config.Nmea2000(preferred_sources=(NAMES[RECEIVER], NAMES[COMPASS]))
+    table = Nmea2000(preferred_sources=(NAMES[RECEIVER], NAMES[COMPASS]))
     simulation = config.Simulation(heading_deg=90.0)
     settings = config.Vehicle(boat=config.BoatTable(name="test"), navigation=SEPARATE, nmea2000=table, simulation=simulation)
     run = Lockstep(settings, 1, lambda clock: NoLog())

@@ -20,6 +20,7 @@ from delfim.base.errors import ConfigError, FormatError
 from delfim.base.modes import Mode
 from delfim.lines.networkline import NetworkLine
 from delfim.lines.serialline import SerialLine
+from delfim.parts.nmea0183.table import Nmea0183, Nmea0183Port
 from delfim.simulator.berth import berth, settings_of
 from delfim.simulator.faults import fault
 from delfim.simulator.instrumentlines import InstrumentLines
@@ -30,21 +31,21 @@ from delfim.vehicle.state import NoLog
 
 ROOT = Path(__file__).parents[2]
 NOON_NS = 1_795_348_800_200_000_000  # 2026-11-22 12:00:00.2 UTC
-PORTS = {"gnss": config.Nmea0183Port(device="/dev/gnss"), "compass": config.Nmea0183Port(device="/dev/compass")}
+PORTS = {"gnss": Nmea0183Port(device="/dev/gnss"), "compass": Nmea0183Port(device="/dev/compass")}
 
 WINDY = config.Simulation(sea=config.Sea(wind_mps=6.0, wind_from_deg=90.0, gusts=0.0))
 APART = msgspec.structs.replace(WINDY, instruments=("gnss:receiver", "compass:compass", "compass:gyro"))
 
 
 def vehicle(
-    simulation: config.Simulation = WINDY, ports: dict[str, config.Nmea0183Port] = PORTS, run: Path = Path("/run/delfim")
+    simulation: config.Simulation = WINDY, ports: dict[str, Nmea0183Port] = PORTS, run: Path = Path("/run/delfim")
 ) -> config.Vehicle:
     """A boat that navigates by its instruments."""
     return config.Vehicle(
         boat=config.BoatTable(name="tried"),
         navigation=config.NavigationTable(sources=("nmea0183",), rate_hz=10.0, estimator=True),
         sensors=config.Sensors(names=("sysstat", "nmea0183")),
-        nmea0183=config.Nmea0183(ports=ports, variation_deg=-1.4),
+        nmea0183=Nmea0183(ports=ports, variation_deg=-1.4),
         runtime=config.RuntimeTable(run_directory=str(run)),
         simulation=simulation,
     )
@@ -174,7 +175,7 @@ def free_port(device: str) -> int:
 @pytest.mark.parametrize("device", ["nmea0183-only", "udp:127.0.0.1:PORT", "tcp:127.0.0.1:PORT", "tcp-listen:127.0.0.1:PORT"])
 def test_the_boat_hears_its_instruments_over_any_kind_of_line(device, tmp_path):
     device = device.replace("PORT", str(free_port(device))).replace("nmea0183-only", f"{tmp_path}/nmea0183-only")
-    settings = vehicle(WINDY, {"only": config.Nmea0183Port(device=device)}, tmp_path)
+    settings = vehicle(WINDY, {"only": Nmea0183Port(device=device)}, tmp_path)
     now_s = iter(range(1000))
     clock = SystemClock()
     line = (
@@ -198,7 +199,7 @@ def unread(port: int) -> int:
 
 def test_a_pty_that_nobody_reads_keeps_no_old_positions(tmp_path):
     device = f"{tmp_path}/nmea0183-only"
-    with InstrumentLines(vehicle(WINDY, {"only": config.Nmea0183Port(device=device)}, tmp_path), ("only",)) as lines:
+    with InstrumentLines(vehicle(WINDY, {"only": Nmea0183Port(device=device)}, tmp_path), ("only",)) as lines:
         port = os.open(device, os.O_RDONLY | os.O_NONBLOCK | os.O_NOCTTY)
         for number in range(1500):
             before = unread(port)
@@ -214,9 +215,9 @@ def test_a_pty_that_nobody_reads_keeps_no_old_positions(tmp_path):
 def test_real_ports_and_networks_are_left_alone(tmp_path, monkeypatch):
     """`delfim sim` moves each port to its own folder or to this computer; without it, nothing is played."""
     real = {
-        "gnss": config.Nmea0183Port(device="/dev/gnss"),
-        "hub": config.Nmea0183Port(device="gpsd:192.168.7.20:2947"),
-        "mast": config.Nmea0183Port(device="udp:0.0.0.0:10110"),
+        "gnss": Nmea0183Port(device="/dev/gnss"),
+        "hub": Nmea0183Port(device="gpsd:192.168.7.20:2947"),
+        "mast": Nmea0183Port(device="udp:0.0.0.0:10110"),
     }
     with InstrumentLines(vehicle(WINDY, real, tmp_path), tuple(real)) as lines:
         for name in real:

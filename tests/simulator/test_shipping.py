@@ -14,6 +14,7 @@ from delfim.base.geodesy import to_plane, wrap
 from delfim.base.vessels import VesselFacts, VesselPosition
 from delfim.canproxy.nmea2000 import ais
 from delfim.canproxy.nmea2000.fastpacket import FastPacket
+from delfim.parts.nmea0183.table import Nmea0183, Nmea0183Port
 from delfim.simulator.lockstep import Lockstep
 from delfim.simulator.model import Hull, Model
 from delfim.simulator.nodes import nodes_of
@@ -280,7 +281,7 @@ def test_a_boat_with_a_line_of_nmea_0183_hears_them_there():
     settings = config.Vehicle(
         boat=config.BoatTable(name="test"),
         sensors=config.Sensors(names=("nmea0183",)),
-        nmea0183=config.Nmea0183(ports={"ais": config.Nmea0183Port(device="/dev/ais")}),
+        nmea0183=Nmea0183(ports={"ais": Nmea0183Port(device="/dev/ais")}),
         simulation=config.Simulation(instruments=("ais:ais",), traffic=one(heard="perfect", speed_mps=3.0)),
     )
     nodes, said = nodes_of(settings, 1), b""

@@ -10,6 +10,7 @@ from delfim import config
 from delfim.base.errors import ConfigError
 from delfim.base.modes import PAYLOADS, Mode
 from delfim.base.tables import decode
+from delfim.parts.payload.table import PayloadTable
 from delfim.simulator.lockstep import Lockstep
 from delfim.vehicle import console
 from delfim.vehicle.command import CommandServer
@@ -31,8 +32,8 @@ SEEN = console.parse(
 )
 
 
-def payload(*may: str) -> config.PayloadTable:
-    return config.PayloadTable(command=("/bin/true",), may=may)
+def payload(*may: str) -> PayloadTable:
+    return PayloadTable(command=("/bin/true",), may=may)
 
 
 @pytest.fixture

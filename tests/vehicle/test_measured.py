@@ -9,12 +9,13 @@ from pymavlink.dialects.v20 import ardupilotmega
 from delfim import config
 from delfim.parts.mavlink import ardupilot
 from delfim.parts.mavlink.wire import Sender, decode, frames
+from delfim.parts.nmea0183.table import Nmea0183, Nmea0183Port
 from delfim.vehicle import sensors
 from tests.parts.mavlink.mavlink_console import newest
 from tests.parts.mavlink.test_mavlink_station import afloat, sail
 
 SENSORS = config.Sensors(names=("sysstat", "nmea0183"))
-PORTS = config.Nmea0183(ports={"sounder": config.Nmea0183Port(device="/dev/sounder")})
+PORTS = Nmea0183(ports={"sounder": Nmea0183Port(device="/dev/sounder")})
 
 
 @pytest.fixture

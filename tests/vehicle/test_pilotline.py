@@ -14,6 +14,7 @@ from delfim.base.modes import Mode
 from delfim.base.tables import decode
 from delfim.lines.nmea0183.proprietary import FieldReader
 from delfim.lines.nmea0183.tracklines import INVALID, MILE_M, TrackLine, track_line
+from delfim.parts.nmea0183.table import Nmea0183, Nmea0183Guest
 from delfim.services.access.doors import doors
 from delfim.simulator.lockstep import Lockstep
 from delfim.vehicle import console
@@ -126,7 +127,7 @@ def settings(current_mps: float = 0.0, **guest: object) -> config.Vehicle:
     return config.Vehicle(
         boat=config.BoatTable(name="test"),
         simulation=simulation,
-        nmea0183=config.Nmea0183(guest=config.Nmea0183Guest(device=DEVICE, **{"speed_mps": 1.5} | guest)),  # type: ignore[arg-type]
+        nmea0183=Nmea0183(guest=Nmea0183Guest(device=DEVICE, **{"speed_mps": 1.5} | guest)),  # type: ignore[arg-type]
     )
 
 
@@ -245,8 +246,6 @@ def test_there_is_one_guest() -> None:
 
 
 def test_a_port_of_this_computer_is_a_door_by_which_one_steers() -> None:
-    file = msgspec.structs.replace(
-        settings(), nmea0183=config.Nmea0183(guest=config.Nmea0183Guest(device="udp:127.0.0.1:10111"))
-    )
+    file = msgspec.structs.replace(settings(), nmea0183=Nmea0183(guest=Nmea0183Guest(device="udp:127.0.0.1:10111")))
     (door,) = (each for each in doors(file, ()) if "10111" in each.place)
     assert (door.reach, door.may, door.fault) == ("here", "be the guest computer, which steers in mode grex", "")

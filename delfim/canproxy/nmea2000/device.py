@@ -61,7 +61,7 @@ class DeviceFacts(NamedTuple):
 def facts_of(settings: config.Vehicle) -> DeviceFacts:
     """Those of the vehicle's file. A boat that has no number gets one from its name."""
     boat = settings.boat.name
-    return DeviceFacts(boat, __version__, settings.nmea2000.unique_number or zlib.crc32(boat.encode()) & 0x1FFFFF)
+    return DeviceFacts(boat, __version__, settings.table("nmea2000").unique_number or zlib.crc32(boat.encode()) & 0x1FFFFF)
 
 
 def device_name(unique: int) -> int:

@@ -17,6 +17,8 @@ from delfim.base.clock import Clock
 from delfim.base.errors import PermanentFailure, in_words
 from delfim.base.ranges import address
 from delfim.parts.fleet.broker import DOWN, STATE, UP, BrokerLine, BrokerPlace
+from delfim.parts.fleet.table import FleetTable
+from delfim.parts.mavlink.table import Mavlink
 from delfim.services.page.api import State
 from delfim.services.runtime import Runtime
 from delfim.services.watching import watch
@@ -29,9 +31,9 @@ class FleetMember:
     """This boat at the broker. `door` is the socket to which the vehicle sends its frames. Raises ConfigError."""
 
     def __init__(self, settings: config.Vehicle, door: socket.socket, clock: Clock) -> None:
-        table, self._name = settings.fleet, settings.boat.name
+        table, self._name = settings.of(FleetTable), settings.boat.name
         place = BrokerPlace.of(table.broker)
-        self._door, self._vehicle = door, address(settings.mavlink.listen)
+        self._door, self._vehicle = door, address(settings.of(Mavlink).listen)
         self._clock, self._period_s, self._due_s = clock, table.period_s, clock.monotonic_s()
         self._silence = "the vehicle has not answered yet"
         self._up, self._state = place.topic(self._name, UP), place.topic(self._name, STATE)
@@ -108,14 +110,14 @@ async def serve(runtime: Runtime) -> None:
     settings, status = runtime.config, runtime.status.get("fleetd")
     if status is not None and status.place == "runtime":
         raise PermanentFailure("fleetd: it reckons ciphers, for which the runtime has no time; write place = 'process'")
-    loop, listen = asyncio.get_running_loop(), address(settings.fleet.listen)
+    loop, listen = asyncio.get_running_loop(), address(settings.of(FleetTable).listen)
     family = socket.AF_INET6 if ":" in listen[0] else socket.AF_INET
     with contextlib.ExitStack() as links:
         door = links.enter_context(socket.socket(family, socket.SOCK_DGRAM | socket.SOCK_NONBLOCK))
         try:
             door.bind(listen)
         except OSError as error:
-            raise PermanentFailure(f"fleet.listen: {settings.fleet.listen}: {in_words(error)}") from None
+            raise PermanentFailure(f"fleet.listen: {settings.of(FleetTable).listen}: {in_words(error)}") from None
         member = FleetMember(settings, door, runtime.clock)
         loop.add_reader(door, member.on_frames)
         links.callback(loop.remove_reader, door)

@@ -26,6 +26,8 @@ from delfim.lines.nmea0183.speaking import gga
 from delfim.lines.rtcm import FRAME_MAX, RtcmFrames, doorstep
 from delfim.parts.gnss.ntrip import Caster, CasterRefusal, CasterStream, open_stream
 from delfim.parts.gnss.receiverport import ReceiverPort
+from delfim.parts.gnss.table import Corrections
+from delfim.parts.nmea0183.table import Nmea0183
 from delfim.services.page.api import State
 from delfim.services.runtime import Runtime
 
@@ -54,7 +56,7 @@ class CorrectionFeed:
     """The ways by which corrections come, and the receiver to which they go."""
 
     def __init__(self, settings: config.Vehicle, port: ReceiverPort, clock: Clock) -> None:
-        table = settings.corrections
+        table = settings.of(Corrections)
         self._caster = Caster.of(table.caster) if table.caster else None
         self._credentials = read_credentials(table.credentials) if table.credentials else ""
         self._command, self._gga_s, self._clock, self._port = settings.console.socket, table.gga_s, clock, port
@@ -204,8 +206,8 @@ def listening(place: Path) -> Iterator[socket.socket]:
 
 def receiver_port(settings: config.Vehicle) -> ReceiverPort:
     """The port of the vehicle's file. One of its lines that the vehicle does not read is set up as a port of its own."""
-    table = settings.corrections
-    named = settings.nmea0183.ports.get(table.to)
+    table = settings.of(Corrections)
+    named = settings.of(Nmea0183).ports.get(table.to)
     if named is None:
         return ReceiverPort(table.to, table.baud, shared=False)
     is_read = any(named in each.values() for each in settings.ports.values())
@@ -218,7 +220,7 @@ async def serve(runtime: Runtime) -> None:
     status = runtime.status.get("corrections")
     if status is not None and status.place == "runtime":
         raise PermanentFailure("corrections: the vehicle waits for no network; write services.corrections.place = 'process'")
-    table = settings.corrections
+    table = settings.of(Corrections)
     port = receiver_port(settings)
     feed, loop = CorrectionFeed(settings, port, runtime.clock), asyncio.get_running_loop()
 

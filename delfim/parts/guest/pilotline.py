@@ -32,7 +32,7 @@ class PilotLine:
     """Sentences in, set points out: line-of-sight guidance on the line that they tell."""
 
     def __init__(self, settings: config.Vehicle, line: ReadableLine, guest: Guest) -> None:
-        self._table, self._guest = settings.nmea0183.guest, guest
+        (self._table,), self._guest = settings.facts("guest"), guest
         self._path = msgspec.structs.replace(settings.control.path, lookahead_m=self._table.lookahead_m)
         self.input: Readable = line
         self._line, self._fields = line, FieldReader()
@@ -90,6 +90,6 @@ class PilotLine:
 
 def opened(boat: OpenedWith) -> Added:
     """Raises DelfimError."""
-    table = boat.settings.nmea0183.guest
+    (table,) = boat.settings.facts("guest")
     line = boat.links.line(table.device, table.baud)
     return Added(inputs=(PilotLine(boat.settings, line, boat.guest),))

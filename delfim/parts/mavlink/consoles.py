@@ -14,6 +14,7 @@ from delfim.parts.mavlink.news import News
 from delfim.parts.mavlink.peers import HEARD_S, Peer, Peers
 from delfim.parts.mavlink.sequences import Sequences
 from delfim.parts.mavlink.signing import Signing
+from delfim.parts.mavlink.table import Mavlink
 from delfim.parts.mavlink.telemetry import TelemetryView
 from delfim.parts.mavlink.wire import GUEST, Address, Message, Speaker, dialect
 from delfim.vehicle import console
@@ -42,7 +43,7 @@ class Consoles:
         review: Review | None,
         correct: Callable[[bytes], bool] | None = None,
     ) -> None:
-        self.boat, self.clock, self.settings = boat, boat.clock, boat.helm.settings.mavlink
+        self.boat, self.clock, self.settings = boat, boat.clock, boat.helm.settings.of(Mavlink)
         self.system = boat.helm.settings.boat.id
         self.commander: Speaker | None = None  # the console that commands
         self.counts: dict[str, int] = {}

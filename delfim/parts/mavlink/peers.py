@@ -5,10 +5,10 @@ from collections import deque
 from collections.abc import Callable
 from typing import Final
 
-from delfim import config
 from delfim.base.clock import Clock
 from delfim.parts.mavlink import params, telemetry
 from delfim.parts.mavlink.signing import Signing
+from delfim.parts.mavlink.table import Mavlink
 from delfim.parts.mavlink.telemetry import Profile, TelemetryRow
 from delfim.parts.mavlink.wire import Address, Message, Sender, Speaker, dialect
 
@@ -44,7 +44,7 @@ class Peers:
     def __init__(
         self,
         system: int,
-        settings: config.Mavlink,
+        settings: Mavlink,
         clock: Clock,
         send: Callable[[bytes, Address], object],
         signing: Signing | None,

@@ -9,10 +9,10 @@ from collections import deque
 from collections.abc import Callable
 from typing import Any, Final
 
-from delfim import config
 from delfim.base.clock import Clock
 from delfim.lines.serialline import SerialLine
 from delfim.parts.mavlink import wire
+from delfim.parts.mavlink.table import Mavlink
 from delfim.parts.mavlink.wire import Address, dialect
 
 BITS_PER_BYTE: Final = 10  # 8N1
@@ -32,7 +32,7 @@ log = logging.getLogger(__name__)
 class StationSerial:
     """`receive` takes a frame and the line's address."""
 
-    def __init__(self, settings: config.Mavlink, clock: Clock, receive: Callable[[bytes, Address], object]) -> None:
+    def __init__(self, settings: Mavlink, clock: Clock, receive: Callable[[bytes, Address], object]) -> None:
         self.address: Address = settings.serial, settings.baud
         self._line = SerialLine(settings.serial, settings.baud, clock, may_lack=True)
         self._now_s, self._receive = clock.monotonic_s, receive

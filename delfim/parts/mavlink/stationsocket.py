@@ -20,6 +20,7 @@ from delfim.parts.mavlink.consoles import Obey, Review
 from delfim.parts.mavlink.signing import Kept, Signing, read_stamps, write_stamps
 from delfim.parts.mavlink.station import Station
 from delfim.parts.mavlink.stationserial import StationSerial
+from delfim.parts.mavlink.table import Mavlink
 from delfim.parts.mavlink.wire import DATAGRAM_BYTES, Address
 from delfim.vehicle.loop import VehicleLoop
 
@@ -42,7 +43,7 @@ class MavlinkLink:
         stamps: Path,
         board: dict[str, Callable[[], dict[str, object]]],
     ) -> None:
-        settings = boat.helm.settings.mavlink
+        settings = boat.helm.settings.of(Mavlink)
         self._loop, self._board, self._stamps = asyncio.get_running_loop(), board, stamps
         self._signing = self._signed(boat, stamps) if settings.key else None
         self._socket = _bound(settings.listen)
@@ -53,7 +54,7 @@ class MavlinkLink:
         whole = boat.helm.settings
         self._doorstep = str(doorstep(whole.runtime.run_directory))
         self._handing = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_NONBLOCK)
-        correct = self._correct if whole.corrections.to else None
+        correct = self._correct if whole.table("corrections").to else None
         self.station = Station(boat, obey, self._send, self._signing, review, self._is_ready, correct)
         self._unsent = 0
         self._timer: asyncio.TimerHandle | None = None
@@ -145,7 +146,7 @@ class MavlinkLink:
 
     @staticmethod
     def _signed(boat: VehicleLoop, stamps: Path) -> Signing:
-        key = read_key(boat.helm.settings.mavlink.key)
+        key = read_key(boat.helm.settings.of(Mavlink).key)
         return Signing(key, boat.clock, read_stamps(stamps), is_right=lambda: boat.state.computer.clock.is_right)
 
     @staticmethod

@@ -3,7 +3,6 @@
 import math
 from typing import Final
 
-from delfim import config
 from delfim.canproxy.dsor.messages import Navigation
 from delfim.lines.nmea0183.framing import Sentence
 from delfim.lines.nmea0183.instants import Instants
@@ -19,6 +18,7 @@ from delfim.lines.nmea0183.sentences import (
     Spread,
     Turning,
 )
+from delfim.parts.nmea0183.table import Nmea0183
 from delfim.vehicle.navigation.fusion import MOVING, SLOW_S, SQRT2, UNSTATED, VARIATION_S, Fusion, Quality, over_ground
 
 TALKERS_MAX: Final = 32
@@ -45,7 +45,7 @@ class Combined:
     """Files what all lines of NMEA 0183 say as readings of PORT:TALKER. Talkers of satellite systems on one port are one
     receiver, GN."""
 
-    def __init__(self, settings: config.Nmea0183, stale_s: float, measured: dict[str, tuple[float, float]]) -> None:
+    def __init__(self, settings: Nmea0183, stale_s: float, measured: dict[str, tuple[float, float]]) -> None:
         """measured: gets the values beside navigation, with their times."""
         self._settings, self._stale_s, self._measured = settings, stale_s, measured
         self.fusion: Fusion[str] = Fusion(_KINDS, stale_s, variation_deg=settings.variation_deg)

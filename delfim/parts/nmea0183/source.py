@@ -11,6 +11,7 @@ from delfim.base.vessels import Report
 from delfim.lines.nmea0183.aissentences import AisMessages, AisPart
 from delfim.parts.nmea0183.combining import Combined
 from delfim.parts.nmea0183.mixedline import Antennas, MixedLine
+from delfim.parts.nmea0183.table import Nmea0183
 from delfim.vehicle.links import Links, ReadableLine
 from delfim.vehicle.navigation.fixes import Fix
 from delfim.vehicle.navigation.fusion import Hearer
@@ -140,7 +141,7 @@ def opened(
     settings: config.Vehicle, links: Links, measured: dict[str, tuple[float, float]], hear: HearAis
 ) -> Nmea0183Navigation:
     """`measured` gets the values beside navigation, `hear` what is said of other vessels. Raises DelfimError."""
-    table = settings.nmea0183
+    table = settings.of(Nmea0183)
     ports = tuple(
         Port(
             name,

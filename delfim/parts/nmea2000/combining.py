@@ -4,7 +4,6 @@ import math
 from collections import Counter
 from typing import Final, NamedTuple
 
-from delfim import config
 from delfim.base.errors import FormatError
 from delfim.base.frames import CAN_IDE, Frame, extended
 from delfim.canproxy.dsor.messages import Navigation
@@ -27,6 +26,7 @@ from delfim.canproxy.nmea2000.pgns import (
     VesselHeading,
     decode,
 )
+from delfim.parts.nmea2000.table import Nmea2000
 from delfim.vehicle.navigation.fusion import MOVING, SLOW_S, UNSTATED, VARIATION_S, Fusion, Quality, over_ground
 
 
@@ -64,7 +64,7 @@ class Nmea2000Source:
     # (arb, mask) to bind a socket to, set mask bits = don't care: the PGNs read here, at any priority, from any address.
     filters: Final = tuple((extended(pgn << 8), extended(7 << 26 | 0xFF) & ~CAN_IDE) for pgn in (*LAYOUTS, CLAIMED))
 
-    def __init__(self, settings: config.Nmea2000, stale_s: float, own_name: int = -1) -> None:
+    def __init__(self, settings: Nmea2000, stale_s: float, own_name: int = -1) -> None:
         """`own_name` as `Names` has it."""
         self._names = Names(settings.preferred_sources, own_name)
         self.fusion: Fusion[int] = Fusion(_KINDS, stale_s, self._names.preferred, settings.variation_deg)

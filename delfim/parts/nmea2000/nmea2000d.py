@@ -22,6 +22,7 @@ from delfim.canproxy.nmea2000.pgns import ADDRESS_MAX
 from delfim.canproxy.opening import open_bound
 from delfim.canproxy.socket import CanAddress, CanSocket
 from delfim.parts.nmea2000.nmea2000rows import TOLD, Alerts, Telling, pgns_of
+from delfim.parts.nmea2000.table import Nmea2000
 from delfim.services.page.api import State
 from delfim.services.runtime import Runtime
 from delfim.services.watching import watch
@@ -104,7 +105,7 @@ class BoatDevice:
     """The device, and what the boat tells."""
 
     def __init__(self, bus: CanSocket, settings: config.Vehicle, clock: Clock, address: int, chance: Random) -> None:
-        told = settings.nmea2000.send
+        told = settings.of(Nmea2000).send
         self.device = Device(facts_of(settings), pgns_of(told), chance, address)
         self.parcels = ParcelQueue(bus)
         self._bus, self._settings, self._clock = bus, settings, clock
@@ -204,7 +205,7 @@ async def serve(runtime: Runtime) -> None:
         raise PermanentFailure("nmea2000d: it waits for the disk, which the runtime must not; write place = 'process'")
     filters = tuple(CanAddress(arb, mask) for arb, mask in Device.FILTERS)
     with contextlib.ExitStack() as links:
-        bus = links.enter_context(open_bound(settings.can, settings.nmea2000.interface, filters))
+        bus = links.enter_context(open_bound(settings.can, settings.of(Nmea2000).interface, filters))
         memory = Memory(Path(settings.log.directory) / "nmea2000-address")
         speaker = BoatDevice(bus, settings, runtime.clock, memory.address, Random())
         links.enter_context(runtime.reading(bus.fileno(), speaker.on_frames, TICK_S))

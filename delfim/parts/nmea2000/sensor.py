@@ -17,6 +17,7 @@ from delfim.canproxy.nmea2000.pgns import ADDRESS_MAX
 from delfim.canproxy.socket import CanAddress, CanSocket
 from delfim.parts.nmea0183 import sensor as nmea0183
 from delfim.parts.nmea2000.source import opened
+from delfim.parts.nmea2000.table import Nmea2000
 from delfim.vehicle.links import Links, received
 from delfim.vehicle.nodehealth import NAMES
 from delfim.vehicle.sensors import Value
@@ -41,9 +42,9 @@ class Nmea2000Instruments:
 
     def __init__(self, settings: config.Vehicle, socket: CanSocket) -> None:
         self.input = socket
-        self._names = Names(settings.nmea2000.preferred_sources, device_name(facts_of(settings).unique))
+        self._names = Names(settings.of(Nmea2000).preferred_sources, device_name(facts_of(settings).unique))
         preferred, stale_s = self._names.preferred, settings.sensors.stale_s
-        self._batteries = settings.nmea2000.batteries
+        self._batteries = settings.of(Nmea2000).batteries
         names = (*(value.name for value in VALUES), "depth_offset_m")
         self._newest = {name: Newest[int, float](preferred, stale_s) for name in names}
         self._powers = tuple(Newest[int, Battery](preferred, stale_s) for _ in self._batteries)

@@ -10,6 +10,7 @@ from delfim.canproxy.nmea2000.device import device_name, facts_of
 from delfim.canproxy.nmea2000.parcels import ROLL_CALL, frames
 from delfim.canproxy.socket import CanAddress, CanSocket
 from delfim.parts.nmea2000.combining import Nmea2000Source
+from delfim.parts.nmea2000.table import Nmea2000
 from delfim.vehicle.links import FRAMES_PER_READ, Links
 from delfim.vehicle.navigation.fixes import Fix
 from delfim.vehicle.navigation.fusion import Hearer
@@ -53,15 +54,15 @@ class Nmea2000Navigation:
 
 
 def open_source(settings: config.Vehicle, links: Links, state: State) -> Nmea2000Navigation:
-    decoder = Nmea2000Source(settings.nmea2000, settings.navigation.stale_s, device_name(facts_of(settings).unique))
+    decoder = Nmea2000Source(settings.of(Nmea2000), settings.navigation.stale_s, device_name(facts_of(settings).unique))
     filters = tuple(CanAddress(arb, mask) for arb, mask in decoder.filters)
     return Nmea2000Navigation(opened(settings, links, filters), decoder, state)
 
 
 def opened(settings: config.Vehicle, links: Links, filters: tuple[CanAddress, ...]) -> CanSocket:
     """The bus. It is only listened to, but for one question at the start, where NAMEs matter: who has which address."""
-    bus = links.bus(settings.nmea2000.interface, filters)
-    if settings.nmea2000.joins:
+    bus = links.bus(settings.of(Nmea2000).interface, filters)
+    if settings.of(Nmea2000).joins:
         ((arb, data),) = frames(ROLL_CALL, 0)
         with contextlib.suppress(OSError):  # nmea2000d asks, too, when the bus is there
             bus.sendto(data, CanAddress(arb))

@@ -25,6 +25,7 @@ from delfim.logging.liblog import event_line
 from delfim.logging.nodelog import line as log_line
 from delfim.logging.openlog import open_log
 from delfim.parts.payload.payloadorders import OrderLine
+from delfim.parts.payload.table import PayloadTable
 from delfim.services.page.api import State
 from delfim.services.runtime import Runtime
 from delfim.services.supervision import processes
@@ -70,9 +71,7 @@ async def _within(seconds: float, event: asyncio.Event) -> None:
 class Payload(asyncio.SubprocessProtocol):
     """One program: its process, its lines, its figures."""
 
-    def __init__(
-        self, name: str, table: config.PayloadTable, settings: config.Vehicle, clock: Clock, orders: OrderLine
-    ) -> None:
+    def __init__(self, name: str, table: PayloadTable, settings: config.Vehicle, clock: Clock, orders: OrderLine) -> None:
         self.name, self._table, self._pauses, self._clock = name, table, settings.supervisor, clock
         self._group, self._limits = f"payload-{name}", Limits(table.memory_max_mb << 20, table.cpu_max)
         self._feed = -1  # its standard input
@@ -284,7 +283,9 @@ class Payloads:
         settings, self._clock = runtime.config, runtime.clock
         self._socket = settings.console.socket
         self.orders = OrderLine(self._socket, self._clock)
-        self.programs = [Payload(name, table, settings, self._clock, self.orders) for name, table in settings.payload.items()]
+        self.programs = [
+            Payload(name, table, settings, self._clock, self.orders) for name, table in settings.table("payload").items()
+        ]
         self._before: VoyageTold | None = None
         self._trouble = "the vehicle has not answered yet"
 
@@ -345,7 +346,7 @@ async def serve(runtime: Runtime) -> None:
         links.enter_context(runtime.publishing("payload", payloads.figures))
         async with asyncio.TaskGroup() as group:
             group.create_task(payloads.watch())
-            if any(table.may for table in runtime.config.payload.values()):
+            if any(table.may for table in runtime.config.table("payload").values()):
                 group.create_task(payloads.orders.follow())
             group.create_task(payloads.look())
             for program in payloads.programs:

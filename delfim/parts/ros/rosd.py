@@ -19,6 +19,7 @@ from delfim.base.errors import FormatError, PermanentFailure, one_line
 from delfim.parts.ros import rosmessages as messages
 from delfim.parts.ros.roskeys import RosNode, RosType, attachment
 from delfim.parts.ros.rossteering import GuestLine, Steering
+from delfim.parts.ros.table import RosTable
 from delfim.services.page.api import State
 from delfim.services.runtime import Runtime
 from delfim.services.watching import watch
@@ -36,8 +37,8 @@ class RosBoat:
 
     def __init__(self, session: Any, library: Any, settings: config.Vehicle, clock: Clock) -> None:
         self._session, self._library, self._settings, self._clock = session, library, settings, clock
-        self.namespace = "/" + (settings.ros.namespace or settings.boat.name.lower().replace("-", "_"))
-        self._node = RosNode(settings.ros.domain, str(session.info.zid()), self.namespace, NAME)
+        self.namespace = "/" + (settings.of(RosTable).namespace or settings.boat.name.lower().replace("-", "_"))
+        self._node = RosNode(settings.of(RosTable).domain, str(session.info.zid()), self.namespace, NAME)
         self._tokens = [session.liveliness().declare_token(self._node.token())]
         self._at: geodesy.Origin | None = None
         self._cycle, self._slow_s, self._heard_s = -1, -math.inf, -math.inf
@@ -50,7 +51,7 @@ class RosBoat:
         self._battery = self._publisher(f"{space}/battery", messages.BATTERY)
         self._diagnostics = self._publisher("/diagnostics", messages.DIAGNOSTICS)
         self._steering = Steering(settings.control.speed.cruise_mps)
-        self.guest = GuestLine(settings.guest) if settings.ros.commands else None
+        self.guest = GuestLine(settings.guest) if settings.of(RosTable).commands else None
         self._inputs: list[tuple[Any, Callable[[bytes], None]]] = []
         if self.guest is not None:
             self._subscribe(f"{space}/cmd_vel", messages.TWIST, self._on_twist)
@@ -171,7 +172,7 @@ async def _opened(library: Any, settings: config.Vehicle, runtime: Runtime) -> A
     asked = library.Config()
     keys = {
         "mode": "client",
-        "connect/endpoints": [settings.ros.router],
+        "connect/endpoints": [settings.of(RosTable).router],
         "connect/timeout_ms": OPEN_MS,
         "scouting/multicast/enabled": False,  # it finds nobody by itself, and nobody finds it
     }

@@ -49,4 +49,4 @@ def open_ais_bus(settings: config.Vehicle, links: Links) -> AisBus | None:
     """None where the boat has no such bus, or shall not hear it. Raises DelfimError."""
     if NAME not in settings.traffic.hears or f"{NAME}.interface" not in settings.outside("interface"):
         return None
-    return AisBus(links.bus(settings.nmea2000.interface, FILTERS))
+    return AisBus(links.bus(settings.table("nmea2000").interface, FILTERS))

@@ -59,7 +59,7 @@ def _commands(shore: Path, settings: config.Vehicle, own: str, user: str, runnin
     """One for each door that is open beyond the boat's computer."""
     from delfim.canproxy.cantcp.access import bus_name
 
-    line, mavlink = settings.slipd, settings.mavlink
+    line, mavlink = settings.slipd, settings.table("mavlink")
     boat = line.address if line.device else own
     if line.device:
         yield from _shore(line)

@@ -39,7 +39,7 @@ def _console(settings: config.Vehicle) -> Iterator[Entrance]:
     here = "programs of this computer that may open the file"
     fault = "simulation.faults lets `delfim fault` break the boat's log and links" if settings.simulation.faults else ""
     yield Entrance("vehicle", settings.console.socket, "here", here, "command the boat", fault)
-    mavlink = settings.mavlink
+    mavlink = settings.table("mavlink")
     if mavlink.enabled and mavlink.key:
         for place in (f"{mavlink.listen} UDP", *([mavlink.serial] if mavlink.serial else [])):
             yield Entrance("mavlink", place, "known", f"holders of {mavlink.key}", "watch and command the boat")
@@ -55,12 +55,12 @@ def _console(settings: config.Vehicle) -> Iterator[Entrance]:
 
 def unheard(settings: config.Vehicle) -> str:
     """Why no console on another computer can reach the boat; "": one can."""
-    mavlink = settings.mavlink
+    mavlink = settings.table("mavlink")
     if not mavlink.enabled:
         return "mavlink.enabled is false"
     if not mavlink.key:
         return "mavlink.key is empty, and without a key only this computer is heard"
-    if is_loopback(mavlink.listen) and not (mavlink.serial or settings.fleet.broker):
+    if is_loopback(mavlink.listen) and not (mavlink.serial or settings.table("fleet").broker):
         return f"mavlink.listen is {mavlink.listen}, which only this computer reaches"
     return ""
 
@@ -79,7 +79,7 @@ def _guest(settings: config.Vehicle) -> Iterator[Entrance]:
 
 def _instruments(settings: config.Vehicle) -> Iterator[Entrance]:
     """Lines of NMEA 0183 over the network, on which this computer listens."""
-    table = settings.nmea0183
+    table = settings.table("nmea0183")
     beyond = _beyond(table.senders)
     for key, device in settings.outside("device").items():
         if not device.startswith(("udp:", "tcp-listen:")):
@@ -142,7 +142,7 @@ def _sshd(settings: config.Vehicle) -> Iterator[Entrance]:
 
 
 def _fleetd(settings: config.Vehicle) -> Iterator[Entrance]:
-    table, key = settings.fleet, settings.mavlink.key
+    table, key = settings.table("fleet"), settings.table("mavlink").key
     yield Entrance("fleetd", table.broker, "known", f"holders of {key}, through the broker", "watch and command the boat")
     where = "the broker knows who may read it" if table.credentials else "anyone who may read at the broker"
     yield Entrance("fleetd", f"{table.broker}, state", "anyone", where, "read where the boat is")
@@ -150,13 +150,13 @@ def _fleetd(settings: config.Vehicle) -> Iterator[Entrance]:
 
 
 def _rosd(settings: config.Vehicle) -> Iterator[Entrance]:
-    may = f"read the boat's state; {_STEER}" if settings.ros.commands else "read the boat's state"
-    yield Entrance("rosd", settings.ros.router, "anyone", "anyone who reaches this Zenoh router", may)
+    may = f"read the boat's state; {_STEER}" if settings.table("ros").commands else "read the boat's state"
+    yield Entrance("rosd", settings.table("ros").router, "anyone", "anyone who reaches this Zenoh router", may)
 
 
 def _payload(settings: config.Vehicle) -> Iterator[Entrance]:
     """No door, and others who may steer all the same."""
-    for name, table in settings.payload.items():
+    for name, table in settings.table("payload").items():
         if table.may:
             may = f"order: {', '.join(table.may)}"
             yield Entrance("payload", table.command[0], "here", f"payload {name}, when an operator gave it the boat", may)

@@ -120,7 +120,7 @@ class Orders:
 
     def _below(self, payload: str, command: console.Commands, why: str | None) -> Iterator[str]:
         """What a program may not do."""
-        word, table = str(command.__struct_config__.tag), self._run.settings.payload.get(payload)
+        word, table = str(command.__struct_config__.tag), self._run.settings.table("payload").get(payload)
         has = self._whose.helmsman == payload or word in FREE
         if why is None and not (has and table is not None and table.may and (word == "alive" or RIGHT[word] in table.may)):
             yield f"{word} of payload {payload} was obeyed, which may not order it now"

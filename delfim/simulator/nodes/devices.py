@@ -37,7 +37,7 @@ class Devices:
     hears = tuple(CanAddress(arb, mask) for arb, mask in any_of(REQUEST))
 
     def __init__(self, settings: config.Vehicle, model: Model, seed: int) -> None:
-        self.interface, self._must_claim = settings.nmea2000.interface, True
+        self.interface, self._must_claim = settings.table("nmea2000").interface, True
         self.receiver = GnssReceiver(model, settings.simulation, seed)
         self.compass = Compass(model, settings.simulation, seed)
         self.has_gyro = settings.simulation.gyro

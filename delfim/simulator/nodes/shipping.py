@@ -225,7 +225,7 @@ class Shipping:
 
     def __init__(self, settings: config.Vehicle, model: Model, seed: int) -> None:
         here = settings.simulation.traffic
-        self.interface, self._period, self._began_s = settings.nmea2000.interface, Period(PERFECT_S / 5.0), math.nan
+        self.interface, self._period, self._began_s = settings.table("nmea2000").interface, Period(PERFECT_S / 5.0), math.nan
         self._sequence = dict[int, int]()
         self._late = deque[tuple[float, Spoken]](maxlen=LATE_MAX)  # when due
         self.sentences = deque[bytes](maxlen=SENTENCES_MAX)  # the same for a line of NMEA 0183, which takes them from here

@@ -38,4 +38,4 @@ class EchoSounder:
 
 
 def devices_of(settings: config.Vehicle, model: Model, seed: int) -> EchoSounder | None:
-    return EchoSounder(settings.nmea2000.interface, model) if "nmea2000" in settings.sensors.names else None
+    return EchoSounder(settings.table("nmea2000").interface, model) if "nmea2000" in settings.sensors.names else None

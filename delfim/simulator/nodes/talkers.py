@@ -76,7 +76,7 @@ class SimulatedInstruments:
     def __init__(self, settings: config.Vehicle, model: Model, seed: int, ais: deque[bytes] | None) -> None:
         self._here, self._model, self._seed, self._ais = settings.simulation, model, seed, ais
         self._corrected = settings.failsafe.gnss_poor.corrections_s > 0.0  # a boat that asks for corrections gets them
-        self._variation_rad = math.radians(settings.nmea0183.variation_deg)
+        self._variation_rad = math.radians(settings.table("nmea0183").variation_deg)
         self.receivers, self.compasses = list[GnssReceiver](), list[Compass]()
         self._all = [one for each in placed(settings) for one in self._made(*each.split(":"))]
         if BOARD in settings.navigation.sources:
@@ -162,13 +162,13 @@ def placed(settings: config.Vehicle) -> tuple[str, ...]:
     """PORT:INSTRUMENT of a boat that listens to such ports."""
     if "nmea0183" not in (*settings.navigation.sources, *settings.sensors.names):
         return ()
-    first = next(iter(settings.nmea0183.ports))
+    first = next(iter(settings.table("nmea0183").ports))
     return settings.simulation.instruments or tuple(f"{first}:{kind}" for kind in config.INSTRUMENTS)
 
 
 def port_devices(settings: config.Vehicle) -> dict[str, str]:
     """The devices of all ports, by their names."""
-    ports = {name: port.device.replace("gpsd:", "tcp:") for name, port in settings.nmea0183.ports.items()}
+    ports = {name: port.device.replace("gpsd:", "tcp:") for name, port in settings.table("nmea0183").ports.items()}
     of_parts = {part.name: str(getattr(settings.table(part.name), "device", "")) for part in settings.aboard}
     return ports | {BOARD: settings.table(BOARD).device} | of_parts
 

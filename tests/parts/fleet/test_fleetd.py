@@ -25,6 +25,8 @@ from delfim.console.mavlink import Key
 from delfim.console.serving import broker_line
 from delfim.parts.fleet.broker import STALE_S, BrokerLine, BrokerPlace
 from delfim.parts.fleet.fleetd import FleetMember, serve
+from delfim.parts.fleet.table import FleetTable
+from delfim.parts.mavlink.table import Mavlink
 from delfim.services.access.doors import doors
 from delfim.services.page.api import State
 from delfim.services.suite import services
@@ -39,8 +41,8 @@ STATE = State(mode="play", reason="operator", boat="Otter", latitude_deg=38.7, l
 def settings(port: int, folder: Path, listen: str = "127.0.0.1:14560", **table: Any) -> config.Vehicle:
     return config.Vehicle(
         boat=config.BoatTable(name="Otter", id=3),
-        mavlink=config.Mavlink(key=str(folder / "key"), peers=(listen,), listen="127.0.0.1:14555"),
-        fleet=config.FleetTable(broker=f"mqtt://127.0.0.1:{port}/tagus", listen=listen, **table),
+        mavlink=Mavlink(key=str(folder / "key"), peers=(listen,), listen="127.0.0.1:14555"),
+        fleet=FleetTable(broker=f"mqtt://127.0.0.1:{port}/tagus", listen=listen, **table),
     )
 
 

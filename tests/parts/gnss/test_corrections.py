@@ -20,6 +20,8 @@ from delfim.base.errors import ConfigError, PermanentFailure
 from delfim.lines.rtcm import doorstep, framed
 from delfim.parts.gnss import corrections
 from delfim.parts.gnss.receiverport import WAITING_BYTES, ReceiverPort
+from delfim.parts.gnss.table import Corrections
+from delfim.parts.nmea0183.table import Nmea0183, Nmea0183Port
 from delfim.services.priority import Account
 from delfim.services.runtime import Runtime
 from delfim.services.servicestatus import ServiceStatus
@@ -88,12 +90,12 @@ async def roving(tmp_path: Path, caster: str = "", credentials: str = SECRET, **
     receiver, secret = Receiver(tmp_path / "gnss"), tmp_path / "ntrip"
     secret.write_text(credentials)
     secret.chmod(0o600)
-    ports = {"gnss": config.Nmea0183Port(device=str(receiver.name), baud=115_200)}
-    table = config.Corrections(to="gnss", caster=caster, credentials=str(secret) if caster else "", **more)
+    ports = {"gnss": Nmea0183Port(device=str(receiver.name), baud=115_200)}
+    table = Corrections(to="gnss", caster=caster, credentials=str(secret) if caster else "", **more)
     settings = vehicle_file(
         tmp_path,
         navigation=config.NavigationTable(sources=("nmea0183",)),
-        nmea0183=config.Nmea0183(ports=ports),
+        nmea0183=Nmea0183(ports=ports),
         corrections=table,
     )
     try:
@@ -263,8 +265,8 @@ def test_a_port_that_nobody_reads_is_set_up_at_the_speed_of_its_table(tmp_path, 
         settings = vehicle_file(
             tmp_path,
             navigation=config.NavigationTable(sources=sources),
-            nmea0183=config.Nmea0183(ports={"gnss": config.Nmea0183Port(device=str(receiver.name), baud=57_600)}),
-            corrections=config.Corrections(to="gnss", baud=9600),
+            nmea0183=Nmea0183(ports={"gnss": Nmea0183Port(device=str(receiver.name), baud=57_600)}),
+            corrections=Corrections(to="gnss", baud=9600),
         )
         port = corrections.receiver_port(settings)
         port.look()
@@ -357,7 +359,7 @@ device = "udp:127.0.0.1:10110"
 
 def test_it_does_not_run_beside_navigation(tmp_path):
     async def test() -> None:
-        runtime = Runtime(vehicle_file(tmp_path, corrections=config.Corrections(to="/dev/gnss")), SystemClock())
+        runtime = Runtime(vehicle_file(tmp_path, corrections=Corrections(to="/dev/gnss")), SystemClock())
         runtime.status["corrections"] = ServiceStatus("corrections", "runtime", Account("corrections", 0.1), 0, 0.0)
         with pytest.raises(PermanentFailure, match="place = 'process'"):
             await corrections.serve(runtime)

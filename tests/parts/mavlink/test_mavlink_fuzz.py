@@ -20,6 +20,7 @@ from delfim.parts.mavlink.peers import PEERS
 from delfim.parts.mavlink.signing import Signing
 from delfim.parts.mavlink.station import FRAMES, PENDING, Station
 from delfim.parts.mavlink.stationsocket import MavlinkLink
+from delfim.parts.mavlink.table import Mavlink
 from delfim.parts.mavlink.wire import dialect
 from delfim.vehicle.console import Stop, Take
 from tests.parts.mavlink.mavlink_console import HOME, Console, Radio
@@ -142,7 +143,7 @@ def test_a_flood_is_worked_off_a_little_at_a_time_and_what_is_too_much_is_droppe
 def test_the_socket_asks_for_low_delay_and_survives_what_comes(boat, tmp_path):
     """Over a real socket on a real loop: rubbish, then a command that is obeyed."""
     boat.vehicle.helm.settings = config.Vehicle(
-        boat=config.BoatTable(name="test", id=1), mavlink=config.Mavlink(listen="127.0.0.1:0", peers=())
+        boat=config.BoatTable(name="test", id=1), mavlink=Mavlink(listen="127.0.0.1:0", peers=())
     )
     boat.ready()
     board: dict = {}
@@ -179,7 +180,7 @@ def test_an_address_that_is_taken_is_told_and_the_boat_sails(boat, tmp_path, cap
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
         taken.bind(("127.0.0.1", 0))
         listen = f"127.0.0.1:{taken.getsockname()[1]}"
-        boat.vehicle.helm.settings = config.Vehicle(boat=config.BoatTable(name="test"), mavlink=config.Mavlink(listen=listen))
+        boat.vehicle.helm.settings = config.Vehicle(boat=config.BoatTable(name="test"), mavlink=Mavlink(listen=listen))
 
         async def serve() -> None:
             try:

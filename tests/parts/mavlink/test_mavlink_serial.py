@@ -23,6 +23,7 @@ from delfim.parts.mavlink.signing import Signing
 from delfim.parts.mavlink.station import Station
 from delfim.parts.mavlink.stationserial import QUEUE_BYTES, STALE_S, StationSerial
 from delfim.parts.mavlink.stationsocket import MavlinkLink
+from delfim.parts.mavlink.table import Mavlink
 from delfim.parts.mavlink.wire import dialect
 
 KEY, BAUD = bytes(range(32)), 57_600
@@ -79,7 +80,7 @@ class Sea:
     def __init__(self, boat: Any, device: Path, **radio: Any) -> None:
         self.boat, self.device, self.clock = boat, device, boat.clock
         boat.clock.step(16 * 365 * 86400.0)  # time stamps begin in 2015
-        settings = config.Mavlink(serial=str(device), key="a key", peers=())
+        settings = Mavlink(serial=str(device), key="a key", peers=())
         boat.vehicle.helm.settings = config.Vehicle(boat=config.BoatTable(name="test", id=1), mavlink=settings)
         self.master = -1
         self.plug()
@@ -178,7 +179,7 @@ def test_nobody_is_heard_without_the_key(sea):
 
 def test_a_radio_needs_a_key():
     with pytest.raises(ConfigError, match="it needs a key; make one with"):
-        decode({"serial": "/dev/ttyUSB0"}, config.Mavlink, "boat.toml")
+        decode({"serial": "/dev/ttyUSB0"}, Mavlink, "boat.toml")
     port = {"boat": {"name": "x"}, "slipd": {"device": "/dev/ttyS1"}, "mavlink": {"serial": "/dev/ttyS1", "key": "k"}}
     with pytest.raises(ConfigError, match="one port"):
         decode(port, config.Vehicle, "boat.toml")
@@ -270,7 +271,7 @@ def test_the_port_is_served_on_the_loop(boat, tmp_path: Path) -> None:
     (tmp_path / "key").chmod(0o600)
     master, port = os.openpty()
     tty.setraw(port)
-    settings = config.Mavlink(listen="127.0.0.1:0", peers=(), key=str(tmp_path / "key"), serial=os.ttyname(port))
+    settings = Mavlink(listen="127.0.0.1:0", peers=(), key=str(tmp_path / "key"), serial=os.ttyname(port))
     boat.vehicle.helm.settings = config.Vehicle(boat=config.BoatTable(name="test", id=1), mavlink=settings)
     boat.ready()
     sender, board = wire.Sender(250, 190, KEY, Signing(KEY, boat.clock).stamp), dict[str, Any]()

@@ -15,6 +15,7 @@ from delfim.base.modes import Mode
 from delfim.parts.mavlink import wire
 from delfim.parts.mavlink.signing import Kept, Signing, read_stamps, write_stamps
 from delfim.parts.mavlink.station import Station
+from delfim.parts.mavlink.table import Mavlink
 from delfim.parts.mavlink.wire import dialect
 from tests.parts.mavlink.mavlink_console import Console, Radio, newest
 
@@ -34,7 +35,7 @@ class Sea:
 
     def __init__(self, boat, key: bytes | None = KEY, stamps: Kept | None = None, **options: object) -> None:
         self.boat, self.radio = boat, Radio()
-        boat.vehicle.helm.settings = config.Vehicle(boat=config.BoatTable(name="test", id=1), mavlink=config.Mavlink(**options))
+        boat.vehicle.helm.settings = config.Vehicle(boat=config.BoatTable(name="test", id=1), mavlink=Mavlink(**options))
         self.signing = Signing(key, boat.clock, stamps) if key else None
         self.station = Station(boat.vehicle, boat.vehicle.on_command, self.radio, self.signing)
         boat.ready()

@@ -9,6 +9,7 @@ from delfim import config
 from delfim.base.modes import Mode
 from delfim.canproxy.dsor import messages
 from delfim.parts.mavlink.station import Station
+from delfim.parts.mavlink.table import Mavlink
 from delfim.parts.mavlink.wire import dialect
 from delfim.vehicle import console
 from delfim.vehicle.control.hull import filled
@@ -31,7 +32,7 @@ waypoint = [
 def afloat(boat, **options: object) -> SimpleNamespace:
     """A boat that is fit, its station, and a console that it has heard."""
     vehicle: VehicleLoop = boat.vehicle
-    settings = config.Vehicle(boat=config.BoatTable(name="test", id=1), mavlink=config.Mavlink(**options))
+    settings = config.Vehicle(boat=config.BoatTable(name="test", id=1), mavlink=Mavlink(**options))
     vehicle.helm.settings = filled(settings)
     log: list[console.Commands] = []
 

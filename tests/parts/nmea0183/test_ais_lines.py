@@ -9,6 +9,7 @@ from delfim import config
 from delfim.base import geodesy
 from delfim.base.clock import ManualClock
 from delfim.lines.nmea0183.framing import framed
+from delfim.parts.nmea0183.table import Nmea0183, Nmea0183Port
 from delfim.parts.traffic.lookout import TrafficLookout
 from delfim.simulator.line import LockstepLine
 from delfim.vehicle import sensors
@@ -36,7 +37,7 @@ class Aboard:
             boat=config.BoatTable(name="tried"),
             navigation=config.NavigationTable(sources=("nmea0183",) if navigates else ("dsor",)),
             sensors=config.Sensors(names=() if navigates else ("nmea0183",)),
-            nmea0183=config.Nmea0183(ports={"ais": config.Nmea0183Port(device="/dev/ais", baud=38_400)}),
+            nmea0183=Nmea0183(ports={"ais": Nmea0183Port(device="/dev/ais", baud=38_400)}),
             traffic=config.TrafficTable(**traffic),
         )
         links = Links(lambda *_: pytest.fail("no bus"), lambda *_: self.line)

@@ -16,6 +16,7 @@ from delfim.base.clock import ManualClock
 from delfim.lines.nmea0183.framing import framed
 from delfim.lines.serialline import SerialLine
 from delfim.parts.nmea0183.source import GARBLED_S, Nmea0183Navigation, opened
+from delfim.parts.nmea0183.table import Nmea0183, Nmea0183Port
 from delfim.vehicle.links import Links
 
 FLOOD_BYTES = 20_000
@@ -49,7 +50,7 @@ class Boat:
         settings = config.Vehicle(
             boat=config.BoatTable(name="tried"),
             navigation=config.NavigationTable(sources=("nmea0183",)),
-            nmea0183=config.Nmea0183(ports={"gnss": config.Nmea0183Port(device=str(device))}),
+            nmea0183=Nmea0183(ports={"gnss": Nmea0183Port(device=str(device))}),
         )
         self.source: Nmea0183Navigation = opened(
             settings, Links(lambda *_: pytest.fail("no bus"), lambda *_: self.line), {}, lambda *_: None

@@ -5,11 +5,11 @@ from itertools import pairwise
 
 import pytest
 
-from delfim import config
 from delfim.canproxy.dsor.messages import Navigation
 from delfim.lines.nmea0183.framing import Sentences, framed
 from delfim.lines.nmea0183.sentences import KNOT
 from delfim.parts.nmea0183.combining import TALKERS_MAX, Combined
+from delfim.parts.nmea0183.table import Nmea0183, Nmea0183Port
 from delfim.vehicle.navigation.fusion import SLOW_S, VARIATION_S
 
 DEG = math.radians
@@ -21,9 +21,9 @@ class Boat:
     """Lines of sentences, and what becomes of them."""
 
     def __init__(self, *ports: str, **more: object) -> None:
-        table = {name: config.Nmea0183Port(device=f"/dev/{name}") for name in ports or ("gnss", "compass")}
+        table = {name: Nmea0183Port(device=f"/dev/{name}") for name in ports or ("gnss", "compass")}
         self.measured = dict[str, tuple[float, float]]()
-        self.combined = Combined(config.Nmea0183(ports=table, **more), STALE_S, self.measured)
+        self.combined = Combined(Nmea0183(ports=table, **more), STALE_S, self.measured)
         self.now_s, self.lines = 100.0, {name: Sentences() for name in table}
 
     def hear(self, *bodies: str, port: str = "gnss") -> list[Navigation]:

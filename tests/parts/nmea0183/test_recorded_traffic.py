@@ -11,10 +11,10 @@ from typing import Any
 
 import pytest
 
-from delfim import config
 from delfim.lines.nmea0183.framing import Sentences
 from delfim.lines.nmea0183.sentences import Bearing, Located, Turning
 from delfim.parts.nmea0183.combining import Combined
+from delfim.parts.nmea0183.table import Nmea0183, Nmea0183Port
 from tests.canproxy.test_recordings import BUSY, Newest, recording, utc_ns
 
 FILE = Path(__file__).parents[2] / "data/nmea0183/can0-1.sentences.gz"
@@ -86,7 +86,7 @@ def test_every_field_of_every_sentence_is_what_the_independent_decoder_says():
 
 
 def test_they_drive_the_boat_and_every_message_equals_the_independent_decoder():
-    settings = config.Nmea0183(ports={"line": config.Nmea0183Port(device="/dev/line")})
+    settings = Nmea0183(ports={"line": Nmea0183Port(device="/dev/line")})
     line, combined, messages = Sentences(), Combined(settings, STALE_S, {}), 0
     whole = 0
     for index, data in spoken():

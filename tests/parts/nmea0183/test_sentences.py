@@ -12,7 +12,6 @@ from hypothesis import strategies as st
 from pynmeagps import NMEAReader
 
 from delfim.canproxy.dsor.messages import Navigation
-from delfim.config import SPOKEN_BYTES
 from delfim.lines.nmea0183.framing import LONGEST, NAMES_MAX, Sentences, framed
 from delfim.lines.nmea0183.sentences import (
     KNOT,
@@ -29,6 +28,7 @@ from delfim.lines.nmea0183.sentences import (
     Turning,
 )
 from delfim.lines.nmea0183.speaking import SPEAKERS
+from delfim.parts.nmea0183.table import SPOKEN_BYTES
 
 DEG = math.radians
 LATITUDE, LONGITUDE = DEG(53 + 21.6802 / 60), -DEG(6 + 30.3372 / 60)

@@ -8,6 +8,7 @@ from delfim import config
 from delfim.base.clock import ManualClock
 from delfim.lines.nmea0183.framing import framed
 from delfim.parts.nmea0183.source import GREETING, WATCH
+from delfim.parts.nmea0183.table import Nmea0183, Nmea0183Port
 from delfim.simulator.line import LockstepLine
 from delfim.vehicle import sensors
 from delfim.vehicle.links import Links
@@ -21,14 +22,14 @@ class Boat:
     def __init__(self, sources: tuple[str, ...] = ("nmea0183",), names: tuple[str, ...] = ("nmea0183",)) -> None:
         self.clock, self.lines, self.state = ManualClock(monotonic_s=1000.0), dict[str, LockstepLine](), State()
         ports = {
-            "gnss": config.Nmea0183Port(device="gpsd:127.0.0.1:2947"),
-            "compass": config.Nmea0183Port(device="/dev/compass", baud=38400),
+            "gnss": Nmea0183Port(device="gpsd:127.0.0.1:2947"),
+            "compass": Nmea0183Port(device="/dev/compass", baud=38400),
         }
         self.settings = config.Vehicle(
             boat=config.BoatTable(name="tried"),
             navigation=config.NavigationTable(sources=sources, stale_s=2.5),
             sensors=config.Sensors(names=names),
-            nmea0183=config.Nmea0183(ports=ports),
+            nmea0183=Nmea0183(ports=ports),
         )
         self.links = Links(lambda *_: pytest.fail("no bus"), self.line)
 

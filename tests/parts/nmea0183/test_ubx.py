@@ -12,12 +12,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pyubx2 import UBX_PROTOCOL, UBXReader
 
-from delfim import config
 from delfim.lines.nmea0183.framing import Sentences, framed
 from delfim.lines.nmea0183.sentences import Bearing, Located
 from delfim.lines.ubx import ubxframes, ubxmessages
 from delfim.parts.nmea0183.combining import Combined
 from delfim.parts.nmea0183.mixedline import Antennas, MixedLine
+from delfim.parts.nmea0183.table import Nmea0183, Nmea0183Port
 from tests.mutations import cut, dropped, flipped, spliced
 from tests.parts.nmea0183.receiver import dop, message, pvt, relposned
 
@@ -181,8 +181,8 @@ def test_the_way_to_a_base_ashore_is_no_heading(line):
 
 
 def test_a_receiver_that_sends_both_is_believed_in_ubx_and_in_sentences_when_that_ends():
-    table = {"gnss": config.Nmea0183Port(device="/dev/gnss")}
-    combined, line = Combined(config.Nmea0183(ports=table), 2.5, {}), MixedLine()
+    table = {"gnss": Nmea0183Port(device="/dev/gnss")}
+    combined, line = Combined(Nmea0183(ports=table), 2.5, {}), MixedLine()
 
     def hear(data: bytes, now_s: float) -> list[Any]:
         return [n for each in line.feed(data) if (n := combined.take("gnss", each, now_s))]
@@ -199,7 +199,7 @@ def test_a_receiver_that_sends_both_is_believed_in_ubx_and_in_sentences_when_tha
 
 
 def test_a_frozen_receiver_is_silent():
-    combined = Combined(config.Nmea0183(ports={"gnss": config.Nmea0183Port(device="/dev/gnss")}), 2.5, {})
+    combined = Combined(Nmea0183(ports={"gnss": Nmea0183Port(device="/dev/gnss")}), 2.5, {})
     line = MixedLine()
     said = [combined.take("gnss", each, 100.0) for _ in range(3) for each in line.feed(pvt())]
     assert sum(each is not None for each in said) == 1

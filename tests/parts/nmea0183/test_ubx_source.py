@@ -5,7 +5,7 @@ import math
 import msgspec
 import pytest
 
-from delfim import config
+from delfim.parts.nmea0183.table import Nmea0183, Nmea0183Port
 from delfim.vehicle.navigation.fixes import take
 from tests.parts.nmea0183.receiver import pvt, relposned
 from tests.parts.nmea0183.test_source import Boat
@@ -15,8 +15,8 @@ def test_a_u_blox_pair_gives_position_heading_accuracy_and_the_age_of_correction
     """The base on one port and the rover on the other, in UBX; its heading ends with its fixed solution."""
     boat = Boat()
     ports = dict(boat.settings.nmea0183.ports)
-    ports["compass"] = config.Nmea0183Port(device="/dev/compass", baud=115200, baseline_m=1.5, baseline_deg=90.0)
-    boat.settings = msgspec.structs.replace(boat.settings, nmea0183=config.Nmea0183(ports=ports))
+    ports["compass"] = Nmea0183Port(device="/dev/compass", baud=115200, baseline_m=1.5, baseline_deg=90.0)
+    boat.settings = msgspec.structs.replace(boat.settings, nmea0183=Nmea0183(ports=ports))
     boat.open()
 
     def hear(second: float, **told: int) -> None:

@@ -19,6 +19,7 @@ from delfim.canproxy.nmea2000.parcels import CLAIM, addressed
 from delfim.canproxy.opening import open_bound, open_can
 from delfim.canproxy.socket import ANYTHING, CanAddress, CanSocket
 from delfim.parts.nmea2000.nmea2000d import BoatDevice
+from delfim.parts.nmea2000.table import Nmea2000
 from delfim.services.page.api import State
 
 PATIENCE_S = 200.0
@@ -34,7 +35,7 @@ class Pair:
     def _boat(self, name: str) -> tuple[CanSocket, BoatDevice]:
         filters = tuple(CanAddress(arb, mask) for arb, mask in Device.FILTERS)
         bus = open_bound(config.Can(), self._interface, filters)
-        table = config.Nmea2000(interface=self._interface, send=("heading",))
+        table = Nmea2000(interface=self._interface, send=("heading",))
         settings = config.Vehicle(boat=config.BoatTable(name=name), nmea2000=table)
         return bus, BoatDevice(bus, settings, SystemClock(), FIRST, Random(name))
 

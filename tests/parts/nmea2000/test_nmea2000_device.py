@@ -27,6 +27,7 @@ from delfim.canproxy.nmea2000.parcels import (
     frames,
 )
 from delfim.canproxy.socket import CanAddress, accepts
+from delfim.parts.nmea2000.table import Nmea2000
 
 STEP_S = 0.01
 SENT = (127250, 129025)
@@ -102,7 +103,7 @@ def test_it_asks_who_is_there_then_claims_and_says_nothing_else_before_a_quarter
 
 
 def test_its_name_is_the_one_that_an_independent_library_makes_and_reads():
-    facts = facts_of(config.Vehicle(boat=config.BoatTable(name="Otter"), nmea2000=config.Nmea2000(unique_number=77)))
+    facts = facts_of(config.Vehicle(boat=config.BoatTable(name="Otter"), nmea2000=Nmea2000(unique_number=77)))
     name = device_name(facts.unique)
     assert name == canboat.iso_name(
         2046,

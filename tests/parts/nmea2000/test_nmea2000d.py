@@ -25,6 +25,7 @@ from delfim.canproxy.nmea2000.device import FIRST
 from delfim.canproxy.nmea2000.parcels import CLAIM, REQUEST, Parcel, frames
 from delfim.parts.nmea2000.nmea2000d import FULL, OLD_S, WAITING, BoatDevice, Memory
 from delfim.parts.nmea2000.nmea2000rows import TOLD, pgns_of
+from delfim.parts.nmea2000.table import Nmea2000, ToldName
 from delfim.services.page.api import State as ToldState
 from delfim.services.runtime import LoadedService, Runtime
 from delfim.vehicle import thrusters
@@ -32,7 +33,7 @@ from delfim.vehicle.snapshot import snapshot
 from delfim.vehicle.state import Actuation, Motion, Notice, Reference, State, ThrusterReport
 
 logging.getLogger("nmea2000").setLevel(logging.ERROR)
-EVERYTHING = get_args(config.ToldName)
+EVERYTHING = get_args(ToldName)
 UTC_NS = 1_795_348_800_500_000_000
 ROWS = (
     config.ThrusterTable(name="main", driver="dronecan", address=0, x_m=-1.0, thrust_n=(-10.0, 20.0)),
@@ -49,7 +50,7 @@ ROWS = (
 
 def settings(*send, **more):
     return config.Vehicle(
-        boat=config.BoatTable(name="Otter"), nmea2000=config.Nmea2000(send=send, unique_number=77, **more), thrusters=ROWS
+        boat=config.BoatTable(name="Otter"), nmea2000=Nmea2000(send=send, unique_number=77, **more), thrusters=ROWS
     )
 
 

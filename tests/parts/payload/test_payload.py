@@ -25,6 +25,7 @@ from delfim import config
 from delfim.base.clock import SystemClock
 from delfim.base.errors import ConfigError
 from delfim.parts.payload import payload
+from delfim.parts.payload.table import PayloadTable
 from delfim.services import watching
 from delfim.services.runtime import LoadedService, Runtime
 from delfim.services.supervision import processes
@@ -62,11 +63,8 @@ class Suite:
 
 
 @contextlib.asynccontextmanager
-async def carried(tmp_path: Path, **programs: tuple[str, ...] | config.PayloadTable) -> AsyncIterator[Suite]:
-    tables = {
-        name: each if isinstance(each, config.PayloadTable) else config.PayloadTable(command=each)
-        for name, each in programs.items()
-    }
+async def carried(tmp_path: Path, **programs: tuple[str, ...] | PayloadTable) -> AsyncIterator[Suite]:
+    tables = {name: each if isinstance(each, PayloadTable) else PayloadTable(command=each) for name, each in programs.items()}
     quick = config.SupervisorTable(backoff_s=0.01, backoff_max_s=0.1)
     settings = vehicle_file(tmp_path, payload=tables, supervisor=quick)
     state = STATE | {"course_deg": 90.0}
@@ -126,7 +124,7 @@ def test_a_program_has_no_network_unless_its_table_says_so_and_is_told_and_heard
                 "-c",
                 KNOCKS.replace("sys.argv[1]", str(door.getsockname()[1])).replace("sys.argv[2]", repr(hidden)),
             )
-            open_one = config.PayloadTable(command=words, network=True)
+            open_one = PayloadTable(command=words, network=True)
             async with carried(tmp_path, alone=words, open=open_one) as suite:
                 figures = await suite.until(lambda it: {"alone told", "open told"} <= it["values"].keys())
         reached = {name: each["value"] for name, each in figures["values"].items() if "AF_" in name}
@@ -266,7 +264,7 @@ sys.stdin.read()
 @needs_python
 def test_one_that_wants_more_memory_than_its_own_fails_alone(tmp_path: Path) -> None:
     async def test() -> None:
-        eats = config.PayloadTable(command=(PYTHON, "-c", "x = [bytearray(1 << 20) for _ in range(512)]"), memory_max_mb=64)
+        eats = PayloadTable(command=(PYTHON, "-c", "x = [bytearray(1 << 20) for _ in range(512)]"), memory_max_mb=64)
         async with carried(tmp_path, eats=eats) as suite:
             figures = await suite.until(lambda it: it["programs"]["eats"]["restarts"])
             assert "MemoryError" in figures["last_ends"]["eats"] or "more than its 64 MB" in figures["last_ends"]["eats"]
@@ -306,7 +304,7 @@ def test_all_of_a_program_ends_with_it_its_children_in_the_background_too(tmp_pa
 @pytest.mark.parametrize("user", ["no-such-user", "toor"])
 def test_without_an_unprivileged_user_it_does_not_run_and_is_not_tried_again(tmp_path: Path, user: str) -> None:
     async def test() -> None:
-        async with carried(tmp_path, lost=config.PayloadTable(command=("/bin/true",), user=user)) as suite:
+        async with carried(tmp_path, lost=PayloadTable(command=("/bin/true",), user=user)) as suite:
             figures = await suite.until(lambda it: it["programs"]["lost"]["state"] == "failed")
             assert figures["troubles"]["lost"] == f"failed: exit code 100: user: there is no {user}"
 
@@ -326,7 +324,7 @@ def test_without_the_vehicle_the_programs_run_and_the_page_says_so(tmp_path: Pat
     monkeypatch.setattr(watching, "AGAIN_S", 0.01)
 
     async def test() -> None:
-        tables = {"well": config.PayloadTable(command=("/bin/sh", "-c", """echo '{"on": 1}'; cat >/dev/null"""))}
+        tables = {"well": PayloadTable(command=("/bin/sh", "-c", """echo '{"on": 1}'; cat >/dev/null"""))}
         async with served(vehicle_file(tmp_path, payload=tables), payload.serve, "payload") as runtime:
             async with asyncio.timeout(200):
                 while not (figures := dict(runtime.board["payload"]()))["values"]:
@@ -337,7 +335,7 @@ def test_without_the_vehicle_the_programs_run_and_the_page_says_so(tmp_path: Pat
 
 
 def test_the_vehicle_itself_starts_no_programs(tmp_path: Path) -> None:
-    runtime = Runtime(vehicle_file(tmp_path, payload={"x": config.PayloadTable(command=("/bin/true",))}), SystemClock())
+    runtime = Runtime(vehicle_file(tmp_path, payload={"x": PayloadTable(command=("/bin/true",))}), SystemClock())
     with asyncio.Runner(loop_factory=runtime._new_loop) as runner:  # `main` would make the tests' own process a real-time one
         runner.run(runtime.run([LoadedService("payload", payload.serve)]))
     assert "services.payload.place = 'process'" in runtime.status["payload"].reason

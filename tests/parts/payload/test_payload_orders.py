@@ -14,6 +14,7 @@ from delfim.base.clock import ManualClock
 from delfim.base.modes import Mode
 from delfim.parts.payload import payload, payloadorders
 from delfim.parts.payload.payloadorders import OrderLine
+from delfim.parts.payload.table import PayloadTable
 from delfim.simulator.lockstep import Lockstep
 from delfim.vehicle import console, payloadlines
 from delfim.vehicle.command import CommandServer
@@ -72,7 +73,7 @@ class Sea:
 
 @contextlib.asynccontextmanager
 async def carried(tmp_path: Path, **programs: str) -> AsyncIterator[Sea]:
-    tables = {name: config.PayloadTable(command=("/bin/sh", "-c", words), may=MAY) for name, words in programs.items()}
+    tables = {name: PayloadTable(command=("/bin/sh", "-c", words), may=MAY) for name, words in programs.items()}
     settings = vehicle_file(tmp_path, payload=tables, supervisor=config.SupervisorTable(backoff_s=0.01, backoff_max_s=0.1))
     sea = Sea(settings)
     server = await asyncio.get_running_loop().create_unix_server(sea.commands.connection, settings.console.socket)

@@ -21,6 +21,7 @@ from delfim.base.ranges import address
 from delfim.parts.ros import rosd, roskeys, rosmessages
 from delfim.parts.ros.cdr import HEAD, CdrReader, CdrWriter
 from delfim.parts.ros.rossteering import GOAL_S, TURN_MAX_RAD, TWIST_S, Steering
+from delfim.parts.ros.table import RosTable
 from delfim.services.access.doors import doors
 from delfim.services.guestdoor import GuestDoor
 from delfim.services.page.api import State
@@ -247,7 +248,7 @@ def settings(tmp_path: Path, port: int, guest: int) -> config.Vehicle:
     return vehicle_file(
         tmp_path,
         guest=config.GuestTable(enabled=True, listen=f"127.0.0.1:{guest}", key=str(tmp_path / "guest.key")),
-        ros=config.RosTable(router=f"tcp/127.0.0.1:{port}", commands=True),
+        ros=RosTable(router=f"tcp/127.0.0.1:{port}", commands=True),
     )
 
 

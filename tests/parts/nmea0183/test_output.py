@@ -2,9 +2,9 @@
 
 from types import SimpleNamespace
 
-from delfim import config
 from delfim.canproxy.dsor.messages import Navigation
-from delfim.services.telling import Teller
+from delfim.parts.nmea0183.output import Teller
+from delfim.parts.nmea0183.table import Nmea0183Out
 from delfim.vehicle.state import State
 
 HERE = Navigation(1795348800 * 10**9, 0.67, -0.16, 1.0, 0.0, 0.5, None, None, None, 3, 9, 0.9, 1)
@@ -23,7 +23,7 @@ class Line:
 
 def test_old_and_unknown_navigation_is_not_told():
     clock, line, state = SimpleNamespace(monotonic_s=lambda: clock.now_s, now_s=100.0), Line(), State()
-    table = config.Nmea0183Out(to="udp:127.0.0.1:10110", sentences=("HDT", "ROT"), rate_hz=4.0)
+    table = Nmea0183Out(to="udp:127.0.0.1:10110", sentences=("HDT", "ROT"), rate_hz=4.0)
     teller = Teller(table, line, 2.5, state, clock)
     assert teller.period_s == 0.25
     teller.tell()

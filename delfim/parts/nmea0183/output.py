@@ -12,6 +12,7 @@ from delfim import config
 from delfim.base.clock import Clock
 from delfim.base.ranges import address
 from delfim.lines.nmea0183.speaking import SPEAKERS
+from delfim.parts.nmea0183.table import Nmea0183, Nmea0183Out
 from delfim.vehicle.links import ReadableLine
 from delfim.vehicle.state import State
 
@@ -41,7 +42,7 @@ class Datagrams:
 class Teller:
     """One table [nmea0183.out.NAME]. Call `tell` every `period_s`."""
 
-    def __init__(self, table: config.Nmea0183Out, to: Outgoing, stale_s: float, state: State, clock: Clock) -> None:
+    def __init__(self, table: Nmea0183Out, to: Outgoing, stale_s: float, state: State, clock: Clock) -> None:
         self.period_s = 1.0 / table.rate_hz
         self._speakers = [SPEAKERS[name] for name in table.sentences]
         self._to, self._stale_s, self._state, self._clock = to, stale_s, state, clock
@@ -71,7 +72,7 @@ def tellers(
     clock: Clock,
 ) -> Iterator[tuple[str, Teller]]:
     """Those of the vehicle's file, by name. `links` closes what is opened here. Raises DelfimError."""
-    for name, table in settings.nmea0183.out.items():
+    for name, table in settings.of(Nmea0183).out.items():
         to: Outgoing
         if table.to.startswith("udp:"):
             to = datagrams = Datagrams(table.to.removeprefix("udp:"))
