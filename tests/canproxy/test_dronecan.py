@@ -136,6 +136,36 @@ def test_all_values_of_a_message_come_back(message):
     assert not receiver.errors
 
 
+def bits_of(field: WireField, value: float) -> str:
+    """A field as the specification has it, bit by bit."""
+    raw = int.from_bytes(struct.pack({16: "<e", 32: "<f"}[field.bits], value), "little") if field.kind == "float" else value
+    raw, (whole, odd) = int(raw) & ((1 << field.bits) - 1), divmod(field.bits, 8)
+    return "".join(f"{raw >> 8 * i & 255:08b}" for i in range(whole)) + (f"{raw >> 8 * whole:0{odd}b}" if odd else "")
+
+
+FIELDS = st.one_of(
+    st.builds(WireField, st.sampled_from(("unsigned", "void")), st.integers(1, 64)),
+    st.builds(WireField, st.just("signed"), st.integers(2, 64)),
+    st.builds(WireField, st.just("float"), st.sampled_from((16, 32))),
+)
+
+
+@given(st.data(), st.lists(FIELDS, max_size=8), st.lists(FIELDS.filter(lambda each: each.kind != "void"), max_size=3))
+def test_any_layout_is_read_and_written_as_bit_by_bit(data, fields, item):
+    kind = DataType("Any", 1, 0, tuple(fields), tuple(item), 5)
+    repeats = data.draw(st.integers(0, 5)) if item else 0
+    given_all = [(each, 0 if each.kind == "void" else data.draw(number_of(each))) for each in (*fields, *item * repeats)]
+    values, items = ([value for each, value in part if each.kind != "void"] for part in (
+        given_all[: len(fields)], given_all[len(fields) :]
+    ))  # fmt: skip
+    bits = "".join(bits_of(each, value) for each, value in given_all)
+    payload = pack(kind, values, items)
+    assert payload == int(bits.ljust(8 * len(payload), "0") or "0", 2).to_bytes((len(bits) + 7) // 8, "big")
+    back_values, back_items = unpack(kind, payload)
+    assert same(back_values, values)
+    assert same(back_items[: len(items)], items)
+
+
 def test_a_number_beyond_its_field_becomes_the_nearest_one():
     assert unpack(RAW_COMMAND, pack(RAW_COMMAND, (), (9000, -9000)))[1] == (8191, -8192)
     assert unpack(ARRAY_COMMAND, pack(ARRAY_COMMAND, (), (300, -1, 1e6)))[1] == (255, 0, 65504.0)
