@@ -30,9 +30,9 @@ class Logbook:
     """The vehicle's state log: a record a cycle. `say` is told of commands, modes and troubles, too, as a logger's `log` is."""
 
     def __init__(self, settings: config.Vehicle, clock: Clock, say: Callable[..., object] = lambda *words: None) -> None:
-        self._fields = record.fields(settings)
+        self._record = record.of(settings)
         schema = Schema(
-            [(f.name, f.code, f.unit, f.description) for f in self._fields],
+            [(f.name, f.code, f.unit, f.description) for f in self._record.fields],
             boat=settings.boat.name,
             started_ns=clock.time_ns(),
         )
@@ -45,7 +45,7 @@ class Logbook:
         self.event("start", version=__version__, settings=tables.shown(settings))
 
     def write(self, state: State, now_s: float) -> None:
-        self._writer.put(record.values(self._fields, state, now_s))
+        self._writer.put(record.values(self._record, state, now_s))
 
     def event(self, event: str, **what: object) -> None:
         """Write an event into the sidecar."""

@@ -1,17 +1,22 @@
-"""The fields of the state log's record of a cycle: one row a field, in the order of the record. SI units; NaN is unknown."""
+"""The fields of the state log's record of a cycle: one row a field, in the order of the record. SI units; NaN is unknown.
+
+The rows stand in groups, each beside the function that gives its values in the same order: a record is made in every cycle,
+and a function for each of some fifty fields took a tenth of it.
+"""
 
 import math
 from collections.abc import Callable, Iterator
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 from delfim import config
-from delfim.canproxy.dsor.messages import BatteriesStatus, Node
+from delfim.canproxy.dsor.messages import BatteriesStatus, Fault, Navigation, Node, Status
 from delfim.vehicle import sensors
 from delfim.vehicle.failsafe import bits
 from delfim.vehicle.nodehealth import NAMES
-from delfim.vehicle.state import State
+from delfim.vehicle.state import State, ThrusterReport
 
 NAN = math.nan
+Values = Callable[[State, float], tuple[object, ...]]  # None: unknown
 
 
 class Field(NamedTuple):
@@ -19,166 +24,205 @@ class Field(NamedTuple):
     code: str  # of the struct module
     unit: str
     description: str
-    value: Callable[[State, float], object]
 
 
-def _of_navigation(name: str) -> Callable[[State, float], object]:
-    def value(s: State, now_s: float) -> object:
-        known = getattr(s.navigation, name, None)
-        return NAN if known is None else known
-
-    return value
+class Group(NamedTuple):
+    fields: tuple[Field, ...]
+    values: Values
 
 
-def _source(names: tuple[str, ...]) -> Callable[[State, float], object]:
-    return lambda s, now_s: names.index(s.source) if s.source else 0
+class Record(NamedTuple):
+    """The fields of a boat, and what gives their values."""
+
+    fields: tuple[Field, ...]
+    groups: tuple[Values, ...]
 
 
-def _heard(payload: str) -> Callable[[State, float], object]:
-    return lambda s, now_s: s.payloads_s.get(payload, -1e9)
+_NO_NAVIGATION: Final = Navigation(0, *(None,) * 8, fix=0, satellites=0, hdop=None, counter=0)
+_NO_REPORT: Final = ThrusterReport(0.0)
+_NO_BATTERIES: Final = BatteriesStatus(Status.GOOD, Fault(0), None, None, None, None), 0.0
+_STARBOARD, _PORT = NAMES[Node.BATTERIES_STARBOARD], NAMES[Node.BATTERIES_PORT]
 
 
-def _helmsman(names: tuple[str, ...]) -> Callable[[State, float], object]:
-    return lambda s, now_s: names.index(s.helmsman) + 1 if s.helmsman else 0
+def _cycle(s: State, now_s: float) -> tuple[object, ...]:
+    p = s.profile
+    utc_ns = s.navigation.utc_ns if s.navigation else 0
+    return now_s, utc_ns, p.t0, p.t1, p.t2, p.t3, p.t4, p.t5, s.cycles, s.mode.value, bits(s.notices)
 
 
-def _of_reference(name: str) -> Callable[[State, float], object]:
-    def value(s: State, now_s: float) -> object:
-        known = getattr(s.reference, name)
-        return NAN if known is None else known
-
-    return value
-
-
-def _of_thruster(row: str, name: str) -> Callable[[State, float], object]:
-    def value(s: State, now_s: float) -> object:
-        known = getattr(s.thrusters.get(row), name, None)
-        return NAN if known is None else known
-
-    return value
-
-
-def _sent(index: int, times: float = 1.0) -> Callable[[State, float], object]:
-    return lambda s, now_s: s.actuation.thrust[index] * times if s.actuation.thrust else NAN
-
-
-def _turned(index: int) -> Callable[[State, float], object]:
-    return lambda s, now_s: s.actuation.angle_rad[index] if s.actuation.angle_rad else NAN
-
-
-def _of_batteries(node: Node, name: str) -> Callable[[State, float], object]:
-    def value(s: State, now_s: float) -> object:
-        report = s.sysstat.get(NAMES[node])
-        known = getattr(report[0], name) if report and isinstance(report[0], BatteriesStatus) else None
-        return NAN if known is None else known
-
-    return value
-
-
-def _measured(name: str, stale_s: float) -> Callable[[State, float], object]:
-    def value(s: State, now_s: float) -> object:
-        known, at_s = s.measured.get(name, (NAN, now_s))
-        return known if now_s - at_s <= stale_s else NAN
-
-    return value
-
-
-def _known(value: float | None) -> float:
-    return NAN if value is None else value
-
-
-def _ordered(name: str) -> Callable[[State, float], object]:
-    return lambda s, now_s: NAN if s.traffic.order is None else getattr(s.traffic.order, name)
-
-
-def _nearness(s: State, now_s: float) -> float:
-    return s.traffic.nearness
-
-
-def _stage(name: str) -> Field:
-    return Field(name, "q", "ns", f"profile stamp {name}, wall clock since 1970", lambda s, now_s: getattr(s.profile, name))
-
-
-FIELDS = (
-    Field("monotonic_s", "d", "s", "time since boot", lambda s, now_s: now_s),
-    Field("utc_ns", "q", "ns", "of the navigation message", lambda s, now_s: s.navigation.utc_ns if s.navigation else 0),
-    *(_stage(name) for name in ("t0", "t1", "t2", "t3", "t4")),
-    Field("previous_t5", "q", "ns", "profile stamp t5 of the cycle before", lambda s, now_s: s.profile.t5),
-    Field("cycle", "Q", "", "navigation cycles since start", lambda s, now_s: s.cycles),
-    Field("mode", "B", "", "mode number of the console's link", lambda s, now_s: int(s.mode)),
-    Field("troubles", "I", "", "bit n: trouble n of docs/failsafe.md", lambda s, now_s: bits(s.notices)),
-    Field("latitude", "d", "rad", "WGS 84", _of_navigation("latitude_rad")),
-    Field("longitude", "d", "rad", "WGS 84", _of_navigation("longitude_rad")),
-    Field("north", "d", "m", "local plane", lambda s, now_s: s.motion.north_m if "position" in s.motion.has else NAN),
-    Field("east", "d", "m", "local plane", lambda s, now_s: s.motion.east_m if "position" in s.motion.has else NAN),
-    Field("north_speed", "f", "m/s", "over ground", _of_navigation("north_mps")),
-    Field("east_speed", "f", "m/s", "over ground", _of_navigation("east_mps")),
-    Field("heading", "f", "rad", "true", _of_navigation("heading_rad")),
-    Field("yaw_rate", "f", "rad/s", "positive to starboard", _of_navigation("yaw_rate_radps")),
-    Field("roll", "f", "rad", "positive to starboard", _of_navigation("roll_rad")),
-    Field("pitch", "f", "rad", "positive bow up", _of_navigation("pitch_rad")),
-    Field(
-        "fix", "B", "", "0 none, 4 differential, 5 RTK, 6 RTK float", lambda s, now_s: s.navigation.fix if s.navigation else 0
-    ),
-    Field("satellites", "B", "", "in use", lambda s, now_s: s.navigation.satellites if s.navigation else 0),
-    Field("accuracy", "f", "m", "of the position, as the receiver states it", _of_navigation("accuracy_m")),
-    Field("corrections_age", "f", "s", "of the receiver's last correction", _of_navigation("corrections_s")),
-    Field("reference_heading", "f", "rad", "heading set point of control", _of_reference("heading_rad")),
-    Field("reference_speed", "f", "m/s", "speed set point of control", _of_reference("speed_mps")),
-    Field("cross_track", "f", "m", "positive: boat to starboard of the line", _of_reference("cross_track_m")),
-    Field("distance", "f", "m", "to the point steered for", _of_reference("distance_m")),
-    Field("leg", "H", "", "leg of the mission", lambda s, now_s: s.reference.leg & 0xFFFF),
-    Field("run", "?", "", "thrusters enabled", lambda s, now_s: s.actuation.run),
-    Field("starboard_voltage", "f", "V", "batteries", _of_batteries(Node.BATTERIES_STARBOARD, "voltage_v")),
-    Field("port_voltage", "f", "V", "batteries", _of_batteries(Node.BATTERIES_PORT, "voltage_v")),
-    Field("starboard_charge", "f", "", "batteries, 0..1", _of_batteries(Node.BATTERIES_STARBOARD, "charge")),
-    Field("port_charge", "f", "", "batteries, 0..1", _of_batteries(Node.BATTERIES_PORT, "charge")),
-    Field("vessels", "H", "", "other vessels that are known, lost ones too", lambda s, now_s: len(s.traffic.targets)),
-    Field("order_course", "f", "rad", "over ground, to keep clear of others; nan: there is none", _ordered("course_rad")),
-    Field("order_speed", "f", "m/s", "the same", _ordered("speed_mps")),
-    Field("nearness", "f", "", "least to come to another vessel, in domains: 1 is the edge", _nearness),
-    # With the black box and the commands in the sidecar, these suffice to replay the cycle bit by bit.
-    Field("console_s", "d", "s", "time since boot of the console's last word", lambda s, now_s: s.console_s),
-    Field("guest_s", "d", "s", "time since boot of the guest's last reference", lambda s, now_s: s.guest_s),
-    Field("guest_heading", "d", "rad", "last asked for by the guest", lambda s, now_s: _known(s.setpoint.guest_heading_rad)),
-    Field("guest_speed", "d", "m/s", "last asked for by the guest", lambda s, now_s: s.setpoint.guest_speed_mps),
-    Field("watchdog_s", "d", "s", "time since boot when the watchdog looked last", lambda s, now_s: s.watchdog_s),
+_CYCLE = (
+    Field("monotonic_s", "d", "s", "time since boot"),
+    Field("utc_ns", "q", "ns", "of the navigation message"),
+    *(Field(name, "q", "ns", f"profile stamp {name}, wall clock since 1970") for name in ("t0", "t1", "t2", "t3", "t4")),
+    Field("previous_t5", "q", "ns", "profile stamp t5 of the cycle before"),
+    Field("cycle", "Q", "", "navigation cycles since start"),
+    Field("mode", "B", "", "mode number of the console's link"),
+    Field("troubles", "I", "", "bit n: trouble n of docs/failsafe.md"),
 )
 
 
-def fields(settings: config.Vehicle) -> tuple[Field, ...]:
-    """The fields of every boat, then those of this boat's payload programs that may have it, of its sources, where there are
-    several, of its thrusters and sensors."""
-    stale_s, sources = settings.sensors.stale_s, settings.navigation.sources
-    source = Field(
-        "source", "B", "", "of navigation: its place in navigation.sources", lambda s, now_s: sources.index(s.source)
-    )
-    thrusters = tuple(each for index, row in enumerate(settings.thrusters) for each in _of_row(settings, index, row))
-    measured = [
-        Field(each.name, "d", each.unit, each.description, _measured(each.name, stale_s)) for each in sensors.values(settings)
-    ]
-    payloads = [
-        Field(f"payload_{name}_s", "d", "s", f"time since boot of the last word of payload {name}", _heard(name))
-        for name in settings.helmsmen
-    ]
-    if payloads:
-        helmsman = "payload program that has the boat, by its place in the vehicle's file, from 1; 0: none"
-        payloads.append(Field("helmsman", "B", "", helmsman, _helmsman(settings.helmsmen)))
-    return (*FIELDS, *payloads, *([source] if len(sources) > 1 else []), *thrusters, *measured)
+def _navigation(s: State, now_s: float) -> tuple[object, ...]:
+    n, m = s.navigation or _NO_NAVIGATION, s.motion
+    place = (m.north_m, m.east_m) if "position" in m.has else (NAN, NAN)
+    moving = n.north_mps, n.east_mps, n.heading_rad, n.yaw_rate_radps, n.roll_rad, n.pitch_rad
+    return n.latitude_rad, n.longitude_rad, *place, *moving, n.fix, n.satellites, n.accuracy_m, n.corrections_s
 
 
-def _of_row(settings: config.Vehicle, index: int, row: config.ThrusterTable) -> Iterator[Field]:
-    name, rpm_max = row.name, settings.rpm_max(row)
-    yield Field(f"{name}_command", "f", "", "commanded, -1..1 of full command", _sent(index))
-    if rpm_max:
-        yield Field(f"{name}_rpm", "f", "1/min", "commanded", _sent(index, rpm_max))
-    yield Field(f"{name}_rpm_measured", "f", "1/min", "reported", _of_thruster(name, "rpm"))
-    yield Field(f"{name}_current", "f", "A", "reported", _of_thruster(name, "current_a"))
-    if row.steer is not None:
-        yield Field(f"{name}_angle", "f", "rad", "commanded, from its own direction, clockwise", _turned(index))
-        yield Field(f"{name}_angle_measured", "f", "rad", "reported", _of_thruster(name, "angle_rad"))
+_NAVIGATION = (
+    Field("latitude", "d", "rad", "WGS 84"),
+    Field("longitude", "d", "rad", "WGS 84"),
+    Field("north", "d", "m", "local plane"),
+    Field("east", "d", "m", "local plane"),
+    Field("north_speed", "f", "m/s", "over ground"),
+    Field("east_speed", "f", "m/s", "over ground"),
+    Field("heading", "f", "rad", "true"),
+    Field("yaw_rate", "f", "rad/s", "positive to starboard"),
+    Field("roll", "f", "rad", "positive to starboard"),
+    Field("pitch", "f", "rad", "positive bow up"),
+    Field("fix", "B", "", "0 none, 4 differential, 5 RTK, 6 RTK float"),
+    Field("satellites", "B", "", "in use"),
+    Field("accuracy", "f", "m", "of the position, as the receiver states it"),
+    Field("corrections_age", "f", "s", "of the receiver's last correction"),
+)
 
 
-def values(fields: tuple[Field, ...], state: State, now_s: float) -> tuple[object, ...]:
+def _control(s: State, now_s: float) -> tuple[object, ...]:
+    r = s.reference
+    return r.heading_rad, r.speed_mps, r.cross_track_m, r.distance_m, r.leg & 0xFFFF, s.actuation.run
+
+
+_CONTROL = (
+    Field("reference_heading", "f", "rad", "heading set point of control"),
+    Field("reference_speed", "f", "m/s", "speed set point of control"),
+    Field("cross_track", "f", "m", "positive: boat to starboard of the line"),
+    Field("distance", "f", "m", "to the point steered for"),
+    Field("leg", "H", "", "leg of the mission"),
+    Field("run", "?", "", "thrusters enabled"),
+)
+
+
+def _batteries(s: State, now_s: float) -> tuple[object, ...]:
+    starboard, port = s.sysstat.get(_STARBOARD, _NO_BATTERIES)[0], s.sysstat.get(_PORT, _NO_BATTERIES)[0]
+    if not isinstance(starboard, BatteriesStatus):
+        starboard = _NO_BATTERIES[0]
+    if not isinstance(port, BatteriesStatus):
+        port = _NO_BATTERIES[0]
+    return starboard.voltage_v, port.voltage_v, starboard.charge, port.charge
+
+
+_BATTERIES = (
+    Field("starboard_voltage", "f", "V", "batteries"),
+    Field("port_voltage", "f", "V", "batteries"),
+    Field("starboard_charge", "f", "", "batteries, 0..1"),
+    Field("port_charge", "f", "", "batteries, 0..1"),
+)
+
+
+def _traffic(s: State, now_s: float) -> tuple[object, ...]:
+    t = s.traffic
+    return len(t.targets), *((NAN, NAN) if t.order is None else (t.order.course_rad, t.order.speed_mps)), t.nearness
+
+
+_TRAFFIC = (
+    Field("vessels", "H", "", "other vessels that are known, lost ones too"),
+    Field("order_course", "f", "rad", "over ground, to keep clear of others; nan: there is none"),
+    Field("order_speed", "f", "m/s", "the same"),
+    Field("nearness", "f", "", "least to come to another vessel, in domains: 1 is the edge"),
+)
+
+
+def _replay(s: State, now_s: float) -> tuple[object, ...]:
+    return s.console_s, s.guest_s, s.setpoint.guest_heading_rad, s.setpoint.guest_speed_mps, s.watchdog_s
+
+
+_REPLAY = (  # with the black box and the commands in the sidecar, these suffice to replay the cycle bit by bit
+    Field("console_s", "d", "s", "time since boot of the console's last word"),
+    Field("guest_s", "d", "s", "time since boot of the guest's last reference"),
+    Field("guest_heading", "d", "rad", "last asked for by the guest"),
+    Field("guest_speed", "d", "m/s", "last asked for by the guest"),
+    Field("watchdog_s", "d", "s", "time since boot when the watchdog looked last"),
+)
+
+GROUPS: Final = (
+    Group(_CYCLE, _cycle),
+    Group(_NAVIGATION, _navigation),
+    Group(_CONTROL, _control),
+    Group(_BATTERIES, _batteries),
+    Group(_TRAFFIC, _traffic),
+    Group(_REPLAY, _replay),
+)
+
+
+def of(settings: config.Vehicle) -> Record:
+    """The record of a boat: the fields of every boat, then those of this boat's payload programs that may have it, of its
+    sources, where there are several, of its thrusters and sensors."""
+    groups = *GROUPS, *_of_payloads(settings), *_of_sources(settings), *_of_thrusters(settings), _of_sensors(settings)
+    return Record(tuple(field for group in groups for field in group.fields), tuple(group.values for group in groups))
+
+
+def values(record: Record, state: State, now_s: float) -> tuple[object, ...]:
     """The record of this cycle, in the order of the fields."""
-    return tuple([field.value(state, now_s) for field in fields])
+    found, nan = list[object](), NAN
+    for of_group in record.groups:
+        found += of_group(state, now_s)
+    return tuple([nan if value is None else value for value in found])
+
+
+def _of_payloads(settings: config.Vehicle) -> Iterator[Group]:
+    names = settings.helmsmen
+    if not names:
+        return
+
+    def heard(s: State, now_s: float) -> tuple[object, ...]:
+        return *[s.payloads_s.get(name, -1e9) for name in names], names.index(s.helmsman) + 1 if s.helmsman else 0
+
+    fields = [Field(f"payload_{name}_s", "d", "s", f"time since boot of the last word of payload {name}") for name in names]
+    helmsman = "payload program that has the boat, by its place in the vehicle's file, from 1; 0: none"
+    yield Group((*fields, Field("helmsman", "B", "", helmsman)), heard)
+
+
+def _of_sources(settings: config.Vehicle) -> Iterator[Group]:
+    names = settings.navigation.sources
+    if len(names) > 1:
+        place = Field("source", "B", "", "of navigation: its place in navigation.sources")
+        yield Group((place,), lambda s, now_s: (names.index(s.source) if s.source else 0,))
+
+
+def _of_sensors(settings: config.Vehicle) -> Group:
+    told, stale_s = sensors.values(settings), settings.sensors.stale_s
+    names = [each.name for each in told]
+
+    def measured(s: State, now_s: float) -> tuple[object, ...]:
+        fresh = [s.measured.get(name, (NAN, now_s)) for name in names]
+        return tuple([value if now_s - at_s <= stale_s else NAN for value, at_s in fresh])
+
+    return Group(tuple(Field(each.name, "d", each.unit, each.description) for each in told), measured)
+
+
+def _of_thrusters(settings: config.Vehicle) -> Iterator[Group]:
+    for index, row in enumerate(settings.thrusters):
+        yield _of_row(index, row.name, settings.rpm_max(row), row.steer is not None)
+
+
+def _of_row(index: int, name: str, rpm_max: float, turns: bool) -> Group:
+    def told(s: State, now_s: float) -> tuple[object, ...]:
+        report, sent = s.thrusters.get(name, _NO_REPORT), s.actuation
+        thrust = sent.thrust[index] if sent.thrust else NAN
+        command = (thrust, thrust * rpm_max) if rpm_max else (thrust,)
+        if not turns:
+            return *command, report.rpm, report.current_a
+        angle_rad = sent.angle_rad[index] if sent.angle_rad else NAN
+        return *command, report.rpm, report.current_a, angle_rad, report.angle_rad
+
+    return Group(tuple(_row_fields(name, rpm_max, turns)), told)
+
+
+def _row_fields(name: str, rpm_max: float, turns: bool) -> Iterator[Field]:
+    yield Field(f"{name}_command", "f", "", "commanded, -1..1 of full command")
+    if rpm_max:
+        yield Field(f"{name}_rpm", "f", "1/min", "commanded")
+    yield Field(f"{name}_rpm_measured", "f", "1/min", "reported")
+    yield Field(f"{name}_current", "f", "A", "reported")
+    if turns:
+        yield Field(f"{name}_angle", "f", "rad", "commanded, from its own direction, clockwise")
+        yield Field(f"{name}_angle_measured", "f", "rad", "reported")

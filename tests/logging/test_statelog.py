@@ -69,7 +69,10 @@ def test_the_last_reader_in_the_document_reads_what_a_power_cut_left(tmp_path, f
 
 
 def test_the_vehicle_s_own_record_has_a_schema():
-    schema = Schema([(field.name, field.code, field.unit, field.description) for field in record.FIELDS], boat="DelfimX")
+    schema = Schema(
+        [(field.name, field.code, field.unit, field.description) for group in record.GROUPS for field in group.fields],
+        boat="DelfimX",
+    )
     assert len(schema.header) % statelog.ALIGNMENT == 0
     assert schema.header.count(b"\n") == 2
     assert Schema.parse(schema.header)[0].rows == schema.rows

@@ -83,7 +83,7 @@ class Tape:
     """The state log of a voyage, which keeps the values of each cycle. `groups`: of its fields; empty: all there are."""
 
     def __init__(self, settings: config.Vehicle, clock: ManualClock, groups: dict[str, tuple[str, ...]]) -> None:
-        self._clock, self._groups, self._fields = clock, groups, record.fields(settings)
+        self._clock, self._groups, self._record = clock, groups, record.of(settings)
         rows = [row.name for row in settings.thrusters]
         self._commanded = {"run", *(f"{name}_{what}" for name in rows for what in ("command", "rpm", "angle"))}
         self._drives = rows
@@ -109,13 +109,13 @@ class Tape:
         true = model.north_m, model.east_m, model.heading_rad, model.surge_mps, model.sway_mps, model.yaw_rate_radps
         drives = [each for name in self._drives for each in (model.drives[name].rpm, model.drives[name].charge)]
         self._at_s.append(now_s)
-        self._values.append((*true, *drives, *[field.value(state, now_s) for field in self._fields]))
+        self._values.append((*true, *drives, *record.values(self._record, state, now_s)))
 
     def trace(self, layout: Layout) -> Trace:
         names = [f"true_{name}" for name in TRUE]
         names += [f"true_{name}_{what}" for name in self._drives for what in ("rpm", "charge")]
-        codes = ["d"] * len(names) + ["d" if field.code == "f" else field.code for field in self._fields]
-        names += [field.name for field in self._fields]
+        codes = ["d"] * len(names) + ["d" if field.code == "f" else field.code for field in self._record.fields]
+        names += [field.name for field in self._record.fields]
         groups = {each: tuple(n for n in names if self._group(n) == each) for each in GROUPS}
         if self._groups:
             groups = {each: tuple(name for name in kept if name in names) for each, kept in self._groups.items()}

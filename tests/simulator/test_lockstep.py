@@ -19,8 +19,8 @@ from delfim.vehicle.state import State
 
 ROOT = Path(__file__).parents[2]
 MISSION = ROOT / "etc/missions/doca.toml"
-FIELDS = record.fields(config.load(ROOT / "etc/delfimx.toml"))
-PACK = struct.Struct("<" + "".join(field.code for field in FIELDS)).pack
+RECORD = record.of(config.load(ROOT / "etc/delfimx.toml"))
+PACK = struct.Struct("<" + "".join(field.code for field in RECORD.fields)).pack
 CROSS = config.Sea(current_mps=0.5, current_to_deg=250.0, wind_mps=4.0, wind_from_deg=320.0)
 
 
@@ -31,7 +31,7 @@ class Bytes:
         self.data = bytearray()
 
     def write(self, state: State, now_s: float) -> None:
-        self.data += PACK(*record.values(FIELDS, state, now_s))
+        self.data += PACK(*record.values(RECORD, state, now_s))
 
     def note(self, text: str) -> None:
         self.data += text.encode()
@@ -132,7 +132,7 @@ class Rows:
         self.rows, self.notes = list[tuple[object, ...]](), list[str]()
 
     def write(self, state: State, now_s: float) -> None:
-        values = zip(FIELDS, record.values(FIELDS, state, now_s), strict=True)
+        values = zip(RECORD.fields, record.values(RECORD, state, now_s), strict=True)
         self.rows.append(tuple(repr(value) for field, value in values if field.name not in BY_THE_WALL_CLOCK))
 
     def note(self, text: str) -> None:

@@ -185,7 +185,7 @@ class Reported:
         self._heading_rad = SIGMAS * math.radians(noise[1]) + math.radians(0.02)
         self._speed_mps = SIGMAS * math.sqrt(2.0) * noise[2] + 0.01
         self._is_plain = run.settings.navigation.sources == (OWN_NODES,)  # others filter, and come later
-        self._fields, self._rows = record.fields(run.settings), run.settings.thrusters
+        self._record, self._rows = record.of(run.settings), run.settings.thrusters
         self._doubt_s, self._mode = _settled_s(run), run.state.mode
 
     def look(self, cycle: CycleSeen) -> Iterator[str]:
@@ -229,7 +229,7 @@ class Reported:
                 yield f"reported is {row.name} {report['thrusters'][row.name]['thrust']}, and it is {part:.4f}"
 
     def _of_record(self, state: State, now_s: float) -> Iterator[str]:
-        values = dict(zip([each.name for each in self._fields], record.values(self._fields, state, now_s), strict=True))
+        values = dict(zip([each.name for each in self._record.fields], record.values(self._record, state, now_s), strict=True))
         should: dict[str, object] = {
             "monotonic_s": now_s,
             "cycle": state.cycles,
