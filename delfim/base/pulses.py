@@ -39,7 +39,7 @@ def socket_path(run_directory: str) -> Path:
 
 def pack_command(counter: int, run: bool, fractions: Sequence[float]) -> bytes:
     """Fractions of all channels, -1 to 1, finite."""
-    return _RECORD.pack(counter & 0xFFFF_FFFF, run, *(round(each * FULL) for each in fractions))
+    return _RECORD.pack(counter & 0xFFFF_FFFF, run, *[round(each * FULL) for each in fractions])
 
 
 def unpack_command(data: bytes) -> PulseCommand:
@@ -49,7 +49,7 @@ def unpack_command(data: bytes) -> PulseCommand:
     counter, run, *fractions = _RECORD.unpack(data)
     if max(fractions) > FULL or min(fractions) < -FULL:
         raise FormatError("a fraction is beyond full")
-    return PulseCommand(counter, run == 1, tuple(each / FULL for each in fractions))
+    return PulseCommand(counter, run == 1, tuple([each / FULL for each in fractions]))
 
 
 def pack_answer(answer: PulseAnswer) -> bytes:

@@ -22,6 +22,7 @@ from delfim.simulator.line import LockstepLine
 from delfim.simulator.lockstepbus import LockstepBus
 from delfim.simulator.model import Model
 from delfim.simulator.nodes import nodes_of
+from delfim.simulator.nodes.navigation import MESSAGES
 from delfim.simulator.nodes.talkers import port_devices
 from delfim.vehicle import console, voyage
 from delfim.vehicle.build import build
@@ -86,6 +87,7 @@ class Lockstep:
         self.faults.is_outlet = self._outlet is not None
         self._cycle_s = 1.0 / settings.navigation.rate_hz
         self._watchdog_s = self._console_s = 0.0
+        self._changes = 0  # of the bus, when it was looked at last
         self.ordered: Ordered | None = None  # the last one
 
     def _start(self) -> None:
@@ -191,6 +193,8 @@ class Lockstep:
         clock, world, vehicle, faults = self.clock, self._world, self.vehicle, self.faults
         now_s, utc_ns = clock.monotonic_s(), clock.time_ns()
         nodes = faults if faults.busy else self.nodes
+        if self.bus.changes != self._changes:  # on a boat with other navigation nobody takes its messages: none are made
+            self._changes, self.nodes.navigation.is_heard = self.bus.changes, self.bus.takes(MESSAGES)
         frames = nodes.step(now_s, utc_ns)
         self.bus.off = "bus_off" in faults.on
         world.send_many([frame[:2] for frame in frames])

@@ -27,6 +27,7 @@ class LockstepBus:
         self.clock, self.name, self.queue_max = clock, name, queue_max
         self.off = False  # bus-off, as after too many errors: nothing is sent or received
         self.queues: dict[CanSocket, deque[Frame]] = {}  # the frames that wait in each open socket
+        self.changes = 0  # of its sockets and what they take
         self._ends: list[_End] = []
         self._routes: dict[int, tuple[_End, ...]] = {}  # by arbitration field: the ends that accept it
 
@@ -71,9 +72,15 @@ class LockstepBus:
         self._routes[arb] = route
         return route
 
+    def takes(self, frames: CanAddress) -> bool:
+        """Whether any socket takes any of these frames."""
+        taken = (address for end in self._ends for address in end.addresses)
+        return any(not (frames.arb ^ each.arb) & ~frames.mask & ~each.mask for each in taken)
+
     def changed(self, closed: "_End | None" = None) -> None:
         """An end was bound or closed."""
         self._routes.clear()
+        self.changes += 1
         if closed in self._ends:
             self._ends.remove(closed)
             self.queues = {socket: queue for socket, queue in self.queues.items() if queue is not closed.queue}

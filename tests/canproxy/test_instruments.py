@@ -25,7 +25,7 @@ from delfim.parts.nmea2000.sensor import FILTERS, VALUES, Nmea2000Instruments
 from delfim.parts.nmea2000.table import Nmea2000
 from delfim.simulator.lockstep import Lockstep
 from delfim.simulator.lockstepbus import LockstepBus
-from delfim.vehicle.record import fields, values
+from delfim.vehicle import record
 from delfim.vehicle.state import NoLog, State
 from tests.canproxy.pgn_of import pgn_of
 from tests.canproxy.test_recordings import BUSY, RAYMARINE, recording
@@ -246,7 +246,8 @@ def test_a_boat_without_another_use_for_the_bus_logs_and_tells_its_depth() -> No
     run.cycle()
     assert run.state.measured["depth_m"] == (12.0, 0.0), "of the modelled sounder"
     assert run.vehicle.snapshot({})["measured"] == {"depth_m": 12.0, "depth_offset_m": 0.0}
-    logged = dict(zip([f.name for f in fields(settings)], values(fields(settings), run.state, 0.0), strict=True))
+    fields = record.of(settings)
+    logged = dict(zip([f.name for f in fields.fields], record.values(fields, run.state, 0.0), strict=True))
     assert (logged["depth_m"], math.isnan(logged["water_c"])) == (12.0, True)  # type: ignore[arg-type]
 
 

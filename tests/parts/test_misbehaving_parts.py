@@ -70,10 +70,10 @@ def test_its_trouble_is_acted_on_as_the_table_says_and_is_a_bit_of_the_log(labor
     run = sailing(boat("failsafe.few_satellites.satellites=20", 'failsafe.few_satellites.heading="hold"'))
     assert (run.state.mode.name, run.state.reason) == ("HOLD", "12 satellites")
     assert [(each.name, each.action) for each in run.state.notices] == [("few_satellites", "warn")]
-    from delfim.vehicle.record import fields, values
+    from delfim.vehicle import record
 
-    columns = fields(run.settings)
-    told = dict(zip((each.name for each in columns), values(columns, run.state, run.elapsed_s), strict=True))
+    columns = record.of(run.settings)
+    told = dict(zip((each.name for each in columns.fields), record.values(columns, run.state, run.elapsed_s), strict=True))
     assert (told["troubles"], told["water_c"]) == (1 << 25, run.state.measured["water_c"][0])
 
 

@@ -10,6 +10,8 @@ from delfim.lines.nmea0183.sentences import ENCAPSULATED, READERS, Message
 LONGEST: Final = 200  # characters; the standard says 82, receivers with many decimals and multiplexers go beyond
 NAMES_MAX, NAME_MAX = 64, 6  # addresses that are counted one by one, and characters of each
 OTHERS: Final = "others"
+_DIGITS: Final = tuple(b"%02X" % each for each in range(256))
+_new = tuple.__new__  # in half the time of Sentence(...)
 
 
 class Sentence(NamedTuple):
@@ -28,7 +30,7 @@ def checksum(body: bytes) -> int:
 def framed(body: str) -> bytes:
     """The sentence as it goes over a line."""
     raw = body.encode("ascii")
-    return b"$%s*%02X\r\n" % (raw, checksum(raw))
+    return b"$%b*%b\r\n" % (raw, _DIGITS[reduce(xor, raw)])
 
 
 class Sentences:
@@ -69,7 +71,8 @@ class Sentences:
         if len(body) > LONGEST:
             raise FormatError("too long")
         if star:
-            if digits.strip().upper() != b"%02X" % checksum(body):
+            right = _DIGITS[checksum(body)]
+            if digits != right and digits.strip().upper() != right:
                 raise FormatError("wrong checksum")
         elif self._needs_checksum:
             raise FormatError("no checksum")
@@ -77,18 +80,23 @@ class Sentences:
         if not (text.isascii() and text.isprintable()):
             raise FormatError("not text")
         fields = text.split(",")
-        name = fields[0]
-        known = name[:NAME_MAX] if name[:NAME_MAX] in self.heard or len(self.heard) < NAMES_MAX else OTHERS
-        self.heard[known] = self.heard.get(known, 0) + 1
-        if len(name) != 5 or name[0] == "P" or name[2:] not in READERS or (line[start] == 33) != (name[2:] in ENCAPSULATED):
+        name, heard = fields[0], self.heard
+        if name in heard:
+            heard[name] += 1
+        else:
+            known = name[:NAME_MAX] if name[:NAME_MAX] in heard or len(heard) < NAMES_MAX else OTHERS
+            heard[known] = heard.get(known, 0) + 1
+        formatter = name[2:]
+        known_reader = READERS.get(formatter)
+        if known_reader is None or len(name) != 5 or name[0] == "P" or (line[start] == 33) != (formatter in ENCAPSULATED):
             return None
-        least, reader = READERS[name[2:]]
+        least, reader = known_reader
         try:
             if len(fields) < least:
                 raise FormatError("too few fields")
-            return Sentence(name[:2], name[2:], reader(fields))
+            return _new(Sentence, (name[:2], formatter, reader(fields)))
         except FormatError as error:
-            raise FormatError(f"{name[2:]}: {error}") from None
+            raise FormatError(f"{formatter}: {error}") from None
 
     def _refuse(self, reason: str) -> None:
         self.refused[reason] = self.refused.get(reason, 0) + 1

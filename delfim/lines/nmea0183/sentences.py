@@ -133,8 +133,12 @@ def _number(text: str) -> float | None:
 
 
 def _within(text: str, most: float, least: float = 0.0) -> float | None:
-    value = _number(text)
-    if value is not None and not least <= value <= most:
+    if not text:
+        return None
+    if not _NUMBER(text):
+        raise FormatError("not a number")
+    value = float(text)
+    if not least <= value <= most:
         raise FormatError("out of range")
     return value
 

@@ -6,6 +6,7 @@ Talker GP throughout, as the programs that read RMC and HDT expect it from a rec
 
 import math
 from datetime import UTC, datetime
+from functools import lru_cache
 from typing import Final
 
 from delfim.canproxy.dsor.messages import Navigation
@@ -13,6 +14,7 @@ from delfim.lines.nmea0183.framing import framed
 from delfim.lines.nmea0183.sentences import KNOT
 
 COURSE_MPS: Final = 0.1  # a slower boat has no course over ground
+_DAY_NS: Final = 86_400_000_000_000
 _QUALITY: Final = {2: 1, 3: 1, 4: 2, 5: 4, 6: 5}
 _MODE: Final = {2: "A", 3: "A", 4: "D", 5: "R", 6: "F"}
 
@@ -22,7 +24,7 @@ def rmc(n: Navigation) -> bytes:
     if (place := _place(n)) is None:
         return b""
     speed, course = _movement(n) or ("", "")
-    date = f"{_time(n):%d%m%y}"
+    date = _date(n.utc_ns // _DAY_NS)
     return framed(f"GPRMC,{clock(n)},A,{place},{speed},{course},{date},,,{_MODE.get(n.fix, 'A')}")
 
 
@@ -81,10 +83,13 @@ def _degrees(angle_rad: float) -> str:
     return f"{round(math.degrees(angle_rad) * 100.0) % 36_000 / 100.0:06.2f}"
 
 
-def _time(n: Navigation) -> datetime:
-    return datetime.fromtimestamp(n.utc_ns // 1_000_000_000, UTC)
+@lru_cache(1)
+def _date(day: int) -> str:
+    """The date of a day since 1970 as a field."""
+    return f"{datetime.fromtimestamp(86_400 * day, UTC):%d%m%y}"
 
 
 def clock(n: Navigation) -> str:
     """The time of day as a field."""
-    return f"{_time(n):%H%M%S}.{n.utc_ns // 10_000_000 % 100:02d}"
+    seconds, hundredths = divmod(n.utc_ns % _DAY_NS // 10_000_000, 100)
+    return f"{seconds // 3600:02d}{seconds // 60 % 60:02d}{seconds % 60:02d}.{hundredths:02d}"

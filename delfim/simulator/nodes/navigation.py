@@ -8,13 +8,15 @@ from delfim import config
 from delfim.base.frames import Frame
 from delfim.base.geodesy import from_plane
 from delfim.canproxy.dsor.messages import NAVIGATION_ID, NAVIGATION_PRIORITY, Navigation, Node, pack_navigation
-from delfim.canproxy.dsor.protocol import Message, segments
+from delfim.canproxy.dsor.protocol import Message, message_filter, segments
+from delfim.canproxy.socket import CanAddress
 from delfim.simulator.model import Model
 from delfim.simulator.nodes.period import Period
 
 POSITION_ERROR_S: Final = 60.0  # correlation time of a satellite receiver's error
 YAW_RATE_NOISE_RADPS: Final = math.radians(0.2)
 FIX, SATELLITES, HDOP = 3, 10, 0.9
+MESSAGES: Final = CanAddress(*message_filter(source=Node.NAVIGATION))  # all frames of its messages
 _ADDRESSED: Final = NAVIGATION_PRIORITY, Node.NAVIGATION, Node.BROADCAST, NAVIGATION_ID
 _FORGED: Final = NAVIGATION_PRIORITY + 1, Node.NAVIGATION, Node.BROADCAST, NAVIGATION_ID  # behind it on the bus
 _new = tuple.__new__  # a third of the time of Message(...)
@@ -48,6 +50,7 @@ class NavigationNode:
         self.frozen = False  # the sensors repeat their values
         self.forged_rad = 0.0  # another one sends each message again, with a heading that is turned by so much; 0: nobody
         self.repeating = False  # the node sends its last message again and again
+        self.is_heard = True  # False: no socket of the bus takes its messages, so that it makes none
         self._said: Navigation | None = None
 
     @property
@@ -61,7 +64,7 @@ class NavigationNode:
         if not self._model.alive or not self._period.passed(now_s):
             return []
         self._model.taken()
-        if self.silent:
+        if self.silent or not self.is_heard:
             return []
         said = self._said
         if said is None or not (self.frozen or self.repeating):
