@@ -12,14 +12,12 @@ from delfim.base.clock import Clock, SystemClock
 from delfim.base.errors import ConfigError, FormatError
 from delfim.base.keys import new_key, read_key
 from delfim.parts.mavlink import ownorders, plans, wire
-from delfim.parts.mavlink.aisvessel import facts_of, position_of
+from delfim.parts.mavlink.aisvessel import GUARD, GUARDED, NUMBERS, ORDERED, facts_of, number_of, position_of
 from delfim.parts.mavlink.ardupilot import WaterDepth
 from delfim.parts.mavlink.ownorders import Offer, own_offers
 from delfim.parts.mavlink.params import BOAT_NAME, BOAT_RUN, TROUBLES
 from delfim.parts.mavlink.plans import FENCE, ITEMS, MISSION, RALLY, Item
 from delfim.parts.mavlink.signing import FrameVerdict, Signing, read_stamps, write_stamps
-from delfim.parts.mavlink.vesselsout import GUARD, GUARDED, NUMBERS, ORDERED
-from delfim.parts.mavlink.vesselsout import number as number_of
 
 __all__ = [  # what the console needs of the link's other end, beside what is below
     "BOAT_NAME",

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from delfim import config
-from delfim.parts.mavlink.vesselsout import NEAR, guard, number, ordered
+from delfim.parts.mavlink.aisvessel import NEAR, guard, number_of, ordered
 from delfim.parts.traffic.encounter import BEGINNINGS, Duty, words
 from delfim.parts.traffic.lookout import LOOK_S
 from delfim.vehicle.grex import sighted
@@ -146,7 +146,7 @@ def test_consoles_are_told_the_nearest_often_and_all_in_turn(sea):
     )
     looked(sea)
     heard = [m for m in sail(sea, 10.5) if m.get_type() == "AIS_VESSEL"]
-    assert {m.MMSI for m in heard} == {MARIA + i for i in range(40)} | {number("payload radar 7")}
+    assert {m.MMSI for m in heard} == {MARIA + i for i in range(40)} | {number_of("payload radar 7")}
     assert len(heard) <= 2 * 4 * 11
     assert sum(m.MMSI < MARIA + NEAR for m in heard) > len(heard) / 2
     first = next(m for m in heard if m.MMSI == MARIA)

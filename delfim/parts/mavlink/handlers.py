@@ -6,7 +6,7 @@ from functools import partial
 from typing import Final, NamedTuple
 
 from delfim.base.errors import FormatError, Refused
-from delfim.parts.mavlink import byhand, commands, ownorders, params, telemetry, vesselsin
+from delfim.parts.mavlink import byhand, commands, othervessels, ownorders, params, telemetry
 from delfim.parts.mavlink.answers import ANSWERS
 from delfim.parts.mavlink.commands import ACCEPTED, DENIED, LATER, UNSUPPORTED
 from delfim.parts.mavlink.consoles import Consoles
@@ -350,8 +350,8 @@ HANDLERS: Final[dict[int, Callable[[Consoles, Peer, Speaker, Message], None]]] =
     dialect.MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED: guided,
     dialect.MAVLINK_MSG_ID_SET_POSITION_TARGET_GLOBAL_INT: guided,
     dialect.MAVLINK_MSG_ID_GPS_RTCM_DATA: _corrections,
-    dialect.MAVLINK_MSG_ID_AIS_VESSEL: vesselsin.vessel,
-    dialect.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: vesselsin.sister,
+    dialect.MAVLINK_MSG_ID_AIS_VESSEL: othervessels.vessel,
+    dialect.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: othervessels.sister,
     dialect.MAVLINK_MSG_ID_TIMESYNC: _timesync,
     dialect.MAVLINK_MSG_ID_PING: _ping,
     dialect.MAVLINK_MSG_ID_MISSION_REQUEST_LIST: _listed,

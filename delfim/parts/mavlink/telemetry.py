@@ -11,11 +11,11 @@ from typing import Final, Literal, NamedTuple
 from delfim.base.geodesy import compass, from_plane, wrap
 from delfim.base.modes import PAYLOADS, Mode
 from delfim.canproxy.dsor.messages import BatteriesStatus, Node
+from delfim.parts.mavlink.aisvessel import guard, ordered, vessels
 from delfim.parts.mavlink.ardupilot import WaterDepth, Wind
 from delfim.parts.mavlink.params import TROUBLES
 from delfim.parts.mavlink.plans import ALL
 from delfim.parts.mavlink.table import Mavlink
-from delfim.parts.mavlink.vesselsout import guard, ordered, vessels
 from delfim.parts.mavlink.wire import Message, dialect
 from delfim.vehicle import sensors, thrusters
 from delfim.vehicle.failsafe import Action, bits

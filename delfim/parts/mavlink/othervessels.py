@@ -1,14 +1,13 @@
-"""Other vessels from MAVLink: AIS_VESSEL of a console, and GLOBAL_POSITION_INT of a boat of the fleet (docs/traffic.md)."""
+"""Other vessels that the boat hears of on the console's link: by a console, and of boats of the fleet (docs/traffic.md)."""
 
 import math
 from typing import Final
 
 from delfim.base.vessels import MMSI_MAX, VesselPosition
-from delfim.parts.mavlink.aisvessel import facts_of, position_of
+from delfim.parts.mavlink.aisvessel import NUMBERS, facts_of, position_of
 from delfim.parts.mavlink.consoles import Consoles
 from delfim.parts.mavlink.peers import Peer
 from delfim.parts.mavlink.telemetry import COMPONENT
-from delfim.parts.mavlink.vesselsout import NUMBERS
 from delfim.parts.mavlink.wire import GUEST, Message, Speaker
 
 OLD_S: Final = 600  # a report that was older when it came is none
