@@ -56,16 +56,25 @@ SOURCES, HEARD = (tuple(of_kind(OWN.values(), kind)) for kind in ("source", "ves
 DRIVERS = tuple(sorted(of_kind(OWN.values(), "driver")))
 DEFAULT_SENSOR, *_OTHERS = of_kind(OWN.values(), "sensor")
 SENSORS = DEFAULT_SENSOR, *sorted(_OTHERS)
+
+STEERED = tuple(mode.name.lower() for mode in Mode if mode not in (Mode.IDLE, Mode.MANUAL))  # those that may keep clear
+
+
+def guarded(modes: tuple[str, ...]) -> Any:
+    """Some of these modes."""
+    return Annotated[tuple[Literal[modes], ...], msgspec.Meta(max_length=len(modes))]  # type: ignore[valid-type]
+
+
 if TYPE_CHECKING:
     SourceName = str
     DriverName = str
     SensorName = str
     HeardName = str  # who tells of other vessels
+    GuardedModes = tuple[str, ...]
 else:
     SourceName, DriverName, SensorName = Literal[SOURCES], Literal[DRIVERS], Literal[SENSORS]
     HeardName = Literal[HEARD]
-GuardedName = Literal["hold", "goto", "play", "path", "home", "course", "heading", "grex"]
-GuardedModes = Annotated[tuple[GuardedName, ...], msgspec.Meta(max_length=len(get_args(GuardedName)))]
+    GuardedModes = guarded(STEERED)
 HELMSMEN_MAX, MODE_NAME_MAX = 16, 26  # payload programs that may have the boat; characters of their names
 Place = Annotated[float, msgspec.Meta(ge=-100.0, le=100.0)]  # m from the middle of the boat
 Newtons = Annotated[float, msgspec.Meta(ge=-1e5, le=1e5)]
@@ -1344,7 +1353,10 @@ def whole(aboard: tuple[Part, ...]) -> type[Vehicle]:
     sensors = _with(Sensors, [_names("names", SENSORS, aboard, 0)])
     thruster = _with(ThrusterTable, [("driver", Literal[(*DRIVERS, *of_kind(aboard, "driver"))])])
     rows = ("thrusters", Annotated[tuple[thruster, ...], get_args(Thrusters)[1]], DELFIMX)  # type: ignore[valid-type]
-    tables = [("failsafe", failsafe, failsafe()), ("navigation", navigation, navigation()), ("sensors", sensors, sensors())]
+    guard = _with(TrafficGuard, [("modes", guarded((*STEERED, *modes)), TrafficGuard().modes)])
+    traffic = _with(TrafficTable, [("guard", guard, guard())])
+    made = {"failsafe": failsafe, "navigation": navigation, "sensors": sensors, "traffic": traffic}
+    tables = [(name, table, table()) for name, table in made.items()]
     own = [(part.name, its, its()) for part in aboard if part.table and (its := table_of(part))]
     kind: type[Vehicle] = _with(Vehicle, [*tables, rows, *own], {"aboard": aboard})
     return kind

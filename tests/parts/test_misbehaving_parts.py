@@ -5,6 +5,7 @@ import signal
 from pathlib import Path
 
 import pytest
+from delfim.vehicle.traffic.routeahead import route_ahead
 
 from delfim import config
 from delfim.base.errors import ConfigError, DelfimError, PermanentFailure
@@ -258,6 +259,20 @@ def test_a_mode_of_a_laboratory_steers_and_is_answered_as_its_key_says(laborator
     for _ in run.cycles(20.0):
         pass
     assert (run.state.mode.name, run.state.reason[:19]) == ("HOLD", "console silent for ")
+
+
+def test_a_mode_of_a_laboratory_is_named_wherever_modes_are(laboratory):
+    installed(laboratory, "mode")
+    run = weaving('traffic.guard.modes=["hold", "weave"]')
+    assert run.settings.traffic.guard.modes == ("hold", "weave")
+    assert run.command(console.SetMode("weave")) is None
+    for _ in run.cycles(10.0):
+        pass
+    helm, state = run.vehicle.helm, run.state
+    ahead = route_ahead(state.mode, helm.memory, state.setpoint, state.motion, helm.limits)
+    assert (len(ahead.points), ahead.has_end) == (1, False), "it goes on as it does"
+    with pytest.raises(ConfigError, match=r"traffic\.guard\.modes"):
+        weaving('traffic.guard.modes=["weawe"]')
 
 
 @pytest.mark.parametrize(

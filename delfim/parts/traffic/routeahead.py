@@ -5,7 +5,7 @@ from collections.abc import Iterator, Sequence
 from itertools import chain, islice
 from typing import Final
 
-from delfim.base.modes import Mode
+from delfim.base.modes import OF_PARTS, Mode
 from delfim.parts.traffic.encounter import Own
 from delfim.parts.traffic.trialways import RouteAhead
 from delfim.vehicle import setpoints
@@ -49,10 +49,10 @@ def route_ahead(mode: Mode, memory: Memory, setpoint: Setpoint, motion: Motion, 
         driven = setpoint.track[max(memory.leg - TRACK, 0) : memory.leg + 1]
         points = [*driven[: 0 : -(len(driven) // POINTS + 1)], driven[0]]
         speed_mps = settings.control.home.speed_mps
-    elif mode in (Mode.COURSE, Mode.HEADING, Mode.GREX, Mode.MANUAL):
+    elif mode in (Mode.COURSE, Mode.HEADING, Mode.GREX, Mode.MANUAL) or mode in OF_PARTS:
         asked_rad = setpoint.heading_rad if mode is Mode.COURSE else own.course_rad
         points = [(own.north_m + FAR_M * math.cos(asked_rad), own.east_m + FAR_M * math.sin(asked_rad))]
-        asked = {Mode.MANUAL: own.speed_mps, Mode.GREX: setpoint.guest_speed_mps}
+        asked = {**dict.fromkeys(OF_PARTS, own.speed_mps), Mode.MANUAL: own.speed_mps, Mode.GREX: setpoint.guest_speed_mps}
         speed_mps, override_mps, has_end = asked.get(mode, setpoint.speed_mps), None, False
     if points and override_mps is not None:
         speed_mps = override_mps
