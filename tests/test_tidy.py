@@ -233,6 +233,7 @@ NAMED = {  # with the reason; a row that goes does not come back
     "config.py: dsor.rpm_max",  # where a key of older files went
     "config.py: sysstat",  # the nodes that it requires are those of other tables
     "services/suite.py: dronecan.interface",  # its own service's row
+    "config.py: traffic",  # a table that others are checked with: it goes to its part
     "config.py: handset",  # its device is one of the serial lines: it goes with its table
     "vehicle/grex.py: guest",  # who tells of other vessels
     "vehicle/loop.py: guest",

@@ -38,7 +38,7 @@ class PartError(ValueError):
     """A mode of a laboratory's part that cannot go on; the text is the reason."""
 
 
-class Programs(dict[Mode, Program]):
+class ModePrograms(dict[Mode, Program]):
     """Of the modes. One of the boat's own is loaded when it is asked for first."""
 
     def __missing__(self, mode: Mode) -> Program:
@@ -51,7 +51,7 @@ class Programs(dict[Mode, Program]):
             self[mode]
 
 
-MODES: Final = Programs()
+MODES: Final = ModePrograms()
 
 
 def admit(mode: Mode, has: frozenset[str], setpoint: Setpoint) -> str | None:
