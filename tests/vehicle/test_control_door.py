@@ -12,9 +12,10 @@ from hypothesis import strategies as st
 
 from delfim.base.modes import Mode
 from delfim.canproxy.socket import CanSocket
-from delfim.vehicle.control.control import MODES, Memory, Settings, admit, control, enter, first
+from delfim.vehicle.control.control import MODES, Memory, Settings, admit, control, enter
 from delfim.vehicle.propulsion import Propulsion
 from delfim.vehicle.safe import STOP
+from delfim.vehicle.setpoints import first
 from delfim.vehicle.state import NOWHERE, Arc, Line, Motion, Plan, Reference, Setpoint, State, Wanted, Waypoint
 from tests.vehicle.closed_loop import ALL, DELFIMX, DT_S, SETTINGS
 
@@ -60,6 +61,7 @@ FRACTIONS = st.tuples(*[st.floats(-1.0, 1.0)] * 2)
 
 
 def test_every_mode_has_a_row_and_says_what_it_is() -> None:
+    MODES.load()
     assert set(MODES) == set(Mode)
     for program in MODES.values():
         assert set(INPUTS) >= program.NEEDS

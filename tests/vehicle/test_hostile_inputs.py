@@ -16,7 +16,7 @@ from delfim.canproxy.dsor.messages import SYSSTAT_SUBJECT, Node
 from delfim.canproxy.dsor.protocol import Kind, dsor_arb
 from delfim.config import Sysstat
 from delfim.parts.dsor import sysstat
-from delfim.vehicle import console
+from delfim.vehicle import console, nodehealth
 from delfim.vehicle.grex import LINE_BYTES, LINES_A_CALL, Guest
 from delfim.vehicle.state import State
 from tests.mutations import BINARY, TEXT
@@ -128,7 +128,7 @@ def test_no_status_frames_are_raised_or_kept(bursts: list[list[Frame]]) -> None:
     for number, burst in enumerate(bursts):
         sensor.input = Bus(burst)
         sensor.read(state, 0.5 * number)
-        sysstat.wrong(state, Sysstat(), 0.5 * number)
+        nodehealth.wrong(state, Sysstat(), 0.5 * number)
     assert state.sysstat.keys() <= set(sysstat.NAMES.values())
     assert set(state.counts) <= {"sysstat_malformed", "acknowledgements_unsent"}
     assert not sensor._segmented.replies

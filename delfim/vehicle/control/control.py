@@ -6,7 +6,7 @@ import math
 from importlib import import_module
 from typing import Final, Protocol, cast
 
-from delfim.base.modes import Mode
+from delfim.base.modes import OF_PARTS, Mode
 from delfim.vehicle.control.memory import Memory, Settings, lacking, settings_of
 from delfim.vehicle.safe import STOP
 from delfim.vehicle.state import Motion, Reference, Setpoint, Wanted
@@ -46,9 +46,10 @@ class ModePrograms(dict[Mode, Program]):
         return program
 
     def load(self) -> None:
-        """Load all, before the boat sails: nothing is imported under way."""
+        """Load all of the boat's own, before it sails: nothing is imported under way."""
         for mode in Mode:
-            self[mode]
+            if mode not in OF_PARTS:
+                self[mode]
 
 
 MODES: Final = ModePrograms()
