@@ -34,8 +34,9 @@ from delfim.parts.traffic.encounter import Own
 from delfim.parts.traffic.targets import MOST
 from delfim.parts.traffic.trialways import Caution, RouteAhead
 from delfim.simulator.lockstep import Lockstep
-from delfim.vehicle import console, detour
+from delfim.vehicle import console
 from delfim.vehicle.control.control import enter
+from delfim.vehicle.helm import detour
 from delfim.vehicle.loop import VehicleLoop
 from delfim.vehicle.navigation.estimator import Estimator
 from delfim.vehicle.plans import fence, missionreader

@@ -33,7 +33,7 @@ from delfim.base.errors import DelfimError, Refused
 from delfim.canproxy.canloop import group_of
 from delfim.logging.statelog import columns
 from delfim.services.window import ARRIVALS
-from delfim.vehicle.link import Link
+from delfim.vehicle.operator.link import Link
 
 SOURCES: Final = Path(__file__).parent
 LABELS: Final = {

@@ -21,7 +21,7 @@ from pathlib import Path
 
 from bench import competitor, critical_path, report
 from delfim.parts.dsor.source import DsorNavigation
-from delfim.vehicle.helm import Helm
+from delfim.vehicle.helm.helm import Helm
 from delfim.vehicle.navigation.fixes import Fix
 from delfim.vehicle.rehearsal import Rehearsal
 from delfim.vehicle.state import Wanted

@@ -13,7 +13,7 @@ from typing import Final
 from delfim import config
 from delfim.base.errors import ConfigError, DelfimError
 from delfim.simulator.lockstep import Lockstep
-from delfim.vehicle.logbook import Logbook
+from delfim.vehicle.log.logbook import Logbook
 from delfim.vehicle.plans.mission import canonical, load_mission
 
 REPETITIONS, QUICK_REPETITIONS = 7, 2

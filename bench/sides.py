@@ -33,7 +33,7 @@ from bench.onlooker import Onlooker
 from bench.stalled import Radio
 from delfim.base.errors import DelfimError
 from delfim.base.keys import new_key
-from delfim.vehicle.link import Link
+from delfim.vehicle.operator.link import Link
 
 RATE_HZ: Final = 100.0
 WATCHERS: Final = 8

@@ -12,17 +12,17 @@ from delfim.base.tables import Table, text
 from delfim.canproxy.dsor.messages import Navigation
 from delfim.canproxy.socket import CanAddress, CanSocket
 from delfim.config import ActionName, Silence, Trouble, Vehicle
-from delfim.vehicle.actuators import Actuator
 from delfim.vehicle.console import Continue, Course, Goto, Heading, Pause, Play, SetMode, SetSpeed, Stop
 from delfim.vehicle.control.autopilot import entered, steer
 from delfim.vehicle.control.control import Program
 from delfim.vehicle.control.memory import Memory, Settings
+from delfim.vehicle.failsafe.troubles import Look
 from delfim.vehicle.foreign import OrderAsked
 from delfim.vehicle.links import Links, LoopInput, ReadableLine
 from delfim.vehicle.navigation.fixes import Fix, Source
+from delfim.vehicle.propulsion.actuators import Actuator
 from delfim.vehicle.sensors import Value
 from delfim.vehicle.state import Actuation, Motion, Reference, Setpoint, State, ThrusterReport, Wanted
-from delfim.vehicle.troubles import Look
 
 __all__ = [
     "API",

@@ -20,7 +20,7 @@ from delfim.canproxy.dronecan.transfers import TransferReceiver
 from delfim.canproxy.opening import open_can
 from delfim.canproxy.socket import CanSocket
 from delfim.parts.dronecan.table import Dronecan
-from delfim.vehicle.link import Link
+from delfim.vehicle.operator.link import Link
 from tests.afloat import ROOT, running
 
 PAGE = 18_731

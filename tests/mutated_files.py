@@ -343,7 +343,7 @@ def page_token(here: Path) -> Said:
 def kept_voyage(here: Path) -> Said:
     from delfim import config
     from delfim.logging.kept import newest
-    from delfim.vehicle import voyage
+    from delfim.vehicle.orders import voyage
 
     def told() -> None:
         _, record = newest([str(here)], "voyage", b"")

@@ -24,7 +24,7 @@ from delfim.canproxy.dsor import messages
 from delfim.canproxy.dsor.messages import Fault, Node, PropellerStatus
 from delfim.canproxy.opening import open_can
 from delfim.canproxy.socket import CanAddress, CanSocket
-from delfim.vehicle.link import Link
+from delfim.vehicle.operator.link import Link
 
 ROOT = Path(__file__).parents[1]
 VEHICLE = str(ROOT / "etc/delfimx.toml")

@@ -20,7 +20,7 @@ from delfim.canproxy.opening import open_can
 from delfim.canproxy.socket import ANYTHING
 from delfim.parts.frontseats.table import OtterTable
 from delfim.services.supervision.stop import PropellerStop
-from delfim.vehicle.link import Link
+from delfim.vehicle.operator.link import Link
 from tests.afloat import running
 from tests.vehicle.played_devices import PlayedPx4, PlayedSeat, PlayedVesc
 

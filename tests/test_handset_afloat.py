@@ -16,8 +16,8 @@ import pytest
 from delfim.base.errors import DelfimError, Refused
 from delfim.parts.mavlink import wire
 from delfim.parts.mavlink.wire import Sender, dialect
-from delfim.vehicle.link import Link
 from delfim.vehicle.loop import HELD_BY_HAND
+from delfim.vehicle.operator.link import Link
 from tests.afloat import ROOT, running
 from tests.vehicle import receivers
 

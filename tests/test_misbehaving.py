@@ -23,7 +23,7 @@ from delfim.base.errors import DelfimError
 from delfim.canproxy.dsor import messages
 from delfim.canproxy.opening import open_can
 from delfim.canproxy.socket import CanAddress, CanSocket
-from delfim.vehicle.link import Link
+from delfim.vehicle.operator.link import Link
 
 pytestmark = [pytest.mark.long, pytest.mark.timeout(300)]
 ROOT = Path(__file__).parents[1]

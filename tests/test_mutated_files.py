@@ -26,8 +26,8 @@ from delfim.logging.reading import read_log
 from delfim.parts.mavlink.signing import Kept, write_stamps
 from delfim.simulator.scenarios.scenario import load_scenario
 from delfim.vehicle import console
+from delfim.vehicle.orders.voyage import KeptHead
 from delfim.vehicle.plans.mission import load_mission
-from delfim.vehicle.voyage import KeptHead
 from delfim.vehicle.voyagestate import VoyageState
 from tests.console.fakeboat import FakeBoat
 from tests.console.test_charts import _points, chart, geotiff, mbtiles, png, world

@@ -17,7 +17,7 @@ import pytest
 from delfim.base.errors import DelfimError
 from delfim.logging.kept import newest
 from delfim.logging.keptwriter import VOYAGE
-from delfim.vehicle.link import Link
+from delfim.vehicle.operator.link import Link
 
 ROOT = Path(__file__).parents[1]
 VEHICLE = str(ROOT / "etc/delfimx.toml")

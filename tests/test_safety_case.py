@@ -147,7 +147,7 @@ def test_a_change_that_the_test_does_not_notice_is_no_proof(monkeypatch: pytest.
     test = "tests/vehicle/test_gate.py::test_a_stop_is_immediate"
     noticed = "limited | if not run or len(thrust) != len(rates) or not math.isfinite(sum(thrust, dt_s)): | not run → run"
     unseen = "limited | part = was + change | + → -"
-    links = [Link("delfim/vehicle/gate.py", change, test) for change in (noticed, unseen)]
+    links = [Link("delfim/vehicle/propulsion/gate.py", change, test) for change in (noticed, unseen)]
     assert [against for _, against in prove(links)] == ["", "the test does not notice the change"]
 
 

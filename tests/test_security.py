@@ -27,7 +27,7 @@ from delfim.console.mavlink import mavlink
 from delfim.services.access.door import hashed
 from delfim.services.access.doors import doors
 from delfim.services.suite import services
-from delfim.vehicle.link import Link
+from delfim.vehicle.operator.link import Link
 
 pytestmark = [
     pytest.mark.skipif(not shutil.which("curl") or not shutil.which("ssh"), reason="needs curl and ssh"),

@@ -19,7 +19,7 @@ from delfim.canproxy.dsor.messages import PropellerCommand, ShutdownStage
 from delfim.canproxy.opening import open_can
 from delfim.canproxy.socket import CanAddress, CanSocket
 from delfim.services.supervision import shutdown
-from delfim.vehicle.link import Link
+from delfim.vehicle.operator.link import Link
 
 ROOT = Path(__file__).parents[1]
 VEHICLE = str(ROOT / "etc/delfimx.toml")

@@ -14,7 +14,7 @@ from delfim.base.clock import SystemClock
 from delfim.base.errors import DelfimError
 from delfim.services.runtime import LoadedService, Runtime
 from delfim.services.vehicle import serve
-from delfim.vehicle.link import Link
+from delfim.vehicle.operator.link import Link
 
 
 async def until(link: Link, is_so: Callable[[dict[str, Any]], bool]) -> dict[str, Any]:

@@ -23,6 +23,7 @@ PLACES = "tests", "bench", "docker", "etc", "manual", "safety"  # of programs be
 PROGRAMS = [*MODULES, *sorted(path for folder in PLACES for path in (ROOT / folder).rglob("*.py"))]
 LINES_PER_FUNCTION = 60
 LINES_PER_FILE = 500
+FILES_PER_FOLDER = 15
 DECLARATIONS = {"config.py"}  # of nothing but tables, as long as what they declare
 BOTH_ENDS = {"Command", "Mission", "PathPoint", "Plan", "Profile", "Waypoint"}  # of a wire: the boat's, and the page's
 SCHEMA = {  # names that /api/schema publishes; most of them are the other end of what the vehicle says
@@ -298,13 +299,8 @@ def test_the_vehicles_state_is_changed_by_the_loop_alone() -> None:
     """By the loop and what it calls; a replay puts in what was recorded. To count what was refused is no change."""
     called = (
         "loop",
-        "helm",
-        "orders",
-        "alone",
-        "entrusting",
-        "failing",
-        "planning",
-        "returning",
+        *("helm/helm", "helm/alone", "helm/planning", "orders/handlers", "orders/entrusting", "orders/returning"),
+        "failsafe/failing",
         "navigation/fixes",
         "navigation/estimated",
         "../parts/dsor/sysstat",
@@ -330,6 +326,12 @@ def test_the_vehicles_state_is_changed_by_the_loop_alone() -> None:
         and (each.value.id if isinstance(each.value, ast.Name) else each.value.attr) in ("state", "_state")
     ]
     assert changed == []
+
+
+def test_a_folder_of_the_core_is_seen_at_a_glance() -> None:
+    folders = {path.parent for path in MODULES if "vehicle" in path.relative_to(ROOT).parts}
+    counts = {str(folder.relative_to(ROOT)): len([*folder.glob("*.py")]) for folder in folders}
+    assert {folder: count for folder, count in counts.items() if count > FILES_PER_FOLDER} == {}
 
 
 def test_the_loop_is_one_page() -> None:

@@ -3,8 +3,8 @@
 from typing import Final
 
 _FILES: Final = (
-    *("gate", "failsafe", "plans/fence", "propulsion", "control/control", "kills"),
-    *("plans/zones", "troubles", "checks", "helm", "orders"),
+    *("propulsion/gate", "propulsion/propulsion", "failsafe/failsafe", "failsafe/troubles", "failsafe/checks"),
+    *("helm/helm", "orders/handlers", "orders/kills", "control/control", "plans/fence", "plans/zones"),
 )
 _HANDS: Final = (
     *("parts/handset/operator", "parts/handset/killswitch"),

@@ -1,5 +1,5 @@
 """The modes of the boat, one row each: names and numbers stand nowhere else. A mode is its row and the file of its name in
-`delfim/vehicle/control/` (CONTRIBUTING.md, "How to add a mode").
+`delfim/vehicle/control/modes/` (CONTRIBUTING.md, "How to add a mode").
 """
 
 from enum import IntEnum

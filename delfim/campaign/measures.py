@@ -14,7 +14,7 @@ from delfim.simulator.lockstep import Lockstep, OrderLog
 from delfim.simulator.scenarios.trial import Event
 from delfim.simulator.scenarios.watch import TruePlace
 from delfim.vehicle.console import Commands
-from delfim.vehicle.logbook import ORDERLY
+from delfim.vehicle.log.logbook import ORDERLY
 from delfim.vehicle.plans.zones import Point
 from delfim.vehicle.state import State, StateLog
 

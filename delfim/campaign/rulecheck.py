@@ -10,7 +10,7 @@ from delfim.base.geodesy import wrap
 from delfim.simulator.lockstep import Lockstep
 from delfim.simulator.nodes.shipping import Vessel, axes_m, nearness
 from delfim.simulator.scenarios.encounters import START_S
-from delfim.vehicle import setpoints
+from delfim.vehicle.helm import setpoints
 
 LOOK_S: Final = 1.0
 GIVE_WAY: Final = ("head-on", "give-way", "overtaking")  # what the boat must keep clear in

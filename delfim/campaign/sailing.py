@@ -26,7 +26,7 @@ from delfim.simulator.scenarios.scenario import Scenario, laid_upon
 from delfim.simulator.scenarios.searching import DRAWN
 from delfim.simulator.scenarios.trial import Event, sail
 from delfim.simulator.scenarios.watch import TruePlace
-from delfim.vehicle.logbook import Logbook
+from delfim.vehicle.log.logbook import Logbook
 from delfim.vehicle.state import NoLog, StateLog
 
 LOOK_CYCLES: Final = 100  # the time of the processor is looked at so often

@@ -7,7 +7,7 @@ from typing import Final
 from delfim.base.geodesy import wrap
 from delfim.base.modes import Mode
 from delfim.simulator.lockstep import Lockstep
-from delfim.vehicle.control.path import nearest
+from delfim.vehicle.control.modes.path import nearest
 from delfim.vehicle.plans.zones import Point, from_segment
 from delfim.vehicle.state import Arc, Motion, Plan
 

@@ -28,7 +28,7 @@ def part(text: str) -> float:
 def run(asked: argparse.Namespace) -> int:
     from delfim import config
     from delfim.services.bench import actuate, runs
-    from delfim.vehicle.link import Link
+    from delfim.vehicle.operator.link import Link
 
     settings = config.load(asked.file, asked.set)
     with contextlib.ExitStack() as held:

@@ -10,7 +10,7 @@ from delfim import config
 from delfim.base.errors import DelfimError, Refused
 from delfim.commands import vehicle_file
 from delfim.services.image import imagefile, slots
-from delfim.vehicle.link import Link
+from delfim.vehicle.operator.link import Link
 
 ANSWER_S = 10.0  # for the answer of a vehicle on a busy board
 

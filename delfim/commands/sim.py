@@ -28,7 +28,7 @@ from delfim.commands import OWN_FILE, example_file, seconds, shipped
 from delfim.console.onlooker import CTRL_C, START_S, Voyage
 from delfim.parts.mavlink.table import Mavlink
 from delfim.simulator.berth import BOATS, PAGE, SIMULATED, Berth, berth, settings_of
-from delfim.vehicle.logbook import Logbook
+from delfim.vehicle.log.logbook import Logbook
 from delfim.vehicle.plans.mission import Mission, canonical, load_mission
 
 END_S = 10.0  # a program must have ended within this time

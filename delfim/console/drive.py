@@ -16,7 +16,7 @@ from delfim.base.errors import DelfimError, FormatError, Refused, in_words
 from delfim.base.modes import Mode
 from delfim.base.outside import parse_toml, read_text
 from delfim.config import EndMode
-from delfim.vehicle.link import Link
+from delfim.vehicle.operator.link import Link
 
 ALIVE_S = 1.0
 PROMPT = "delfim> "

@@ -13,7 +13,7 @@ from typing import Any, Final
 from delfim import config
 from delfim.base.errors import DelfimError, Refused
 from delfim.console.drive import line
-from delfim.vehicle.link import Link
+from delfim.vehicle.operator.link import Link
 from delfim.vehicle.plans.mission import Mission, canonical
 
 START_S: Final = 60.0  # the suite must answer within this time: a busy machine loads it slowly

@@ -22,8 +22,8 @@ from delfim.logging.reading import in_order, read_events
 from delfim.logging.statelog import read_state
 from delfim.parts.nmea0183 import sensor as nmea0183
 from delfim.parts.nmea2000 import sensor as nmea2000
-from delfim.vehicle import thrusters
 from delfim.vehicle.navigation.gnss import FIXES
+from delfim.vehicle.propulsion import thrusters
 
 MEASURED: Final = {each.name: each.told.decode() for each in (*nmea0183.VALUES, *nmea2000.VALUES)}  # as the link tells them
 SAID_S: Final = 900.0  # an order may last so long

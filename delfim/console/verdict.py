@@ -8,7 +8,7 @@ from delfim import config
 from delfim.base import geodesy
 from delfim.base.slices import Work
 from delfim.console.plan import checked_tables
-from delfim.vehicle.planning import laid
+from delfim.vehicle.helm.planning import laid
 from delfim.vehicle.plans.estimate import in_hours, mission_s
 
 NO_FILE: Final = "checked with the usual limits, because no boat's file was given (--vehicle FILE)"

@@ -24,9 +24,9 @@ from delfim.lines.serialline import SerialLine
 from delfim.logging.linelog import line_id
 from delfim.parts.nmea0183.table import Nmea0183
 from delfim.vehicle import sensors
-from delfim.vehicle.link import Link
 from delfim.vehicle.links import Links, Readable, ReadableLine
 from delfim.vehicle.navigation.fixes import Source, open_source
+from delfim.vehicle.operator.link import Link
 from delfim.vehicle.state import State
 
 GONE: Final = errno.ENOENT, errno.ECONNREFUSED  # nobody listens: no boat runs

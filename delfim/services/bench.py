@@ -21,8 +21,8 @@ from typing import Any, Final, Protocol
 from delfim import config
 from delfim.base.errors import DelfimError, Refused, did_you_mean
 from delfim.services.supervision.stop import opened_driver
-from delfim.vehicle.actuators import Actuator
-from delfim.vehicle.gate import GateLimits, limited
+from delfim.vehicle.propulsion.actuators import Actuator
+from delfim.vehicle.propulsion.gate import GateLimits, limited
 from delfim.vehicle.state import Actuation, State
 
 HELD_S: Final = 0.8  # that a key counts as held: keyboards repeat it after 0.25 to 0.66 s

@@ -40,8 +40,8 @@ from delfim.services.page.api import State
 from delfim.services.runtime import Runtime
 from delfim.services.supervision import shutdown
 from delfim.services.watching import watch
-from delfim.vehicle.nodehealth import NAMES
-from delfim.vehicle.troubles import DEAD_V
+from delfim.vehicle.failsafe.nodehealth import NAMES
+from delfim.vehicle.failsafe.troubles import DEAD_V
 
 LOOK_S: Final = 0.25  # between two looks at button and batteries
 FRAMES_PER_READ: Final = 64

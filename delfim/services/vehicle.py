@@ -36,16 +36,16 @@ from delfim.services.runtime import Runtime
 from delfim.services.voyagekeeping import VoyageKeeping
 from delfim.vehicle.aboard import Hand
 from delfim.vehicle.build import build
-from delfim.vehicle.command import CommandServer
 from delfim.vehicle.console import Commands, ShutDown
-from delfim.vehicle.entrusting import payload_of
 from delfim.vehicle.grex import Guest
 from delfim.vehicle.links import Links, Readable, ReadableLine
-from delfim.vehicle.logbook import Logbook
+from delfim.vehicle.log.logbook import Logbook
 from delfim.vehicle.loop import LOCAL, VehicleLoop
 from delfim.vehicle.navigation.fixes import Source
+from delfim.vehicle.operator.command import CommandServer
+from delfim.vehicle.operator.reviews import Reviews
+from delfim.vehicle.orders.entrusting import payload_of
 from delfim.vehicle.rehearsal import Rehearsal
-from delfim.vehicle.reviews import Reviews
 from delfim.vehicle.state import StartConditions, State, StateLog
 
 WATCHDOG_S = 0.1

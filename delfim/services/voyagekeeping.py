@@ -19,10 +19,11 @@ from delfim.base.keys import read_key
 from delfim.base.slices import Sliced
 from delfim.logging.kept import Keeper, newest
 from delfim.logging.keptwriter import VOYAGE
-from delfim.vehicle import console, voyage
+from delfim.vehicle import console
 from delfim.vehicle.loop import VehicleLoop
-from delfim.vehicle.returning import RESTART
-from delfim.vehicle.reviews import Reviews
+from delfim.vehicle.operator.reviews import Reviews
+from delfim.vehicle.orders import voyage
+from delfim.vehicle.orders.returning import RESTART
 
 REFRESH_S: Final = 5.0
 BOOT_ID: Final = "/proc/sys/kernel/random/boot_id"

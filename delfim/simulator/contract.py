@@ -30,13 +30,13 @@ from delfim.simulator.lockstep import Lockstep
 from delfim.simulator.lockstepbus import LockstepBus
 from delfim.simulator.nodes import nodes_of
 from delfim.vehicle import console, foreign
-from delfim.vehicle.actuators import Actuator, open_actuator
+from delfim.vehicle.failsafe.troubles import Inputs, Look
 from delfim.vehicle.foreign import SLOW_S, is_sound, triggers
 from delfim.vehicle.links import Links
 from delfim.vehicle.navigation.fixes import open_source
+from delfim.vehicle.propulsion.actuators import Actuator, open_actuator
 from delfim.vehicle.sensors import module
 from delfim.vehicle.state import Actuation, NoLog, State
-from delfim.vehicle.troubles import Inputs, Look
 
 BOAT: Final = str(Path(__file__).parents[1] / "etc/delfimx.toml")
 PIECES: Final = 300  # of garbage

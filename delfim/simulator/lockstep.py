@@ -24,11 +24,12 @@ from delfim.simulator.model import Model
 from delfim.simulator.nodes import nodes_of
 from delfim.simulator.nodes.navigation import MESSAGES
 from delfim.simulator.nodes.talkers import port_devices
-from delfim.vehicle import console, voyage
+from delfim.vehicle import console
 from delfim.vehicle.build import build
-from delfim.vehicle.entrusting import payload_of
 from delfim.vehicle.links import Links
-from delfim.vehicle.returning import RESTART
+from delfim.vehicle.orders import voyage
+from delfim.vehicle.orders.entrusting import payload_of
+from delfim.vehicle.orders.returning import RESTART
 from delfim.vehicle.state import State, StateLog
 
 CONSOLE_S: Final = 1.0  # the operator's console speaks this often

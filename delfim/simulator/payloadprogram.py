@@ -16,8 +16,8 @@ import msgspec
 from delfim.base.errors import DelfimError, FormatError, Refused
 from delfim.simulator.lockstep import Lockstep
 from delfim.vehicle import console
-from delfim.vehicle.entrusting import PAYLOAD, within
-from delfim.vehicle.payloadlines import OrderBudget, VoyageTold, answered, lines, ordered, word_of
+from delfim.vehicle.orders.entrusting import PAYLOAD, within
+from delfim.vehicle.orders.payloadlines import OrderBudget, VoyageTold, answered, lines, ordered, word_of
 from delfim.vehicle.snapshot import snapshot
 
 PERIOD_S: Final = 0.2  # between two states that it is told, as at sea

@@ -7,7 +7,7 @@ from delfim import config
 from delfim.base.clock import Clock
 from delfim.vehicle import console
 from delfim.vehicle.grex import Guest
-from delfim.vehicle.helm import Helm
+from delfim.vehicle.helm.helm import Helm
 from delfim.vehicle.links import Links, LoopInput
 from delfim.vehicle.state import State, StateLog
 

@@ -10,18 +10,17 @@ from delfim.base.parts import OWN, Part, load
 from delfim.canproxy.socket import CanAddress, CanSocket
 from delfim.lines.serialform import Form
 from delfim.vehicle.aboard import Added, Hand, OpenedWith
-from delfim.vehicle.actuators import open_actuator
 from delfim.vehicle.control.control import MODES
+from delfim.vehicle.failsafe.troubles import PartTrigger
 from delfim.vehicle.grex import Guest
-from delfim.vehicle.links import Links, LoopInput, ReadableLine
+from delfim.vehicle.links import Links, LoopInput, ReadableLine, SecondEnd
 from delfim.vehicle.loop import VehicleLoop
 from delfim.vehicle.navigation.estimated import between
 from delfim.vehicle.navigation.fixes import open_sources
-from delfim.vehicle.propulsion import Propulsion
+from delfim.vehicle.propulsion.actuators import open_actuator
+from delfim.vehicle.propulsion.propulsion import Propulsion
 from delfim.vehicle.sensors import open_sensors
-from delfim.vehicle.sharedline import SecondEnd
 from delfim.vehicle.state import State, StateLog
-from delfim.vehicle.troubles import PartTrigger
 
 
 class SharingSource(Protocol):

@@ -23,13 +23,13 @@ from delfim.base.parts import ModeRow, OrderRow, Part, find, load
 from delfim.base.tables import Table, decode
 from delfim.canproxy.dsor.messages import Navigation
 from delfim.vehicle import console
-from delfim.vehicle.actuators import Actuator
 from delfim.vehicle.control.control import PartError
 from delfim.vehicle.control.memory import Memory, Settings
+from delfim.vehicle.failsafe.troubles import NUMBERS, PartTrigger
 from delfim.vehicle.links import LoopInput
 from delfim.vehicle.navigation.fixes import Fix, Source
+from delfim.vehicle.propulsion.actuators import Actuator
 from delfim.vehicle.state import Actuation, Motion, PartHealth, Reference, Setpoint, State, Wanted
-from delfim.vehicle.troubles import NUMBERS, PartTrigger
 
 SLOW_S: Final = 0.002  # of one call: longer ones are counted
 BROKEN_S: Final = 0.1  # of one call: then it is broken off

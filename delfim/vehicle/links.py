@@ -2,6 +2,7 @@
 and tests hand in their own.
 """
 
+from collections import deque
 from collections.abc import Callable, Iterator
 from typing import Final, NamedTuple, Protocol
 
@@ -12,6 +13,7 @@ from delfim.lines.gpio import Bias, GpioLine
 from delfim.lines.serialform import Form
 from delfim.vehicle.state import State
 
+KEPT: Final = 64  # pieces of a shared line that nobody has read; beyond, the oldest are lost
 FRAMES_PER_READ: Final = 64  # bounds one call on a flooded input; the rest stays readable
 
 
@@ -70,3 +72,26 @@ def received(socket: CanSocket, state: State, name: str) -> Iterator[Frame]:
         if frame is None:
             return
         yield frame
+
+
+class SecondEnd:
+    """A line for its second user, who is handed what the first has read, and must not wait for it."""
+
+    def __init__(self, line: ReadableLine) -> None:
+        self._line, self._pieces, self.t_ns = line, deque[bytes](maxlen=KEPT), 0
+
+    def fileno(self) -> int:
+        return -1
+
+    def rebind(self) -> bool:
+        return True  # by the first
+
+    def hand(self, data: bytes) -> None:
+        self._pieces.append(data)
+        self.t_ns = self._line.t_ns
+
+    def read(self) -> bytes:
+        return self._pieces.popleft() if self._pieces else b""
+
+    def write(self, data: bytes) -> bool:
+        return self._line.write(data)

@@ -16,20 +16,23 @@ from delfim import config
 from delfim.base.clock import Clock
 from delfim.base.errors import DelfimError
 from delfim.base.modes import Mode
-from delfim.vehicle import console, entrusting, failsafe, snapshot, thrusters
+from delfim.vehicle import console, snapshot
 from delfim.vehicle.aboard import PartWatch
-from delfim.vehicle.actuators import Actuator
-from delfim.vehicle.failing import Failing
+from delfim.vehicle.control.safe import STOP
+from delfim.vehicle.failsafe import failsafe
+from delfim.vehicle.failsafe.failing import Failing
+from delfim.vehicle.failsafe.troubles import Inputs, PartTrigger
 from delfim.vehicle.grex import Guest, told
-from delfim.vehicle.helm import Helm
-from delfim.vehicle.latency import Latency
+from delfim.vehicle.helm.helm import Helm
 from delfim.vehicle.links import LoopInput
+from delfim.vehicle.log.latency import Latency
 from delfim.vehicle.navigation.fixes import Fix, Source, take
-from delfim.vehicle.propulsion import Propulsion
-from delfim.vehicle.returning import RESTART, Returning
-from delfim.vehicle.safe import STOP
+from delfim.vehicle.orders import entrusting
+from delfim.vehicle.orders.returning import RESTART, Returning
+from delfim.vehicle.propulsion import thrusters
+from delfim.vehicle.propulsion.actuators import Actuator
+from delfim.vehicle.propulsion.propulsion import Propulsion
 from delfim.vehicle.state import HANDSET, Profile, StartConditions, State, StateLog
-from delfim.vehicle.troubles import Inputs, PartTrigger
 
 REPEAT_S = 0.5  # a propeller without commands for PROPELLER_TIMEOUT_S stops itself, which would hide the cause
 HELD_S = 0.8  # a command stands so long: it comes with navigation, or without it from the watchdog after REPEAT_S
@@ -50,10 +53,9 @@ class VehicleLoop:
         propulsion: Propulsion,
         guest: Guest,
         log: StateLog,
-        watches: tuple[PartWatch, ...] = (),
+        watches: tuple[PartWatch, ...] = (),  # of the parts aboard
         troubles: tuple[PartTrigger, ...] = (),
     ) -> None:
-        """`watches` and `troubles`: of the parts aboard."""
         self.clock, self.state, self.sources = clock, state, sources
         self.propulsion, self.guest, self.log = propulsion, guest, log
         self.helm, self._watches = Helm(settings, clock, state, propulsion, log, troubles), watches

@@ -131,31 +131,32 @@ def test_the_commit_up_to_which_all_was_tried_is_kept(tmp_path: Path) -> None:
 
 def row(**calls: list[str]) -> dict[str, Any]:
     """A test that takes so long, by what it calls of one file."""
-    return {"calls": {"delfim/vehicle/gate.py": calls["calls"]}, "cpu_s": float(calls["cpu_s"][0])}
+    return {"calls": {"delfim/vehicle/propulsion/gate.py": calls["calls"]}, "cpu_s": float(calls["cpu_s"][0])}
 
 
 def test_the_files_own_tests_are_asked_first_and_within_a_time(tmp_path: Path) -> None:
     own, other = tmp_path / "test_own.py", tmp_path / "test_other.py"
-    own.write_text("from delfim.vehicle.gate import limited\n")
+    own.write_text("from delfim.vehicle.propulsion.gate import limited\n")
     other.write_text("import delfim\n")
     known = {
         str(other): {"imported": {}, "tests": {f"{other}::quick": row(calls=["limited"], cpu_s=["0.1"])}},
         str(own): {
-            "imported": {"delfim/vehicle/gate.py": ["table"]},
+            "imported": {"delfim/vehicle/propulsion/gate.py": ["table"]},
             "tests": {
                 f"{own}::long": row(calls=["limited"], cpu_s=["2"]),
                 f"{own}::short": row(calls=["limited", "_turned"], cpu_s=["1"]),
             },
         },
     }
-    choice = Choice("delfim/vehicle/gate.py", known, 3.2)
+    choice = Choice("delfim/vehicle/propulsion/gate.py", known, 3.2)
     assert choice.tests(frozenset({"limited"})) == [f"{own}::short", f"{own}::long", f"{other}::quick"]
     assert choice.fresh(frozenset({"limited"})) == [f"{own}::short"], "each file has to be imported, too"
     assert choice.tests(frozenset({"_turned"})) == [f"{own}::short"]
     assert choice.tests(frozenset({"table"})) == [f"{own}::short", f"{own}::long"], "what is called when they are imported"
     choice.noticed(frozenset({"limited"}), f"{other}::quick")
     assert choice.tests(frozenset({"limited"}))[0] == f"{other}::quick"
-    assert Choice("delfim/vehicle/gate.py", known, 0.5).tests(frozenset({"limited"})) == [f"{own}::short"], "never none"
+    gate = Choice("delfim/vehicle/propulsion/gate.py", known, 0.5)
+    assert gate.tests(frozenset({"limited"})) == [f"{own}::short"], "never none"
 
 
 class Played:
@@ -175,7 +176,8 @@ def test_what_fails_without_a_change_has_not_noticed_it(tmp_path: Path) -> None:
     known = {str(file): {"imported": {}, "tests": {f"{file}::{name}": calls for name in ("passes", "waits", "limits")}}}
     for text, asked, by in (("import subprocess", [7, None, 7, None], "limits"), ("", [7], "limits")):
         file.write_text(text)
-        choice, worker, asks = Choice("delfim/vehicle/gate.py", known, 3.0), Played(str(file)), frozenset({"limited"})
+        choice = Choice("delfim/vehicle/propulsion/gate.py", known, 3.0)
+        worker, asks = Played(str(file)), frozenset({"limited"})
         choice.noticed(asks, f"{file}::waits" if text else f"{file}::limits")
         tests, answer = answered(worker, 7, asks, choice)  # type: ignore[arg-type]
         assert (answer["by"], worker.asked) == (f"{file}::{by}", asked)

@@ -9,7 +9,7 @@ import pytest
 from delfim.base.modes import Mode
 from delfim.campaign.steertape import Deviation, SteerTape
 from delfim.simulator.lockstep import Lockstep
-from delfim.vehicle.control.path import APPROACH
+from delfim.vehicle.control.modes.path import APPROACH
 from delfim.vehicle.state import Arc, Line, Plan, Reference, Setpoint, State, Waypoint
 
 NORTH = Line(0.0, 0.0, 100.0, 0.0, 1.5)

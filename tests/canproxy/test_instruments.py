@@ -25,7 +25,7 @@ from delfim.parts.nmea2000.sensor import FILTERS, VALUES, Nmea2000Instruments
 from delfim.parts.nmea2000.table import Nmea2000
 from delfim.simulator.lockstep import Lockstep
 from delfim.simulator.lockstepbus import LockstepBus
-from delfim.vehicle import record
+from delfim.vehicle.log import record
 from delfim.vehicle.state import NoLog, State
 from tests.canproxy.pgn_of import pgn_of
 from tests.canproxy.test_recordings import BUSY, RAYMARINE, recording

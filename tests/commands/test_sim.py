@@ -17,7 +17,7 @@ import pytest
 
 from delfim.__main__ import main
 from delfim.logging.statelog import columns, read_state
-from delfim.vehicle.link import Link
+from delfim.vehicle.operator.link import Link
 
 ROOT = Path(__file__).parents[2]
 VEHICLE = str(ROOT / "etc/delfimx.toml")

@@ -19,7 +19,7 @@ from delfim.canproxy.dsor import messages
 from delfim.logging.candump import parse_line
 from delfim.logging.reading import in_order, read_log
 from delfim.parts.mavlink import wire
-from delfim.vehicle.link import Link
+from delfim.vehicle.operator.link import Link
 from tests.services.browser import Page, tab
 
 ROOT = Path(__file__).parents[2]

@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from delfim.base.errors import Refused
-from delfim.vehicle.link import Link
+from delfim.vehicle.operator.link import Link
 from tests.console.chain import Boat, Gateway, Radio, afloat
 from tests.services.browser import Page, shrink, tab
 

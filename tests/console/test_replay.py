@@ -24,7 +24,7 @@ from delfim.console.statetape import States
 from delfim.console.tape import Text, TlogTape
 from delfim.simulator.lockstep import Lockstep
 from delfim.vehicle import console
-from delfim.vehicle.logbook import Logbook
+from delfim.vehicle.log.logbook import Logbook
 from tests.console.fakeboat import FakeBoat
 from tests.console.test_fleet import Sea
 from tests.console.test_othervessels import vessel

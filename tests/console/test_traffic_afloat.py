@@ -9,7 +9,7 @@ import aiohttp
 import pytest
 
 from delfim.logging.reading import read_events
-from delfim.vehicle.link import Link
+from delfim.vehicle.operator.link import Link
 from tests.console.chain import afloat
 from tests.console.test_first_voyage import PATIENCE_S, console
 from tests.services.browser import tab

@@ -24,7 +24,7 @@ from delfim.base.errors import DelfimError
 from delfim.logging.ashore import tree
 from delfim.logging.reading import read_log
 from delfim.logging.statelog import columns
-from delfim.vehicle.link import Link
+from delfim.vehicle.operator.link import Link
 
 FOLDER = Path(os.environ["FOLDER"])
 BEGAN_S = 100.0  # after 1970

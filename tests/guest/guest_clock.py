@@ -18,7 +18,7 @@ from bench.critical_path import until
 from bench.soak import Boat, Visitors
 from delfim.logging.ashore import tree
 from delfim.logging.statelog import columns
-from delfim.vehicle.link import Link
+from delfim.vehicle.operator.link import Link
 
 DAY_S = 86_400.0
 ROLL_OVER_S = 1_554_595_200.0  # 2019-04-07, the GPS's week 2048 is its week 0 again

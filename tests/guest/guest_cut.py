@@ -9,7 +9,7 @@ from pathlib import Path
 
 from delfim.base.errors import DelfimError
 from delfim.canproxy.dsor.messages import Node
-from delfim.vehicle.link import Link
+from delfim.vehicle.operator.link import Link
 
 LOG = Path("/mnt/log")
 FOLDER = os.environ["FOLDER"]

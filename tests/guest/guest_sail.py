@@ -15,7 +15,7 @@ from pathlib import Path
 from delfim.base.errors import DelfimError
 from delfim.base.frames import identifier
 from delfim.canproxy.dsor import messages
-from delfim.vehicle.link import Link
+from delfim.vehicle.operator.link import Link
 
 FOLDER = Path(os.environ["FOLDER"])
 VEHICLE = "etc/delfimx.toml"

@@ -54,7 +54,7 @@ HARDWARE = """
 date -s @100 >/dev/null # no battery clock
 modprobe can-dev; insmod /vxcan.ko; ip link add can0 type vxcan peer name sea0; ip link set sea0 up
 """
-COUNTS = 'from delfim.vehicle.link import Link; print(Link("/run/delfim/command").ask("state")["mavlink"]["counts"])'
+COUNTS = 'from delfim.vehicle.operator.link import Link; print(Link("/run/delfim/command").ask("state")["mavlink"]["counts"])'
 NODES = Path(__file__).with_name("sea_nodes.py")
 MISSION = {
     "name": "first",

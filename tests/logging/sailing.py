@@ -15,7 +15,7 @@ from delfim.logging.openlog import open_log
 from delfim.simulator.line import LockstepLine
 from delfim.simulator.lockstep import Lockstep
 from delfim.vehicle import console
-from delfim.vehicle.logbook import Logbook
+from delfim.vehicle.log.logbook import Logbook
 
 ROOT = Path(__file__).parents[2]
 MISSION = (ROOT / "etc/missions/doca.toml").read_text()

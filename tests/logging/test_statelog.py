@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from delfim.base.errors import FormatError
 from delfim.logging import statelog
 from delfim.logging.statelog import Schema, StateWriter, columns, read_state
-from delfim.vehicle import record
+from delfim.vehicle.log import record
 from tests.logging.conftest import files
 
 DOCUMENT = Path(__file__).parents[2] / "docs" / "log-format.md"

@@ -11,7 +11,7 @@ from typing import Any, Final
 from delfim import config
 from delfim.logging.statelog import MAGIC, Schema
 from delfim.simulator.lockstep import Lockstep
-from delfim.vehicle.logbook import Logbook
+from delfim.vehicle.log.logbook import Logbook
 from tests.oracles.keeping import Lines
 from tests.oracles.voyages import DELFIMX, ROOT
 

@@ -28,9 +28,9 @@ from delfim.simulator.line import LockstepLine
 from delfim.simulator.lockstepbus import LockstepBus
 from delfim.vehicle import console
 from delfim.vehicle.build import build
+from delfim.vehicle.failsafe.nodehealth import NAMES
 from delfim.vehicle.links import Links
 from delfim.vehicle.loop import VehicleLoop
-from delfim.vehicle.nodehealth import NAMES
 from delfim.vehicle.state import (
     Actuation,
     Announced,

@@ -23,7 +23,7 @@ from typing import Any, Final, NamedTuple
 from delfim import config
 from delfim.base.clock import ManualClock
 from delfim.simulator.lockstep import Lockstep
-from delfim.vehicle import record
+from delfim.vehicle.log import record
 from delfim.vehicle.state import State
 
 GROUPS: Final = ("true", "sensed", "decided", "commanded")

@@ -19,8 +19,8 @@ from delfim.simulator.line import LockstepLine
 from delfim.simulator.lockstep import Lockstep
 from delfim.simulator.lockstepbus import LockstepBus
 from delfim.vehicle import console
-from delfim.vehicle.actuators import open_actuator
 from delfim.vehicle.links import Links
+from delfim.vehicle.propulsion.actuators import open_actuator
 from delfim.vehicle.state import Actuation, NoLog, State
 from tests.oracles.keeping import Lines
 from tests.oracles.voyages import DELFIMX, ROOT

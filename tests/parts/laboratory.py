@@ -11,7 +11,7 @@ import pytest
 from delfim.base import parts
 from delfim.base.modes import OF_PARTS, Mode
 from delfim.vehicle.control.control import MODES
-from delfim.vehicle.troubles import NUMBERS
+from delfim.vehicle.failsafe.troubles import NUMBERS
 
 ROOT = Path(__file__).parents[2]
 EXAMPLES = ROOT / "etc/parts"

@@ -17,7 +17,7 @@ import pytest
 from delfim.base.errors import DelfimError
 from delfim.logging.ashore.table import table
 from delfim.logging.ashore.tree import files
-from delfim.vehicle.link import Link
+from delfim.vehicle.operator.link import Link
 from tests.afloat import running
 from tests.parts.laboratory import ROOT, installed
 

@@ -16,7 +16,7 @@ from delfim.base.parts import OWN_NODES
 from delfim.logging.ashore.table import table
 from delfim.logging.ashore.tree import files
 from delfim.services.supervision.supervisorfile import last_deadman
-from delfim.vehicle.link import Link
+from delfim.vehicle.operator.link import Link
 from tests.afloat import running
 
 ROOT = Path(__file__).parents[2]

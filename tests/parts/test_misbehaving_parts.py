@@ -5,11 +5,11 @@ import signal
 from pathlib import Path
 
 import pytest
-from delfim.vehicle.traffic.routeahead import route_ahead
 
 from delfim import config
 from delfim.base.errors import ConfigError, DelfimError, PermanentFailure
 from delfim.canproxy.dsor.messages import Navigation
+from delfim.parts.traffic.routeahead import route_ahead
 from delfim.services.supervision.stop import PropellerStop
 from delfim.simulator.line import LockstepLine
 from delfim.simulator.lockstep import Lockstep
@@ -71,7 +71,7 @@ def test_its_trouble_is_acted_on_as_the_table_says_and_is_a_bit_of_the_log(labor
     run = sailing(boat("failsafe.few_satellites.satellites=20", 'failsafe.few_satellites.heading="hold"'))
     assert (run.state.mode.name, run.state.reason) == ("HOLD", "12 satellites")
     assert [(each.name, each.action) for each in run.state.notices] == [("few_satellites", "warn")]
-    from delfim.vehicle import record
+    from delfim.vehicle.log import record
 
     columns = record.of(run.settings)
     told = dict(zip((each.name for each in columns.fields), record.values(columns, run.state, run.elapsed_s), strict=True))

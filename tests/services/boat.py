@@ -11,7 +11,7 @@ from typing import Any
 from delfim import config
 from delfim.base.clock import SystemClock
 from delfim.services.runtime import Runtime
-from delfim.vehicle.command import CommandServer
+from delfim.vehicle.operator.command import CommandServer
 
 STATE: dict[str, Any] = {
     "mode": "play",

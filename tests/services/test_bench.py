@@ -23,8 +23,8 @@ from delfim.base.errors import DelfimError
 from delfim.canproxy.opening import open_can
 from delfim.canproxy.socket import ANYTHING, CanSocket
 from delfim.services.bench import HELD_S, DeadMan, Trial, runs
-from delfim.vehicle.gate import GateLimits
-from delfim.vehicle.link import Link
+from delfim.vehicle.operator.link import Link
+from delfim.vehicle.propulsion.gate import GateLimits
 from tests.afloat import running
 from tests.vehicle.played_devices import PlayedVesc
 

@@ -25,10 +25,10 @@ from delfim.services.page.api import State as ToldState
 from delfim.services.powerd import FRESH_S, Powerd, is_told_by_vehicle
 from delfim.services.runtime import LoadedService, Runtime
 from delfim.services.supervision import shutdown
-from delfim.vehicle import thrusters
-from delfim.vehicle.actuators import open_actuator
-from delfim.vehicle.command import CommandServer
 from delfim.vehicle.links import Links
+from delfim.vehicle.operator.command import CommandServer
+from delfim.vehicle.propulsion import thrusters
+from delfim.vehicle.propulsion.actuators import open_actuator
 from delfim.vehicle.snapshot import snapshot
 from delfim.vehicle.state import Actuation, State
 from tests.canproxy.test_instruments import Bus

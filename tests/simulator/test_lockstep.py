@@ -12,7 +12,8 @@ from delfim.base.clock import ManualClock
 from delfim.base.modes import Mode
 from delfim.base.slices import Sliced
 from delfim.simulator.lockstep import Lockstep
-from delfim.vehicle import console, record
+from delfim.vehicle import console
+from delfim.vehicle.log import record
 from delfim.vehicle.plans.fence import stopping_m
 from delfim.vehicle.plans.mission import load_mission, plan
 from delfim.vehicle.state import State

@@ -23,12 +23,13 @@ from delfim.parts.nmea2000.combining import Nmea2000Source
 from delfim.parts.nmea2000.source import Nmea2000Navigation
 from delfim.simulator.lockstepbus import LockstepBus
 from delfim.simulator.replay.rerun import rerun
-from delfim.vehicle import console, voyage
+from delfim.vehicle import console
 from delfim.vehicle.grex import Guest
 from delfim.vehicle.loop import VehicleLoop
 from delfim.vehicle.navigation.estimated import between
-from delfim.vehicle.propulsion import Propulsion
-from delfim.vehicle.returning import RESTART
+from delfim.vehicle.orders import voyage
+from delfim.vehicle.orders.returning import RESTART
+from delfim.vehicle.propulsion.propulsion import Propulsion
 from delfim.vehicle.state import State
 from tests.logging.sailing import MISSION, Day, logged, sailed
 

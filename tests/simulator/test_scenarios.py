@@ -16,8 +16,8 @@ from delfim.simulator.lockstep import Lockstep
 from delfim.simulator.scenarios import mixed, scenario, trial
 from delfim.simulator.scenarios.chased import chased
 from delfim.simulator.scenarios.watch import Onlooker
+from delfim.vehicle.failsafe.troubles import NUMBERS, Trigger
 from delfim.vehicle.state import NoLog
-from delfim.vehicle.troubles import NUMBERS, Trigger
 
 ROOT = Path(__file__).parents[2]
 VEHICLE = ROOT / "etc/delfimx.toml"
@@ -285,7 +285,7 @@ def test_what_a_boat_does_not_have_does_not_break_and_is_not_blamed_on_it(boat, 
 )
 def test_without_a_row_of_the_table_the_campaign_finds_it(monkeypatch, trigger, failure):
     """The watch is not blind: a vehicle that has lost one of its failsafes fails."""
-    module = sys.modules["delfim.vehicle.failsafe"]
+    module = sys.modules["delfim.vehicle.failsafe.failsafe"]
     whole = module.troubles
     monkeypatch.setattr(module, "troubles", lambda *given: [each for each in whole(*given) if each[0] is not trigger])
     found: list[str] = []

@@ -13,9 +13,15 @@ from delfim.simulator.invariants import thrustspec
 from delfim.simulator.scenarios.mixed import mixed_mission, place_of
 from delfim.simulator.scenarios.scenario import FaultAt, Scenario, settings_of
 from delfim.simulator.scenarios.trial import sail
-from delfim.vehicle import console, failing, failsafe, helm, loop, orders, propulsion, record, setpoints, snapshot, troubles
-from delfim.vehicle.control import goto, guidance, heading, hold, hull, play
-from delfim.vehicle.helm import Helm
+from delfim.vehicle import console, loop, snapshot
+from delfim.vehicle.control import guidance, hull
+from delfim.vehicle.control.modes import goto, heading, hold, play
+from delfim.vehicle.failsafe import failing, failsafe, troubles
+from delfim.vehicle.helm import helm, setpoints
+from delfim.vehicle.helm.helm import Helm
+from delfim.vehicle.log import record
+from delfim.vehicle.orders import handlers
+from delfim.vehicle.propulsion import propulsion
 from delfim.vehicle.voyagestate import VoyageState
 
 VEHICLE = str(Path(__file__).parents[2] / "etc/delfimx.toml")
@@ -118,7 +124,7 @@ TO_AND_FRO = [
     {"at_s": 7.0 + 0.6 * n, **({"command": "mode", "mode": "manual"} if n % 2 else {"command": "stop"})} for n in range(13)
 ]
 TAKE, ENTERED = loop.take, Helm.enter
-PUSHED, WENT_ON = orders.OBEYED[console.Manual], Helm.go_on
+PUSHED, WENT_ON = handlers.OBEYED[console.Manual], Helm.go_on
 BREAKS: dict[str, tuple[Any, str, Any, tuple[dict[str, Any], ...], FaultAt | None, str]] = {
     "rate": (propulsion, "limited", twice(propulsion.limited, 3), (EAST,), None, "thrust from"),
     "off": (propulsion, "limited", but(propulsion.limited, off), (EAST,), None, "the thrusters are off"),
@@ -187,7 +193,7 @@ BREAKS: dict[str, tuple[Any, str, Any, tuple[dict[str, Any], ...], FaultAt | Non
         "is not there",
     ),
     "changed": (
-        *(orders, "OBEYED", {**orders.OBEYED, console.Manual: refused_late}),
+        *(handlers, "OBEYED", {**handlers.OBEYED, console.Manual: refused_late}),
         *(({**PUSH, "at_s": 9.6},), DARK, "and changed boat"),
     ),
     "forbidden": (helm, "refusal", lambda *given: None, ({**EAST, "at_s": 10.0},), DARK, "was obeyed, and is forbidden"),

@@ -16,10 +16,10 @@ from delfim.canproxy.socket import CanSocket
 from delfim.config import Sea, Vehicle, load
 from delfim.simulator.model import WATER, Hull, Model, hull_of
 from delfim.vehicle.control.control import admit, control, enter, lacking, settings_of
-from delfim.vehicle.control.path import APPROACH, nearest
+from delfim.vehicle.control.modes.path import APPROACH, nearest
 from delfim.vehicle.plans.mission import load_mission, plan
 from delfim.vehicle.plans.track import Track
-from delfim.vehicle.propulsion import Propulsion
+from delfim.vehicle.propulsion.propulsion import Propulsion
 from delfim.vehicle.state import Actuation, Arc, Line, Motion, Plan, Reference, Setpoint, State, Waypoint
 
 DELFIMX, FLOAT = load("etc/delfimx.toml"), load("etc/boats/float.toml")

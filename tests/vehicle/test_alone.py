@@ -13,7 +13,7 @@ from delfim.simulator.faults import fault
 from delfim.simulator.lockstep import Lockstep
 from delfim.simulator.replay.rerun import rerun
 from delfim.vehicle import console
-from delfim.vehicle.alone import KEPT_S
+from delfim.vehicle.helm.alone import KEPT_S
 from delfim.vehicle.state import HANDSET, NoLog
 from tests.logging.sailing import Day, logged
 from tests.parts.pwm.test_pulsefiles import rows

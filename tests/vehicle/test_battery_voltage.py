@@ -9,10 +9,10 @@ from delfim import config
 from delfim.base.modes import Mode
 from delfim.canproxy.dsor.messages import BatteriesStatus, Fault, Status
 from delfim.vehicle import console
-from delfim.vehicle.failsafe import NO_TROUBLE, Action, Rules
-from delfim.vehicle.failsafe import failsafe as judged
+from delfim.vehicle.failsafe.failsafe import NO_TROUBLE, Action, Rules
+from delfim.vehicle.failsafe.failsafe import failsafe as judged
+from delfim.vehicle.failsafe.troubles import Inputs, Look, Trigger, battery_critical, battery_low
 from delfim.vehicle.state import State, ThrusterReport
-from delfim.vehicle.troubles import Inputs, Look, Trigger, battery_critical, battery_low
 from tests.vehicle.test_checks import lines
 from tests.vehicle.test_drivers import settings as motors
 

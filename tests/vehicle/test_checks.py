@@ -11,12 +11,12 @@ from delfim.base.modes import Mode
 from delfim.canproxy.dsor import messages
 from delfim.canproxy.dsor.messages import BatteriesStatus, Fault, Node, Status
 from delfim.vehicle import console
-from delfim.vehicle.checks import Check, checks, refusal
-from delfim.vehicle.failsafe import Rules
+from delfim.vehicle.failsafe.checks import Check, checks, refusal
+from delfim.vehicle.failsafe.failsafe import Rules
+from delfim.vehicle.failsafe.troubles import Inputs
 from delfim.vehicle.inputhealth import InputHealth
 from delfim.vehicle.plans.fence import Fence
 from delfim.vehicle.state import HANDSET, ClockStatus, HandsetReport, StartConditions, State, ThrusterReport
-from delfim.vehicle.troubles import Inputs
 from tests.vehicle.test_pause import MISSION
 
 AROUND = config.FenceTable(

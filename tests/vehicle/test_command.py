@@ -16,9 +16,9 @@ from delfim.base.errors import DelfimError, FormatError, Refused
 from delfim.base.modes import Mode
 from delfim.console.drive import command, line
 from delfim.vehicle import console
-from delfim.vehicle.command import LINE_BYTES, CommandServer
-from delfim.vehicle.link import Link
-from delfim.vehicle.reviews import Reviews
+from delfim.vehicle.operator.command import LINE_BYTES, CommandServer
+from delfim.vehicle.operator.link import Link
+from delfim.vehicle.operator.reviews import Reviews
 
 
 def served(boat, tmp_path, talk: Callable[[str], object], clients_max: int = 4) -> object:

@@ -9,7 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from delfim.base.errors import FormatError
-from delfim.vehicle import console, orders
+from delfim.vehicle import console
+from delfim.vehicle.orders import handlers
 
 
 @pytest.mark.parametrize(
@@ -105,8 +106,8 @@ def test_heading_is_shown_on_the_compass(boat):
 
 def test_what_may_be_asked_is_obeyed() -> None:
     """But for those that the loop answers: they only ask for the state, are the program's own, or of payload programs."""
-    of_payloads = {console.Entrust, console.Sight, console.OfPayload}
-    assert set(orders.OBEYED) == set(console.KINDS.values()) - {console.TellState, console.Watch, console.Return} - of_payloads
+    others = {console.Entrust, console.Sight, console.OfPayload, console.TellState, console.Watch, console.Return}
+    assert set(handlers.OBEYED) == set(console.KINDS.values()) - others
 
 
 @pytest.mark.parametrize(

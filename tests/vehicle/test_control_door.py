@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 from delfim.base.modes import Mode
 from delfim.canproxy.socket import CanSocket
 from delfim.vehicle.control.control import MODES, Memory, Settings, admit, control, enter
-from delfim.vehicle.propulsion import Propulsion
-from delfim.vehicle.safe import STOP
-from delfim.vehicle.setpoints import first
+from delfim.vehicle.control.safe import STOP
+from delfim.vehicle.helm.setpoints import first
+from delfim.vehicle.propulsion.propulsion import Propulsion
 from delfim.vehicle.state import NOWHERE, Arc, Line, Motion, Plan, Reference, Setpoint, State, Wanted, Waypoint
 from tests.vehicle.closed_loop import ALL, DELFIMX, DT_S, SETTINGS
 

@@ -10,8 +10,8 @@ from delfim.base.modes import Mode
 from delfim.config import Sea
 from delfim.vehicle.control.control import admit, control, enter
 from delfim.vehicle.control.guidance import along
-from delfim.vehicle.control.path import APPROACH
-from delfim.vehicle.setpoints import first
+from delfim.vehicle.control.modes.path import APPROACH
+from delfim.vehicle.helm.setpoints import first
 from delfim.vehicle.state import Arc, Line, Motion, Plan, Setpoint, Waypoint
 from tests.vehicle.closed_loop import (
     ALL,

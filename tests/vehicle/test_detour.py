@@ -11,8 +11,9 @@ from delfim.base import geodesy
 from delfim.base.modes import Mode
 from delfim.base.slices import Sliced
 from delfim.simulator.lockstep import Lockstep
-from delfim.vehicle import console, detour
-from delfim.vehicle.detour import way_round
+from delfim.vehicle import console
+from delfim.vehicle.helm import detour
+from delfim.vehicle.helm.detour import way_round
 from delfim.vehicle.plans.fence import Fence
 from delfim.vehicle.plans.zones import Point, Zone, circle, clearance_m, least, polygon
 from delfim.vehicle.state import NoLog

@@ -20,8 +20,8 @@ from delfim.canproxy.socket import ANYTHING, CanAddress, CanSocket
 from delfim.parts.frontseats.table import MavlinkFrontSeat
 from delfim.parts.pwm.outlet import Guard
 from delfim.parts.vesc.table import Vesc
-from delfim.vehicle.actuators import Actuator, open_actuator
 from delfim.vehicle.links import Links
+from delfim.vehicle.propulsion.actuators import Actuator, open_actuator
 from delfim.vehicle.state import Actuation, State, ThrusterReport
 from tests.vehicle.played_devices import PlayedPx4, PlayedRover, PlayedSeat, PlayedVesc
 

@@ -13,9 +13,9 @@ from delfim.base.tables import decode
 from delfim.parts.payload.table import PayloadTable
 from delfim.simulator.lockstep import Lockstep
 from delfim.vehicle import console
-from delfim.vehicle.command import CommandServer
+from delfim.vehicle.operator.command import CommandServer
+from delfim.vehicle.operator.reviews import Reviews
 from delfim.vehicle.plans.mission import Mission, Waypoint
-from delfim.vehicle.reviews import Reviews
 from delfim.vehicle.state import HANDSET, NoLog
 from tests.parts.mavlink.mavlink_console import newest, texts
 from tests.vehicle.test_reviews import sea, turn, zones

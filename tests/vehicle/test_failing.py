@@ -8,11 +8,11 @@ import pytest
 from delfim import config
 from delfim.base.modes import Mode
 from delfim.canproxy.socket import CanSocket
-from delfim.vehicle.failing import Failing
-from delfim.vehicle.failsafe import NO_TROUBLE, Action, Rules, Verdict, failsafe
-from delfim.vehicle.propulsion import Propulsion
+from delfim.vehicle.failsafe.failing import Failing
+from delfim.vehicle.failsafe.failsafe import NO_TROUBLE, Action, Rules, Verdict, failsafe
+from delfim.vehicle.failsafe.troubles import Inputs, Trigger
+from delfim.vehicle.propulsion.propulsion import Propulsion
 from delfim.vehicle.state import State, StateLog, ThrusterReport, Wanted
-from delfim.vehicle.troubles import Inputs, Trigger
 from tests.vehicle.closed_loop import DELFIMX
 
 PLACES = ((-1.0, 0.5, -45.0), (-1.0, -0.5, 45.0), (1.0, 0.5, 45.0), (1.0, -0.5, -45.0))

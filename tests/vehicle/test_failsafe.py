@@ -12,8 +12,20 @@ from delfim import config
 from delfim.base.modes import Mode
 from delfim.canproxy.dsor.messages import BatteriesStatus, Fault, GpsStatus, Navigation, PropellerStatus, Status
 from delfim.vehicle.build import triggers
-from delfim.vehicle.failsafe import NO_TROUBLE, Action, AnyTrigger, Episode, Rules, Verdict, bits, fallback, news, overruled
-from delfim.vehicle.failsafe import failsafe as look
+from delfim.vehicle.failsafe.failsafe import (
+    NO_TROUBLE,
+    Action,
+    AnyTrigger,
+    Episode,
+    Rules,
+    Verdict,
+    bits,
+    fallback,
+    news,
+    overruled,
+)
+from delfim.vehicle.failsafe.failsafe import failsafe as look
+from delfim.vehicle.failsafe.troubles import Inputs, Trigger, astray
 from delfim.vehicle.plans.fence import Fence, polygon
 from delfim.vehicle.state import (
     Actuation,
@@ -27,7 +39,6 @@ from delfim.vehicle.state import (
     ThrusterReport,
 )
 from delfim.vehicle.target import Danger, Traffic
-from delfim.vehicle.troubles import Inputs, Trigger, astray
 
 ALL = frozenset({"position", "heading", "velocity"})
 BOW = config.ThrusterTable(name="bow", driver="pwm", y_m=0.0, thrust_n=(-10.0, 10.0))

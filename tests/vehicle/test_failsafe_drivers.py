@@ -27,9 +27,9 @@ from delfim.lines.nmea0183.framing import framed
 from delfim.parts.dsor.driver import Propellers
 from delfim.parts.frontseats.table import MavlinkFrontSeat
 from delfim.simulator.lockstepbus import LockstepBus
-from delfim.vehicle.actuators import Actuator, open_actuator
+from delfim.vehicle.failsafe.troubles import TURNING
 from delfim.vehicle.links import Links
-from delfim.vehicle.troubles import TURNING
+from delfim.vehicle.propulsion.actuators import Actuator, open_actuator
 from tests.vehicle import test_failsafe_enumeration as enumeration
 from tests.vehicle.test_drivers import PwmDevice, Px4Device, RoverDevice, SeatDevice, VescDevice, Wire, greet, settings
 from tests.vehicle.test_failsafe_enumeration import AGES_S, MODES, TROUBLES, VALUES, must_be_zero

@@ -23,16 +23,16 @@ from delfim.parts.dsor.driver import Propellers
 from delfim.parts.dsor.table import Dsor
 from delfim.simulator.lockstepbus import LockstepBus
 from delfim.vehicle import console
-from delfim.vehicle.actuators import Actuator
 from delfim.vehicle.build import triggers
+from delfim.vehicle.failsafe.troubles import TURNING, Trigger
 from delfim.vehicle.grex import Guest
 from delfim.vehicle.loop import VehicleLoop
 from delfim.vehicle.navigation.fixes import Fix
 from delfim.vehicle.plans import fence
-from delfim.vehicle.propulsion import Propulsion
+from delfim.vehicle.propulsion.actuators import Actuator
+from delfim.vehicle.propulsion.propulsion import Propulsion
 from delfim.vehicle.state import Actuation, HandsetReport, Line, NoLog, Plan, State, ThrusterReport, Waypoint
 from delfim.vehicle.target import Danger, Traffic
-from delfim.vehicle.troubles import TURNING, Trigger
 
 SECONDS, NAVIGATION_S = 1.6, 0.2
 HERE = Navigation(0, 0.675, -0.16, 0.5, 0.0, 1.0, 0.0, 0.0, 0.0, 3, 9, 0.9, 0)
@@ -89,7 +89,7 @@ OF_PARTS = triggers(SETTINGS)
 TROUBLES = ("none", *(trigger.name.lower() for trigger in (*Trigger, *OF_PARTS) if trigger not in UNTOLD))
 AHEAD = config.Zones(keep_out=(config.Area(centre=((math.degrees(0.675) + 1e-4, math.degrees(-0.16)),), radius_m=10.0),))
 BEHIND = config.Zones(keep_in=(config.Area(centre=((math.degrees(0.675) - 5e-4, math.degrees(-0.16)),), radius_m=10.0),))
-NEEDS = {mode: import_module(f"delfim.vehicle.control.{mode.name.lower()}").NEEDS for mode in Mode}
+NEEDS = {mode: import_module(f"delfim.vehicle.control.modes.{mode.name.lower()}").NEEDS for mode in Mode}
 
 
 class Sensors:

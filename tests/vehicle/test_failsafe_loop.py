@@ -12,7 +12,8 @@ from delfim.canproxy.dsor import messages
 from delfim.canproxy.dsor.messages import Fault, Node, PropellerStatus, Status
 from delfim.simulator.faults import fault
 from delfim.simulator.lockstep import Lockstep
-from delfim.vehicle import console, failing, troubles
+from delfim.vehicle import console
+from delfim.vehicle.failsafe import failing, troubles
 from delfim.vehicle.state import NoLog
 
 VEHICLE = Path(__file__).parents[2] / "etc/delfimx.toml"

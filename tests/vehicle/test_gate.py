@@ -7,7 +7,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from delfim.config import DELFIMX, Steer, ThrusterTable
-from delfim.vehicle.gate import GateLimits, limited
+from delfim.vehicle.propulsion.gate import GateLimits, limited
 from delfim.vehicle.state import Actuation
 
 TWO = GateLimits(DELFIMX)

@@ -12,11 +12,11 @@ from delfim.base.modes import Mode
 from delfim.base.slices import Sliced
 from delfim.vehicle import console
 from delfim.vehicle.control.memory import Memory
-from delfim.vehicle.failsafe import Action
-from delfim.vehicle.helm import Helm
+from delfim.vehicle.control.safe import STOP
+from delfim.vehicle.failsafe.failsafe import Action
+from delfim.vehicle.helm.helm import Helm
 from delfim.vehicle.plans.fence import Fence
 from delfim.vehicle.plans.zones import circle
-from delfim.vehicle.safe import STOP
 from delfim.vehicle.state import Killed, Reference, ThrusterReport, Waypoint
 from tests.vehicle.test_pause import MISSION, under_way
 

@@ -16,7 +16,8 @@ from delfim.canproxy.dsor.messages import SYSSTAT_SUBJECT, Node
 from delfim.canproxy.dsor.protocol import Kind, dsor_arb
 from delfim.config import Sysstat
 from delfim.parts.dsor import sysstat
-from delfim.vehicle import console, nodehealth
+from delfim.vehicle import console
+from delfim.vehicle.failsafe import nodehealth
 from delfim.vehicle.grex import LINE_BYTES, LINES_A_CALL, Guest
 from delfim.vehicle.state import State
 from tests.mutations import BINARY, TEXT

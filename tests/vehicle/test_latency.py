@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from delfim.vehicle.latency import EDGES_US, Latency
+from delfim.vehicle.log.latency import EDGES_US, Latency
 from delfim.vehicle.state import Profile
 
 

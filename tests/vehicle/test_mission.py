@@ -12,7 +12,7 @@ from delfim.base import geodesy
 from delfim.base.errors import ConfigError
 from delfim.base.slices import Sliced
 from delfim.config import ControlTable
-from delfim.vehicle.control.path import arc_point
+from delfim.vehicle.control.modes.path import arc_point
 from delfim.vehicle.plans.mission import (
     Mission,
     PathPoint,

@@ -8,11 +8,11 @@ import pytest
 
 from delfim.base.errors import FormatError, Refused
 from delfim.base.slices import SLICE, Sliced
-from delfim.vehicle.command import CommandServer
-from delfim.vehicle.link import Link
+from delfim.vehicle.operator.command import CommandServer
+from delfim.vehicle.operator.link import Link
+from delfim.vehicle.operator.reviews import Reviews
 from delfim.vehicle.plans.mission import canonical, load_mission
 from delfim.vehicle.plans.missionreader import ZONE, Reading, gathered, written
-from delfim.vehicle.reviews import Reviews
 from tests.vehicle.test_reviews import mission, zones
 
 FILES = sorted((Path(__file__).parents[2] / "etc/missions").glob("*.toml"))

@@ -22,10 +22,10 @@ from delfim.parts.traffic.watchkeeper import Watchkeeper, caution
 from delfim.vehicle.control.control import control
 from delfim.vehicle.control.hull import filled
 from delfim.vehicle.control.memory import Integrals, LineOfSight, Memory, settings_of
-from delfim.vehicle.failsafe import Action
+from delfim.vehicle.failsafe.failsafe import Action
+from delfim.vehicle.failsafe.troubles import Trigger
 from delfim.vehicle.state import Line, Motion, NoLog, Plan, Setpoint, State, Waypoint
 from delfim.vehicle.target import CourseOrder, Danger, Target
-from delfim.vehicle.troubles import Trigger
 
 SETTINGS: Final = filled(config.load(Path(__file__).parents[2] / "etc/delfimx.toml", ()))
 LIMITS: Final = settings_of(SETTINGS)

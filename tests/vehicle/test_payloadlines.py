@@ -9,9 +9,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from delfim.base.errors import FormatError
-from delfim.vehicle import console, payloadlines
-from delfim.vehicle.entrusting import RIGHTS
-from delfim.vehicle.payloadlines import ORDER_BYTES, OrderBudget, ordered, values, word_of
+from delfim.vehicle import console
+from delfim.vehicle.orders import payloadlines
+from delfim.vehicle.orders.entrusting import RIGHTS
+from delfim.vehicle.orders.payloadlines import ORDER_BYTES, OrderBudget, ordered, values, word_of
 from delfim.vehicle.plans.mission import Mission, Waypoint
 
 degrees = st.floats(-89.0, 89.0)

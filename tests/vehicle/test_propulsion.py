@@ -10,9 +10,9 @@ from delfim.canproxy.dsor.messages import RESET, pack_reset
 from delfim.canproxy.socket import CanSocket
 from delfim.config import DELFIMX, Steer, ThrusterTable
 from delfim.vehicle.control.allocation import thruster
+from delfim.vehicle.control.safe import STOP
 from delfim.vehicle.links import LoopInput
-from delfim.vehicle.propulsion import Propulsion, by_hand
-from delfim.vehicle.safe import STOP
+from delfim.vehicle.propulsion.propulsion import Propulsion, by_hand
 from delfim.vehicle.state import Actuation, State, Wanted
 
 OUTBOARD = ThrusterTable(

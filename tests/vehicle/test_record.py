@@ -4,7 +4,8 @@ import math
 import struct
 
 from delfim import config
-from delfim.vehicle import console, record
+from delfim.vehicle import console
+from delfim.vehicle.log import record
 
 RECORD = record.of(config.Vehicle(boat=config.BoatTable(name="test")))
 FIELDS = RECORD.fields

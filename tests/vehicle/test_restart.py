@@ -15,9 +15,10 @@ from delfim.base.geodesy import from_plane
 from delfim.base.modes import Mode
 from delfim.simulator.lockstep import Lockstep
 from delfim.simulator.scenarios.watch import Onlooker
-from delfim.vehicle import console, voyage
+from delfim.vehicle import console
+from delfim.vehicle.orders import voyage
+from delfim.vehicle.orders.returning import RESTART
 from delfim.vehicle.plans.fence import outside
-from delfim.vehicle.returning import RESTART
 from delfim.vehicle.state import NoLog
 
 ROOT = Path(__file__).parents[2]

@@ -18,13 +18,13 @@ from delfim.parts.mavlink import plans
 from delfim.parts.mavlink.plans import FENCE, MISSION, Item
 from delfim.parts.mavlink.station import Station
 from delfim.vehicle import console
-from delfim.vehicle.command import CommandServer
-from delfim.vehicle.failsafe import Action
-from delfim.vehicle.link import Link
+from delfim.vehicle.failsafe.failsafe import Action
+from delfim.vehicle.operator.command import CommandServer
+from delfim.vehicle.operator.link import Link
+from delfim.vehicle.operator.reviews import Reviews
 from delfim.vehicle.plans import fence
 from delfim.vehicle.plans.mission import Mission, PathPoint, Waypoint, canonical
 from delfim.vehicle.plans.zones import circle, polygon
-from delfim.vehicle.reviews import Reviews
 from tests.parts.mavlink.mavlink_console import Console, Radio, newest, texts
 from tests.parts.mavlink.test_mavlink_missions import fields
 from tests.vehicle_fixtures import MOST_AT_ONCE

@@ -12,11 +12,11 @@ from delfim.simulator.lockstep import Lockstep
 from delfim.simulator.lockstepbus import LockstepBus
 from delfim.simulator.model import Bank
 from delfim.vehicle import console, sensors
-from delfim.vehicle.checks import refusal
+from delfim.vehicle.failsafe.checks import refusal
+from delfim.vehicle.failsafe.troubles import Inputs, Look, sensor_bad, shallow
 from delfim.vehicle.links import Links
 from delfim.vehicle.plans.track import back
 from delfim.vehicle.state import NoLog, State
-from delfim.vehicle.troubles import Inputs, Look, sensor_bad, shallow
 
 LEGS = ((0.0, 0.0), (5.0, 0.0), (10.0, 0.0), (10.0, 5.0), (10.0, 10.0))
 

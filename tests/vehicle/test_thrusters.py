@@ -11,9 +11,9 @@ from delfim.canproxy.dsor import messages
 from delfim.config import Steer, ThrusterTable
 from delfim.parts.dsor.driver import Propellers
 from delfim.parts.dsor.table import Dsor
-from delfim.vehicle import thrusters
+from delfim.vehicle.failsafe.troubles import astray, unstopped
+from delfim.vehicle.propulsion import thrusters
 from delfim.vehicle.state import Actuation, State, ThrusterReport
-from delfim.vehicle.troubles import astray, unstopped
 
 BOAT = config.BoatTable(name="test")
 ROW = ThrusterTable(name="port", driver="dsor", address=1, y_m=-1.0, thrust_n=(-100.0, 200.0))

@@ -11,11 +11,8 @@ import pytest
 from delfim import config
 from delfim.base.modes import Mode
 from delfim.canproxy.dsor.messages import BatteriesStatus, Fault, PropellerStatus, Status
-from delfim.vehicle.failsafe import AnyTrigger
-from delfim.vehicle.inputhealth import KINDS, InputHealth
-from delfim.vehicle.state import Actuation, HandsetReport, Killed, Reference, State, ThrusterReport
-from delfim.vehicle.target import CourseOrder, Danger, Traffic
-from delfim.vehicle.troubles import (
+from delfim.vehicle.failsafe.failsafe import AnyTrigger
+from delfim.vehicle.failsafe.troubles import (
     NUMBERS,
     Inputs,
     Look,
@@ -29,6 +26,9 @@ from delfim.vehicle.troubles import (
     unstopped,
     voltage,
 )
+from delfim.vehicle.inputhealth import KINDS, InputHealth
+from delfim.vehicle.state import Actuation, HandsetReport, Killed, Reference, State, ThrusterReport
+from delfim.vehicle.target import CourseOrder, Danger, Traffic
 from tests.vehicle.test_failsafe import FENCE, OF_PARTS, OUTWARDS, RULES, TRIGGERS, WELL, state
 
 NOW_S = 100.0

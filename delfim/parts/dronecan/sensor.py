@@ -10,8 +10,8 @@ from delfim.canproxy.dsor.messages import BatteriesStatus, Fault, Node, Status
 from delfim.canproxy.socket import CanSocket
 from delfim.parts.dronecan.receiving import messages
 from delfim.parts.dronecan.table import Dronecan
+from delfim.vehicle.failsafe.nodehealth import NAMES
 from delfim.vehicle.links import Links
-from delfim.vehicle.nodehealth import NAMES
 from delfim.vehicle.sensors import Value
 from delfim.vehicle.state import State
 

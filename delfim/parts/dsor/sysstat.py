@@ -17,8 +17,8 @@ from delfim.canproxy.dsor.messages import (
 from delfim.canproxy.dsor.protocol import message_filter
 from delfim.canproxy.dsor.receiver import Receiver
 from delfim.canproxy.socket import CanAddress, CanSocket
+from delfim.vehicle.failsafe.nodehealth import NAMES, PROPELLERS, named
 from delfim.vehicle.links import FRAMES_PER_READ, Links
-from delfim.vehicle.nodehealth import NAMES, PROPELLERS, named
 from delfim.vehicle.sensors import Value
 from delfim.vehicle.state import State, ThrusterReport
 

@@ -19,8 +19,8 @@ from delfim.base.allowance import PIECE_BYTES
 from delfim.canproxy.dsor.messages import BatteriesStatus, Fault, Node, Status
 from delfim.parts.frontseats.frontseat import FrontSeatLine, SeatSide, sides
 from delfim.parts.frontseats.table import MavlinkFrontSeat
+from delfim.vehicle.failsafe.nodehealth import NAMES
 from delfim.vehicle.links import Links, ReadableLine
-from delfim.vehicle.nodehealth import NAMES
 from delfim.vehicle.state import Actuation, State, ThrusterReport
 
 FULL: Final = 1000

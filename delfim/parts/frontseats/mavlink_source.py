@@ -13,9 +13,8 @@ from delfim import config
 from delfim.base.allowance import PIECE_BYTES
 from delfim.canproxy.dsor.messages import Navigation
 from delfim.parts.frontseats.table import MavlinkFrontSeat
-from delfim.vehicle.links import Links, LoopInput, ReadableLine
+from delfim.vehicle.links import Links, LoopInput, ReadableLine, SecondEnd
 from delfim.vehicle.navigation.fixes import Fix
-from delfim.vehicle.sharedline import SecondEnd
 from delfim.vehicle.state import State
 
 SLOW_S: Final = 2.5  # the receiver's own words may come once a second, whatever the vehicle's `stale_s`

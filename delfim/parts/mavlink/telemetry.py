@@ -17,11 +17,12 @@ from delfim.parts.mavlink.params import TROUBLES
 from delfim.parts.mavlink.plans import ALL
 from delfim.parts.mavlink.table import Mavlink
 from delfim.parts.mavlink.wire import Message, dialect
-from delfim.vehicle import sensors, thrusters
-from delfim.vehicle.failsafe import Action, bits
+from delfim.vehicle import sensors
+from delfim.vehicle.failsafe.failsafe import Action, bits
+from delfim.vehicle.failsafe.nodehealth import NAMES
+from delfim.vehicle.failsafe.troubles import charge
 from delfim.vehicle.loop import VehicleLoop
-from delfim.vehicle.nodehealth import NAMES
-from delfim.vehicle.troubles import charge
+from delfim.vehicle.propulsion import thrusters
 
 Profile = Literal["lean", "radio", "wifi"]
 PROFILES: Final[tuple[Profile, ...]] = ("lean", "radio", "wifi")

@@ -9,7 +9,7 @@ from delfim.base.geodesy import origin, to_plane
 from delfim.base.parts import Part
 from delfim.canproxy.nmea2000 import ownpgns, parcels, pgns
 from delfim.services.page.api import State, ThrusterFacts
-from delfim.vehicle.troubles import NUMBERS
+from delfim.vehicle.failsafe.troubles import NUMBERS
 
 COURSE_MPS: Final = 0.1  # a slower boat has no course over ground
 _METHODS: Final = {2: 1, 3: 1, 4: 2, 5: 4, 6: 5}  # of PGN 129029, by `Navigation.fix`

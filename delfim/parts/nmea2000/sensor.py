@@ -18,8 +18,8 @@ from delfim.canproxy.socket import CanAddress, CanSocket
 from delfim.parts.nmea0183 import sensor as nmea0183
 from delfim.parts.nmea2000.source import opened
 from delfim.parts.nmea2000.table import Nmea2000
+from delfim.vehicle.failsafe.nodehealth import NAMES
 from delfim.vehicle.links import Links, received
-from delfim.vehicle.nodehealth import NAMES
 from delfim.vehicle.sensors import Value
 from delfim.vehicle.state import State
 

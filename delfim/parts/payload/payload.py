@@ -34,7 +34,7 @@ from delfim.services.supervision.children import ended
 from delfim.services.supervision.confine import ALONE, NETWORK
 from delfim.services.supervision.supervisor import EXIT_PERMANENT
 from delfim.services.watching import watch
-from delfim.vehicle.payloadlines import (
+from delfim.vehicle.orders.payloadlines import (
     LINE_BYTES,
     ORDER_BYTES,
     VALUES,

@@ -1,7 +1,7 @@
 """The way of payload programs' orders to the vehicle: one connection to its command socket, one order after the other.
 
-The vehicle decides and answers (`delfim/vehicle/entrusting.py`). Here an order waits no longer than a moment, and of each
-program no more than a few do; all others are refused at once.
+The vehicle decides and answers (`delfim/vehicle/orders/entrusting.py`). Here an order waits no longer than a moment, and of
+each program no more than a few do; all others are refused at once.
 """
 
 import asyncio

@@ -4,7 +4,7 @@ from delfim.parts.traffic.aisbus import open_ais_bus
 from delfim.parts.traffic.lookout import TrafficLookout
 from delfim.parts.traffic.watchkeeper import Watchkeeper
 from delfim.vehicle.aboard import Added, OpenedWith
-from delfim.vehicle.helm import Helm
+from delfim.vehicle.helm.helm import Helm
 
 
 class VesselWatch:

@@ -8,9 +8,9 @@ from typing import Final
 from delfim.base.modes import OF_PARTS, Mode
 from delfim.parts.traffic.encounter import Own
 from delfim.parts.traffic.trialways import RouteAhead
-from delfim.vehicle import setpoints
 from delfim.vehicle.control.memory import Memory, Settings
-from delfim.vehicle.control.path import arc_point, nearest, piece_of, start
+from delfim.vehicle.control.modes.path import arc_point, nearest, piece_of, start
+from delfim.vehicle.helm import setpoints
 from delfim.vehicle.plans.zones import Point
 from delfim.vehicle.state import Arc, Line, Motion, Setpoint
 

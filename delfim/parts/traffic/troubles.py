@@ -1,8 +1,8 @@
 """The troubles of other vessels: near, close, more than the boat can heed, and silence of their AIS."""
 
 from delfim.base.modes import Mode
+from delfim.vehicle.failsafe.troubles import Look
 from delfim.vehicle.target import NEVER_S
-from delfim.vehicle.troubles import Look
 
 
 def near(look: Look) -> str | None:

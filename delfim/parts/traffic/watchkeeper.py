@@ -22,16 +22,16 @@ from delfim.parts.traffic.leash import Leash, paid_out
 from delfim.parts.traffic.routeahead import own_of, route_ahead
 from delfim.parts.traffic.trialways import Caution, RouteAhead
 from delfim.parts.traffic.vesselwords import making, traffic_told
-from delfim.vehicle import setpoints
 from delfim.vehicle.control.autopilot import steer
 from delfim.vehicle.control.control import Stepped, control
 from delfim.vehicle.control.guidance import course_to_steer
 from delfim.vehicle.control.memory import LineOfSight, Memory, Settings
-from delfim.vehicle.failsafe import Action
-from delfim.vehicle.helm import Helm
+from delfim.vehicle.failsafe.failsafe import Action
+from delfim.vehicle.failsafe.troubles import Trigger
+from delfim.vehicle.helm import setpoints
+from delfim.vehicle.helm.helm import Helm
 from delfim.vehicle.state import Reference, Setpoint, State, StateLog
 from delfim.vehicle.target import NEVER_S, CourseOrder, Target
-from delfim.vehicle.troubles import Trigger
 
 NAME: Final = "traffic"  # of its shape of the mode's steps
 LATE_S: Final = 5.0  # an older order does not count

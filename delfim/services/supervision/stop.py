@@ -15,9 +15,9 @@ from delfim.canproxy.socket import CanAddress, CanSocket
 from delfim.lines.gpio import GpioOutput, open_output
 from delfim.lines.serialform import Form
 from delfim.lines.serialline import SerialLine
-from delfim.vehicle import actuators
-from delfim.vehicle.actuators import Actuator
 from delfim.vehicle.links import Links
+from delfim.vehicle.propulsion import actuators
+from delfim.vehicle.propulsion.actuators import Actuator
 
 log = logging.getLogger(__name__)
 

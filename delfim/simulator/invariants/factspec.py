@@ -13,10 +13,12 @@ from delfim.simulator.invariants.cycle import CycleSeen
 from delfim.simulator.lockstep import Lockstep
 from delfim.simulator.model import WATER, Hull
 from delfim.simulator.propulsor import VOLTAGE_V
-from delfim.vehicle import record, snapshot, thrusters
+from delfim.vehicle import snapshot
 from delfim.vehicle.control.hull import full_mps
+from delfim.vehicle.failsafe.troubles import NUMBERS
+from delfim.vehicle.log import record
+from delfim.vehicle.propulsion import thrusters
 from delfim.vehicle.state import Notice, State
-from delfim.vehicle.troubles import NUMBERS
 
 HONEST: Final = frozenset((*OF_THRUSTERS, "console_lost", "guest_lost", "disk_full", "disk_slow", "shallow", "gnss_poor"))
 SETTLES_S: Final = 5.0  # after a fault of sensors or bus: late frames come, and sources change

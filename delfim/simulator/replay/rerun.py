@@ -49,7 +49,7 @@ from delfim.simulator.replay.recorded import (
 )
 from delfim.vehicle import console
 from delfim.vehicle.build import build
-from delfim.vehicle.checks import STARTING
+from delfim.vehicle.failsafe.checks import STARTING
 from delfim.vehicle.grex import Guest
 from delfim.vehicle.links import Links
 from delfim.vehicle.loop import LOCAL, REPEAT_S

@@ -18,7 +18,7 @@ from delfim.simulator.faults import KINDS, OF_AIS, OF_COMPASS, OF_PULSES, OF_THR
 from delfim.simulator.nodes import nodes_of
 from delfim.simulator.scenarios.scenario import FaultAt, Scenario, ScenarioGuest, settings_of
 from delfim.simulator.scenarios.trial import Result, sail
-from delfim.vehicle.logbook import Logbook
+from delfim.vehicle.log.logbook import Logbook
 
 MIXED: Final = "mixed"
 START_S, QUIET_S = 8.0, 15.0  # no fault before the boat is ready, nor at the end

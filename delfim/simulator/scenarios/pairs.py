@@ -12,9 +12,9 @@ from delfim.base.modes import Mode
 from delfim.base.parts import TROUBLES as OF_LABORATORIES
 from delfim.simulator.lockstep import Lockstep, Ordered
 from delfim.vehicle import console
-from delfim.vehicle.failsafe import Action
+from delfim.vehicle.failsafe.failsafe import Action
+from delfim.vehicle.failsafe.troubles import NUMBERS
 from delfim.vehicle.loop import HELD_BY_HAND
-from delfim.vehicle.troubles import NUMBERS
 
 REFUSED: Final = " refused"
 NO_ORDERS: Final = (  # words of a console, and of the program, that ask nothing of the boat; of payloads, which campaigns lack

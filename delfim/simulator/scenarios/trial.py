@@ -25,7 +25,7 @@ from delfim.simulator.scenarios.encounters import OWN_MPS, RANDOM, drawn, staged
 from delfim.simulator.scenarios.scenario import Expect, OperatorWord, Scenario, fault_of, load_scenario, settings_of
 from delfim.simulator.scenarios.watch import TURNS, Onlooker, TruePlace
 from delfim.vehicle import console
-from delfim.vehicle.logbook import Logbook
+from delfim.vehicle.log.logbook import Logbook
 from delfim.vehicle.state import NoLog, StateLog
 
 RETRY_S: Final = 1.0  # a refused operator repeats the order at this interval ...

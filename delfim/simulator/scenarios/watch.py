@@ -15,7 +15,7 @@ from delfim.simulator.invariants.thrustspec import CommandedThrust, ControlLaw, 
 from delfim.simulator.invariants.troublespec import Troubles
 from delfim.simulator.lockstep import Lockstep
 from delfim.vehicle import console
-from delfim.vehicle.entrusting import payload_of
+from delfim.vehicle.orders.entrusting import payload_of
 from delfim.vehicle.plans.fence import Fence
 from delfim.vehicle.plans.zones import Point, clearance_m
 from delfim.vehicle.state import State

@@ -8,7 +8,7 @@ from typing import Final, Protocol, cast
 
 from delfim.base.modes import OF_PARTS, Mode
 from delfim.vehicle.control.memory import Memory, Settings, lacking, settings_of
-from delfim.vehicle.safe import STOP
+from delfim.vehicle.control.safe import STOP
 from delfim.vehicle.state import Motion, Reference, Setpoint, Wanted
 
 __all__ = ["MODES", "Memory", "Settings", "Stepped", "admit", "control", "enter", "lacking", "settings_of"]
@@ -42,7 +42,7 @@ class ModePrograms(dict[Mode, Program]):
     """Of the modes. One of the boat's own is loaded when it is asked for first."""
 
     def __missing__(self, mode: Mode) -> Program:
-        self[mode] = program = cast(Program, import_module(f"{__package__}.{mode.name.lower()}"))
+        self[mode] = program = cast(Program, import_module(f"{__package__}.modes.{mode.name.lower()}"))
         return program
 
     def load(self) -> None:

@@ -7,7 +7,7 @@ from typing import Final, NamedTuple
 from delfim.base.modes import Mode
 from delfim.base.slices import Work
 from delfim.vehicle.control.memory import Memory
-from delfim.vehicle.control.path import piece_of
+from delfim.vehicle.control.modes.path import piece_of
 from delfim.vehicle.plans import fence
 from delfim.vehicle.plans.legs import Behind
 from delfim.vehicle.state import Arc, Line, Motion, Plan, Waypoint

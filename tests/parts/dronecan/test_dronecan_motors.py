@@ -27,8 +27,8 @@ from delfim.config import Steer, ThrusterTable
 from delfim.parts.dronecan.driver import ARMING_S, TWINS_S, ZERO_S
 from delfim.parts.dronecan.table import Dronecan
 from delfim.simulator.lockstepbus import LockstepBus
-from delfim.vehicle.actuators import open_actuator
 from delfim.vehicle.links import Links
+from delfim.vehicle.propulsion.actuators import open_actuator
 from delfim.vehicle.state import Actuation, State, ThrusterReport
 
 KINDS = (ARMING_STATUS, ARRAY_COMMAND, NODE_STATUS, RAW_COMMAND, RPM_COMMAND, SAFETY_STATE)

@@ -21,7 +21,7 @@ from mavsdk.plugins.mission import MissionItem as PlanItem
 from mavsdk.plugins.mission import MissionPlan
 from mavsdk.plugins.mission_raw import MissionItem, MissionRawError
 
-from delfim.vehicle.link import Link
+from delfim.vehicle.operator.link import Link
 from tests.afloat import running
 
 PORT = 20_000 + os.getpid() % 10_000  # below those that the kernel gives away

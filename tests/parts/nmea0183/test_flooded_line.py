@@ -26,7 +26,7 @@ from delfim.vehicle.links import Links
 from delfim.vehicle.loop import VehicleLoop
 from delfim.vehicle.navigation.estimated import between
 from delfim.vehicle.navigation.fixes import open_sources
-from delfim.vehicle.propulsion import Propulsion
+from delfim.vehicle.propulsion.propulsion import Propulsion
 from delfim.vehicle.state import State
 from tests.logging.sailing import Day, logged
 

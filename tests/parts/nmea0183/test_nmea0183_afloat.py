@@ -26,8 +26,8 @@ from delfim.canproxy.opening import open_bound
 from delfim.lines.nmea0183.framing import framed
 from delfim.lines.nmea0183.speaking import gga, hdt, rmc
 from delfim.parts.dsor import source as dsor
-from delfim.vehicle.link import Link
 from delfim.vehicle.links import Links
+from delfim.vehicle.operator.link import Link
 from delfim.vehicle.state import State
 from tests.afloat import running
 

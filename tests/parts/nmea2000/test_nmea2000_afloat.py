@@ -13,7 +13,7 @@ from delfim.canproxy.nmea2000.device import FIRST
 from delfim.canproxy.nmea2000.parcels import CLAIM, PRODUCT, REQUEST, Parcel, frames
 from delfim.canproxy.opening import open_can
 from delfim.canproxy.socket import ANYTHING, CanAddress
-from delfim.vehicle.link import Link
+from delfim.vehicle.operator.link import Link
 from tests.afloat import running
 
 PATIENCE_S = 200.0

@@ -27,7 +27,7 @@ from delfim.parts.nmea2000.source import Nmea2000Navigation
 from delfim.vehicle import console
 from delfim.vehicle.grex import Guest
 from delfim.vehicle.loop import VehicleLoop
-from delfim.vehicle.propulsion import Propulsion
+from delfim.vehicle.propulsion.propulsion import Propulsion
 from delfim.vehicle.state import NoLog, State
 
 RECORDING = Path(__file__).parents[2] / "data/nmea2000/raymarine-p70.candump.log.gz"

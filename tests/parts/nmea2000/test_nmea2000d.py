@@ -28,7 +28,7 @@ from delfim.parts.nmea2000.nmea2000rows import TOLD, pgns_of
 from delfim.parts.nmea2000.table import Nmea2000, ToldName
 from delfim.services.page.api import State as ToldState
 from delfim.services.runtime import LoadedService, Runtime
-from delfim.vehicle import thrusters
+from delfim.vehicle.propulsion import thrusters
 from delfim.vehicle.snapshot import snapshot
 from delfim.vehicle.state import Actuation, Motion, Notice, Reference, State, ThrusterReport
 

@@ -29,7 +29,7 @@ from delfim.parts.payload.table import PayloadTable
 from delfim.services import watching
 from delfim.services.runtime import LoadedService, Runtime
 from delfim.services.supervision import processes
-from delfim.vehicle.payloadlines import LINE_BYTES, VALUES, ActionTold, BoundedLines, VoyageTold, lines, values
+from delfim.vehicle.orders.payloadlines import LINE_BYTES, VALUES, ActionTold, BoundedLines, VoyageTold, lines, values
 from tests.afloat import running
 from tests.services.boat import STATE, served, vehicle, vehicle_file
 

@@ -16,9 +16,10 @@ from delfim.parts.payload import payload, payloadorders
 from delfim.parts.payload.payloadorders import OrderLine
 from delfim.parts.payload.table import PayloadTable
 from delfim.simulator.lockstep import Lockstep
-from delfim.vehicle import console, payloadlines
-from delfim.vehicle.command import CommandServer
-from delfim.vehicle.reviews import Reviews
+from delfim.vehicle import console
+from delfim.vehicle.operator.command import CommandServer
+from delfim.vehicle.operator.reviews import Reviews
+from delfim.vehicle.orders import payloadlines
 from delfim.vehicle.state import NoLog
 from tests.services.boat import served, vehicle_file
 

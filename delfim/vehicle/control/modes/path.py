@@ -1,0 +1,113 @@
+"""Path following: lines and arcs, with a cross-track error bounded as `docs/control.md` states.
+
+A boat goes to the beginning of the first piece, or of the one that it is told to begin with, wherever it is. At a corner the
+boat leaves a line early by R tan(angle / 2), where a turn of radius R begins that ends on the next one. A boat that kept clear
+of others comes back at 45 degrees.
+"""
+
+import math
+
+from delfim.base.geodesy import wrap
+from delfim.vehicle.control.autopilot import entered, steer
+from delfim.vehicle.control.guidance import CREEP_MPS, along, course_to_steer
+from delfim.vehicle.control.memory import Memory, Settings
+from delfim.vehicle.control.safe import STOP
+from delfim.vehicle.state import Arc, Line, Motion, Reference, Setpoint, Wanted
+
+NEEDS = frozenset({"position", "heading", "velocity"})
+SENTENCE = "Follows the mission's lines and arcs, then holds."
+
+APPROACH = -1  # leg: on the way to where the first piece begins; to the second it is -2, and so on
+TURN_S = 3.0  # radius of a turn at a corner, over speed
+CORNER_MAX_RAD = math.radians(120.0)
+
+
+def lacks(setpoint: Setpoint) -> str | None:
+    if setpoint.plan is None:
+        return "no mission loaded"
+    pieces = len(setpoint.plan.path)
+    if not pieces:
+        return "the mission has no path: it needs two waypoints, or pieces of a path"
+    return None if setpoint.piece < pieces else f"no piece {setpoint.piece + 1}: the path has pieces 1 to {pieces}"
+
+
+def enter(motion: Motion, setpoint: Setpoint, settings: Settings) -> Memory:
+    return Memory(entered(motion), north_m=motion.north_m, east_m=motion.east_m, leg=APPROACH - setpoint.piece)
+
+
+def piece_of(leg: int) -> int:
+    """The piece that the boat is on, or on the way to."""
+    return max(leg, APPROACH - leg)
+
+
+def step(
+    memory: Memory, motion: Motion, setpoint: Setpoint, settings: Settings, dt_s: float
+) -> tuple[Memory, Reference, Wanted]:
+    path = setpoint.plan.path if setpoint.plan is not None else ()
+    if memory.leg >= len(path):
+        return memory, Reference(leg=memory.leg, done=True), STOP
+    onwards = memory.leg + 1 if memory.leg >= 0 else piece_of(memory.leg)
+    piece = path[memory.leg] if memory.leg >= 0 else _approach(memory, path[onwards])
+    tangent_rad, cross_m, left_m, swept_rad = nearest(piece, motion, memory.swept_rad)
+    ahead_m, last = settings.control.path.lookahead_m, onwards == len(path)
+    is_gentle = abs(cross_m) > ahead_m and not (last and left_m < abs(cross_m))  # onto it at 45 degrees, but for its end
+    off_m = math.copysign(ahead_m, cross_m) if is_gentle else cross_m
+    course, heading_rad = course_to_steer(memory.course, motion, tangent_rad, off_m, settings.control.path, dt_s)
+    speed_mps = piece.speed_mps if setpoint.override_mps is None else setpoint.override_mps
+    if last:
+        speed_mps = min(speed_mps, max(math.sqrt(settings.control.speed.ramp_mps2 * max(left_m, 0.0)), CREEP_MPS))
+    turn_radps = math.copysign(speed_mps / piece.radius_m, piece.turn_rad) if isinstance(piece, Arc) else 0.0
+    integrals, wanted = steer(memory.integrals, motion, heading_rad, speed_mps, settings, dt_s, turn_radps)
+    north_m, east_m = _end(piece)
+    reference = Reference(wrap(heading_rad), speed_mps, cross_m, max(left_m, 0.0), north_m, east_m, piece_of(memory.leg))
+    after = Memory(integrals, course, *memory[2:5], swept_rad)
+    if last:
+        return after, reference._replace(done=True) if left_m <= 0.0 else reference, wanted
+    if left_m > _wheel_over_m(tangent_rad, path[onwards], speed_mps, ahead_m):
+        return after, reference, wanted
+    return after._replace(leg=onwards, swept_rad=0.0), reference, wanted
+
+
+def _approach(memory: Memory, first: Line | Arc) -> Line:
+    to_north_m, to_east_m = start(first)
+    return Line(memory.north_m, memory.east_m, to_north_m, to_east_m, first.speed_mps)
+
+
+def nearest(piece: Line | Arc, motion: Motion, swept_rad: float) -> tuple[float, float, float, float]:
+    """(tangent, cross-track, left to go, swept) at the point of the piece that is nearest to the boat. The angle swept so far
+    tells the turns of an arc apart.
+    """
+    if isinstance(piece, Line):
+        return *along(motion, piece.north_m, piece.east_m, piece.to_north_m, piece.to_east_m), 0.0
+    side = math.copysign(1.0, piece.turn_rad)
+    off_north, off_east = motion.north_m - piece.north_m, motion.east_m - piece.east_m
+    bearing_rad = math.atan2(off_east, off_north)
+    swept_rad += side * wrap(bearing_rad - piece.start_rad - side * swept_rad)
+    cross_m = side * (piece.radius_m - math.hypot(off_north, off_east))
+    return bearing_rad + side * math.pi / 2.0, cross_m, (abs(piece.turn_rad) - swept_rad) * piece.radius_m, swept_rad
+
+
+def _wheel_over_m(tangent_rad: float, following: Line | Arc, speed_mps: float, at_most_m: float) -> float:
+    """How far before its end a piece is left for the next one; zero where they join smoothly."""
+    corner_rad = min(abs(wrap(_start_tangent_rad(following) - tangent_rad)), CORNER_MAX_RAD)
+    return min(speed_mps * TURN_S * math.tan(corner_rad / 2.0), at_most_m)
+
+
+def _start_tangent_rad(piece: Line | Arc) -> float:
+    if isinstance(piece, Line):
+        return math.atan2(piece.to_east_m - piece.east_m, piece.to_north_m - piece.north_m)
+    return piece.start_rad + math.copysign(math.pi / 2.0, piece.turn_rad)
+
+
+def start(piece: Line | Arc) -> tuple[float, float]:
+    return (piece.north_m, piece.east_m) if isinstance(piece, Line) else arc_point(piece, 0.0)
+
+
+def _end(piece: Line | Arc) -> tuple[float, float]:
+    return (piece.to_north_m, piece.to_east_m) if isinstance(piece, Line) else arc_point(piece, piece.turn_rad)
+
+
+def arc_point(arc: Arc, turned_rad: float) -> tuple[float, float]:
+    """(north_m, east_m) of the arc's point after a turn, positive clockwise."""
+    bearing_rad = arc.start_rad + turned_rad
+    return arc.north_m + arc.radius_m * math.cos(bearing_rad), arc.east_m + arc.radius_m * math.sin(bearing_rad)
