@@ -26,9 +26,9 @@ from delfim.base.modes import Mode
 from delfim.base.slices import Sliced
 from delfim.base.vessels import VesselPosition
 from delfim.logging.systemlog import SystemHandler
-from delfim.parts.mavlink import plans
+from delfim.parts.mavlink.codec import plans
+from delfim.parts.mavlink.codec.wire import Sender, dialect
 from delfim.parts.mavlink.station import FRAMES, Station
-from delfim.parts.mavlink.wire import Sender, dialect
 from delfim.parts.traffic import keepclear
 from delfim.parts.traffic.encounter import Own
 from delfim.parts.traffic.targets import MOST

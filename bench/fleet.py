@@ -24,13 +24,13 @@ import msgspec
 from delfim.base.clock import SystemClock
 from delfim.base.errors import DelfimError
 from delfim.base.keys import read_key
-from delfim.console.fleet import Fleet
-from delfim.console.mavlink import Key, keygen
-from delfim.console.serving import BROKER_FRAMES
+from delfim.console.boats.fleet import Fleet
+from delfim.console.gateway.serving import BROKER_FRAMES
+from delfim.console.link.mavlink import Key, keygen
 from delfim.parts.fleet.broker import STATE, UP, BrokerLine, BrokerPlace
 from delfim.parts.fleet.fleetd import told
-from delfim.parts.mavlink import wire
-from delfim.parts.mavlink.signing import EPOCH_NS, PER_S, Signing
+from delfim.parts.mavlink.codec import wire
+from delfim.parts.mavlink.codec.signing import EPOCH_NS, PER_S, Signing
 from delfim.services.page.api import State
 
 SIZES: Final = 10, 200  # boats

@@ -29,7 +29,7 @@ from bench.fuzz import SYSTEM
 from bench.load import IDLE, Ports
 from delfim.base.errors import DelfimError
 from delfim.lines.nmea0183.framing import framed
-from delfim.parts.mavlink.wire import dialect
+from delfim.parts.mavlink.codec.wire import dialect
 
 BURST_S: Final = 0.002
 BURST: Final = 100  # at once, at most

@@ -14,7 +14,7 @@ from random import Random
 from typing import Final
 
 from bench.load import Ports
-from delfim.parts.mavlink.wire import dialect
+from delfim.parts.mavlink.codec.wire import dialect
 
 RATE_HZ: Final = 3500.0  # 100,000 in half a minute
 BURST_S: Final = 0.002

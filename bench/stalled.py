@@ -11,8 +11,8 @@ from typing import Final, Self
 from bench.fuzz import COMPONENT, SYSTEM
 from delfim.base.clock import SystemClock
 from delfim.base.keys import read_key
-from delfim.parts.mavlink.signing import Signing
-from delfim.parts.mavlink.wire import Sender, dialect
+from delfim.parts.mavlink.codec.signing import Signing
+from delfim.parts.mavlink.codec.wire import Sender, dialect
 
 EVERY_S: Final = 0.05
 

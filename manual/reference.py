@@ -20,11 +20,13 @@ from delfim.base import tables
 from delfim.base.modes import Mode
 from delfim.canproxy.dsor import messages
 from delfim.commands import GROUPS
-from delfim.console import said
-from delfim.console.describe import describe
-from delfim.console.requests import HALTS
-from delfim.parts.mavlink import commands, handlers, params, telemetry
-from delfim.parts.mavlink.wire import dialect
+from delfim.console.boats.requests import HALTS
+from delfim.console.gateway import page_messages
+from delfim.console.terminal.describe import describe
+from delfim.parts.mavlink import telemetry
+from delfim.parts.mavlink.codec import params
+from delfim.parts.mavlink.codec.wire import dialect
+from delfim.parts.mavlink.received import commands, handlers
 from delfim.services.page import api, metrics
 from delfim.vehicle import console
 
@@ -130,7 +132,15 @@ def websocket_page() -> str:
         "JSON on `/ws`, one object a message; `t` is its name. Anything else is refused with the reason. What the page hears",
         "is in [the console](console.md#the-pages-websocket).",
     ]
-    kinds = [*get_args(said.Message), said.Plan, said.Waypoint, said.PathPoint, said.Obstacle, said.ShownZone, said.Place]
+    kinds = [
+        *get_args(page_messages.Message),
+        page_messages.Plan,
+        page_messages.Waypoint,
+        page_messages.PathPoint,
+        page_messages.Obstacle,
+        page_messages.ShownZone,
+        page_messages.Place,
+    ]
     for kind in kinds:
         told = " ".join((kind.__doc__ or "").split())
         page += ["", f"## `{_tag(kind)}`", "", *([told, ""] if told else [])]

@@ -100,7 +100,7 @@ def mission(here: Path) -> Said:
 def library(here: Path) -> Said:
     """The text is read in this process, and not in one of its own for each mutation."""
     from delfim.base.errors import DelfimError
-    from delfim.console.library import Library
+    from delfim.console.plans.library import Library
     from delfim.vehicle.plans.mission import read_mission
     from delfim.vehicle.plans.missionreader import Reading, written
 
@@ -169,7 +169,7 @@ def own_address(here: Path) -> Said:
 
 
 def operators_mission(here: Path) -> Said:
-    from delfim.console.drive import command as words_of
+    from delfim.console.terminal.drive import command as words_of
 
     return refused(lambda: words_of(["mission", str(here / "lake.toml")]))
 
@@ -192,7 +192,7 @@ def last_lines(here: Path) -> Said:
 def replayed(here: Path) -> Said:
     """All of a tape, and every tenth of it jumped to, as a page gets it."""
     from delfim.base.clock import ManualClock
-    from delfim.console.replay import TapePlayer, open_tapes
+    from delfim.console.tapes.replay import TapePlayer, open_tapes
 
     def play() -> None:
         clock, told = ManualClock(), list[object]()
@@ -227,7 +227,7 @@ def logs(*verbs: tuple[str, ...]) -> Callable[[Path], Said]:
 
 def can_replay(name: str) -> Callable[[Path], Said]:
     def read(here: Path) -> Said:
-        from delfim.console.bus import logged
+        from delfim.console.terminal.bus import logged
 
         errors = io.StringIO()
         with contextlib.redirect_stderr(errors):
@@ -239,7 +239,7 @@ def can_replay(name: str) -> Callable[[Path], Said]:
 
 def database(here: Path) -> Said:
     from delfim.base.frames import Frame, standard
-    from delfim.console.framefilter import decoder
+    from delfim.console.terminal.framefilter import decoder
 
     def read() -> None:
         decoded = decoder(str(here / "boat.dbc"))
@@ -253,8 +253,8 @@ def chart(name: str) -> Callable[[Path], Said]:
     """Taken into the console's folder, and drawn anew where it lies askew."""
 
     def read(here: Path) -> Said:
-        from delfim.console.charts import Charts
-        from delfim.console.warp import main as warp
+        from delfim.console.charts.charts import Charts
+        from delfim.console.charts.warp import main as warp
 
         charts = Charts(here)
         charts.close()
@@ -273,7 +273,7 @@ def tiles(here: Path) -> Said:
     from aiohttp import web
     from aiohttp.test_utils import make_mocked_request
 
-    from delfim.console.charts import Charts
+    from delfim.console.charts.charts import Charts
 
     charts, said = Charts(here), list[str]()
     json.dumps(charts.backgrounds, allow_nan=False)
@@ -317,7 +317,7 @@ def key(here: Path) -> Said:
 
 
 def stamps(here: Path) -> Said:
-    from delfim.parts.mavlink.signing import read_stamps
+    from delfim.parts.mavlink.codec.signing import read_stamps
 
     return refused(lambda: read_stamps(here / "stamps"))
 
@@ -335,7 +335,7 @@ def certificate(here: Path) -> Said:
 
 
 def page_token(here: Path) -> Said:
-    from delfim.console.admission import kept_token
+    from delfim.console.gateway.admission import kept_token
 
     return [kept_token(here / "token")]
 

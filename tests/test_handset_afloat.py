@@ -14,8 +14,8 @@ from typing import Any, Self
 import pytest
 
 from delfim.base.errors import DelfimError, Refused
-from delfim.parts.mavlink import wire
-from delfim.parts.mavlink.wire import Sender, dialect
+from delfim.parts.mavlink.codec import wire
+from delfim.parts.mavlink.codec.wire import Sender, dialect
 from delfim.vehicle.loop import HELD_BY_HAND
 from delfim.vehicle.operator.link import Link
 from tests.afloat import ROOT, running

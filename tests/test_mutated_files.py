@@ -17,13 +17,13 @@ from delfim.base.clock import ManualClock
 from delfim.base.keys import new_key, read_key
 from delfim.campaign.runplan import read
 from delfim.campaign.store import Store
-from delfim.console.fleet import Fleet
-from delfim.console.replay import open_tapes
-from delfim.console.session import Session
+from delfim.console.boats.fleet import Fleet
+from delfim.console.link.session import Session
+from delfim.console.tapes.replay import open_tapes
 from delfim.logging import nodelog
 from delfim.logging.keptwriter import packed
 from delfim.logging.reading import read_log
-from delfim.parts.mavlink.signing import Kept, write_stamps
+from delfim.parts.mavlink.codec.signing import Kept, write_stamps
 from delfim.simulator.scenarios.scenario import load_scenario
 from delfim.vehicle import console
 from delfim.vehicle.orders.voyage import KeptHead
@@ -287,7 +287,7 @@ def _opens(call: ast.Call) -> bool:
 
 
 def readers() -> set[str]:
-    """The functions of the program that read files: "console/tape.py: __init__"."""
+    """The functions of the program that read files: "console/tapes/tape.py: __init__"."""
     found = set[str]()
     for path in (ROOT / "delfim").rglob("*.py"):
         for function in ast.walk(ast.parse(path.read_text())):
@@ -301,17 +301,17 @@ def readers() -> set[str]:
 LOGS = {"system log", "state log", "black box", "sidecar", "run to repeat", "state log as a tape", "sidecar of a tape"}
 READ_BY = {  # function: the readers above that come by it
     "base/tables.py: read_toml": {"vehicle", "mission", "scenario", "control points"},
-    "console/library.py: load": {"library"},
-    "console/bus.py: logged": {"candump", "candump, deflated"},
-    "console/framefilter.py: decoder": {"CAN database"},
-    "console/charts.py: _add_tiles": {"MBTiles"},
-    "console/admission.py: kept_token": {"page's token"},
+    "console/plans/library.py: load": {"library"},
+    "console/terminal/bus.py: logged": {"candump", "candump, deflated"},
+    "console/terminal/framefilter.py: decoder": {"CAN database"},
+    "console/charts/charts.py: _add_tiles": {"MBTiles"},
+    "console/gateway/admission.py: kept_token": {"page's token"},
     "logging/kept.py: newest": {"kept voyage"},
-    "console/drive.py: _file": {"mission to send"},
-    "console/georeference.py: _header": {"PNG", "JPEG", "GeoTIFF"},
-    "console/georeference.py: _world": {"world file"},
-    "console/tape.py: __init__": {"session"},
-    "console/warp.py: warp": {"PNG", "JPEG", "GeoTIFF"},
+    "console/terminal/drive.py: _file": {"mission to send"},
+    "console/charts/georeference.py: _header": {"PNG", "JPEG", "GeoTIFF"},
+    "console/charts/georeference.py: _world": {"world file"},
+    "console/tapes/tape.py: __init__": {"session"},
+    "console/charts/warp.py: warp": {"PNG", "JPEG", "GeoTIFF"},
     "logging/reading.py: raw": LOGS,
     "logging/reading.py: read_events": LOGS,
     "logging/reading.py: _pieces": LOGS,
@@ -335,7 +335,7 @@ READ_BY = {  # function: the readers above that come by it
     "simulator/scenarios/encounters.py: read_encounters": {"encounters"},
     "simulator/scenarios/scenario.py: mission_of": {"scenario's mission"},
     "services/suite.py: _told": {"supervisor's record"},
-    "parts/mavlink/signing.py: read_stamps": {"stamps"},
+    "parts/mavlink/codec/signing.py: read_stamps": {"stamps"},
 }
 OTHERS = {  # what the kernel tells, and what is only copied or digested
     *(

@@ -261,12 +261,12 @@ def test_the_core_names_no_part() -> None:
 
 KNOWN = {  # parts that others import, with the reason; a row that goes does not come back
     "commands/check.py: nmea2000",  # which messages the boat sends
-    "console/gateway.py: fleet",  # and of the broker
-    "console/mavlink.py: mavlink",  # the console is the other end of the link
-    "console/othervessels.py: traffic",  # whom it hears itself, it judges as the boat does
-    "console/serving.py: fleet",
-    "console/statetape.py: nmea0183",  # the short names of measured values, as the link tells them
-    "console/statetape.py: nmea2000",
+    "console/gateway/gateway.py: fleet",  # and of the broker
+    "console/link/mavlink.py: mavlink",  # the console is the other end of the link
+    "console/boats/othervessels.py: traffic",  # whom it hears itself, it judges as the boat does
+    "console/gateway/serving.py: fleet",
+    "console/tapes/statetape.py: nmea0183",  # the short names of measured values, as the link tells them
+    "console/tapes/statetape.py: nmea2000",
     "desk/firstcontact.py: nmea0183",  # a line on a desk is heard as the boat hears it
     "parts/nmea2000/sensor.py: nmea0183",  # the values that both measure
 }

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from delfim.config import load
-from delfim.console.describe import describe
+from delfim.console.terminal.describe import describe
 
 ROOT = Path(__file__).parent.parent
 

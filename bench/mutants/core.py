@@ -23,7 +23,7 @@ CORE: Final = (
     *map("delfim/{}.py".format, _HANDS),
     *map("delfim/parts/traffic/{}.py".format, _TRAFFIC),
     *map("delfim/services/{}.py".format, _SERVICES),
-    *("delfim/parts/mavlink/signing.py", "delfim/parts/pwm/outlet.py"),
+    *("delfim/parts/mavlink/codec/signing.py", "delfim/parts/pwm/outlet.py"),
 )
 TESTS: Final = (  # files that take long, and see nothing that others do not see, are not asked
     "tests/vehicle/test_*.py",

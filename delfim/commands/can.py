@@ -1,4 +1,4 @@
-"""`delfim can`: the tools of delfim/console/bus.py."""
+"""`delfim can`: the tools of delfim/console/terminal/bus.py."""
 
 import argparse
 
@@ -6,7 +6,7 @@ from delfim.commands import shipped
 
 
 def options(parser: argparse.ArgumentParser) -> None:
-    from delfim.console.bus import options
+    from delfim.console.terminal.bus import options
 
     options(parser)
 

@@ -68,8 +68,8 @@ def options(parser: argparse.ArgumentParser) -> None:
 def run(asked: argparse.Namespace) -> int:
     from pathlib import Path
 
-    from delfim.console.mavlink import keygen
-    from delfim.console.serving import run
+    from delfim.console.gateway.serving import run
+    from delfim.console.link.mavlink import keygen
 
     if asked.keygen:
         keygen(Path(asked.keygen))

@@ -13,7 +13,7 @@ def options(parser: argparse.ArgumentParser) -> None:
 def run(asked: argparse.Namespace) -> int:
     from delfim import config
     from delfim.base import tables
-    from delfim.console.describe import describe
+    from delfim.console.terminal.describe import describe
 
     kind = config.kind_of(tables.read_toml(asked.file), asked.file) if asked.file else config.Vehicle
     print(describe(kind), end="")

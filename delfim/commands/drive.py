@@ -14,7 +14,7 @@ def options(parser: argparse.ArgumentParser) -> None:
 
 def run(asked: argparse.Namespace) -> int:
     from delfim.config import load
-    from delfim.console.drive import run
+    from delfim.console.terminal.drive import run
 
     run(load(asked.file, there(asked)).console.socket, asked.words)
     return 0

@@ -289,7 +289,7 @@ def _modes() -> dict[int, str]:
 def _waypoints(chosen: Selection) -> list[tuple[float, float, float]]:
     """Of the mission that was sailed last, as the sidecar tells."""
     from delfim.config import PathTable
-    from delfim.console.loggedmissions import sailed
+    from delfim.console.tapes.loggedmissions import sailed
 
     mission, radius_m = sailed(tree.events(chosen.state())), PathTable().acceptance_m
     points = mission.waypoint if mission is not None else ()

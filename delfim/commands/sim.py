@@ -25,7 +25,7 @@ from delfim.base.modes import Mode
 from delfim.canproxy.opening import open_can
 from delfim.canproxy.socket import ANYTHING
 from delfim.commands import OWN_FILE, example_file, seconds, shipped
-from delfim.console.onlooker import CTRL_C, START_S, Voyage
+from delfim.console.terminal.onlooker import CTRL_C, START_S, Voyage
 from delfim.parts.mavlink.table import Mavlink
 from delfim.simulator.berth import BOATS, PAGE, SIMULATED, Berth, berth, settings_of
 from delfim.vehicle.log.logbook import Logbook
@@ -270,7 +270,7 @@ def _pictures(
     data: dict[str, list[Any]], mission: Mission, settings: config.Vehicle, output: Path, *, timed: bool = True
 ) -> None:
     """Track of a run, and its latency where time was real, as PNG from the state log."""
-    from delfim.console.loggedmissions import sailed
+    from delfim.console.tapes.loggedmissions import sailed
     from delfim.logging.ashore import tree
 
     try:

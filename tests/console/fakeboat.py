@@ -14,7 +14,7 @@ from pymavlink.dialects.v20 import development as mavlink
 
 from delfim.base.clock import ManualClock
 from delfim.base.modes import Mode
-from delfim.parts.mavlink import ownorders
+from delfim.parts.mavlink.codec import ownorders
 from delfim.vehicle import console
 
 

@@ -12,8 +12,8 @@ from aiohttp import WSMsgType, web
 
 from delfim.base.errors import FormatError
 from delfim.base.modes import Mode
-from delfim.console import said
-from delfim.parts.mavlink.ownorders import own_offers
+from delfim.console.gateway import page_messages
+from delfim.parts.mavlink.codec.ownorders import own_offers
 from delfim.vehicle import console
 
 PAGE = Path(__file__).parents[2] / "delfim" / "console" / "page"
@@ -233,9 +233,9 @@ class Standin:
     def _understand(self, message: Message) -> None:
         """As the gateway does: the page says nothing that the gateway refuses to hear."""
         try:
-            msgspec.convert(message, said.Message)
+            msgspec.convert(message, page_messages.Message)
             if message["t"] == "command":
-                numbers = {name: value for name, value in message.items() if name not in said.NO_NUMBERS}
+                numbers = {name: value for name, value in message.items() if name not in page_messages.NO_NUMBERS}
                 console.parse(msgspec.json.encode({"command": message["command"]} | numbers))
         except (msgspec.ValidationError, FormatError) as error:
             self.faults.append(f"{error}: {message}")

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import pytest
 
-from delfim.parts.mavlink import wire
+from delfim.parts.mavlink.codec import wire
 from tests.console.chain import Sea, operating, ordered
 from tests.console.scenes import choose
 from tests.parts.laboratory import ROOT, installed

@@ -10,7 +10,7 @@ from collections.abc import Awaitable, Callable, Iterator
 
 import pytest
 
-from delfim.parts.mavlink import wire
+from delfim.parts.mavlink.codec import wire
 from tests.console.chain import PATIENCE_S, Boat, Sea, afternoon, ordered, shown_mode
 from tests.console.scenes import choose
 from tests.parts.laboratory import ROOT, installed

@@ -11,8 +11,8 @@ import pytest
 from delfim import config
 from delfim.base.geodesy import origin, to_plane
 from delfim.base.modes import Mode
-from delfim.console.fleet import Fleet
-from delfim.console.othervessels import around
+from delfim.console.boats.fleet import Fleet
+from delfim.console.boats.othervessels import around
 from delfim.parts.mavlink.station import Station
 from delfim.simulator.faults import fault
 from delfim.simulator.lockstep import Lockstep

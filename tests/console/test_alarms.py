@@ -10,9 +10,9 @@ import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
 from delfim.base.clock import ManualClock
-from delfim.console.alarms import ALARMS_MAX, Alarms, cause, is_trouble
-from delfim.console.session import Session
-from delfim.console.watchlog import HEADER, KEPT_MAX, WatchLine, WatchLog, table
+from delfim.console.boats.alarms import ALARMS_MAX, Alarms, cause, is_trouble
+from delfim.console.gateway.watchlog import HEADER, KEPT_MAX, WatchLine, WatchLog, table
+from delfim.console.link.session import Session
 from tests.console.test_gateway import opened
 
 DEAD = "port propeller: no report for 1.0 s"

@@ -22,10 +22,10 @@ from delfim.base.errors import ConfigError, DelfimError, FormatError
 from delfim.base.frames import CAN_ERR, CAN_IDE, Frame, extended, identifier, standard
 from delfim.canproxy.canloop import open_canloop
 from delfim.canproxy.socket import ANYTHING, CanAddress, CanSocket
-from delfim.console import busstat
-from delfim.console.bus import logged
-from delfim.console.busstat import Statistics, parse_link
-from delfim.console.framefilter import Filter, Stamps, decoder, long_text, parse_filter, parse_frame
+from delfim.console.terminal import busstat
+from delfim.console.terminal.bus import logged
+from delfim.console.terminal.busstat import Statistics, parse_link
+from delfim.console.terminal.framefilter import Filter, Stamps, decoder, long_text, parse_filter, parse_frame
 
 ROOT = Path(__file__).parents[2]
 _numbers = itertools.count()

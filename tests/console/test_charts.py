@@ -17,10 +17,10 @@ from hypothesis import strategies as st
 from PIL import Image, TiffImagePlugin
 
 from delfim.base.errors import ConfigError, FormatError
-from delfim.console.charts import Charts
-from delfim.console.georeference import placed
-from delfim.console.projection import plane
-from delfim.console.warp import warp
+from delfim.console.charts.charts import Charts
+from delfim.console.charts.georeference import placed
+from delfim.console.charts.projection import plane
+from delfim.console.charts.warp import warp
 
 RED, BLUE = (255, 0, 0), (0, 0, 255)
 HARBOUR = (38.69, -9.21)
@@ -261,7 +261,7 @@ def test_a_console_without_images_needs_no_pillow(tmp_path: Path) -> None:
 import sys
 sys.modules["PIL"] = None
 from pathlib import Path
-from delfim.console.gateway import Charts
+from delfim.console.gateway.gateway import Charts
 print(Charts(None).faults, Charts(Path({str(tmp_path)!r})).faults)"""
     told = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True).stdout
     assert told == f"[] [\"{tmp_path}/chart.png: image: it needs PIL: pip install 'delfim[ground]'\"]\n"

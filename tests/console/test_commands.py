@@ -15,8 +15,8 @@ from typing import Any, NamedTuple
 import pytest
 
 from delfim.base.modes import Mode
-from delfim.parts.mavlink import wire
-from delfim.parts.mavlink.ownorders import own_offers
+from delfim.parts.mavlink.codec import wire
+from delfim.parts.mavlink.codec.ownorders import own_offers
 from delfim.vehicle import console
 from tests.console.chain import PATIENCE_S, Boat, Sea, afternoon, ordered, select, shown_mode
 from tests.console.pads import plug, unplug

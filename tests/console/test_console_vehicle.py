@@ -12,13 +12,13 @@ from delfim import config
 from delfim.base.errors import Refused
 from delfim.base.geodesy import from_plane
 from delfim.base.modes import Mode
-from delfim.console import plan
-from delfim.console.fleet import Fleet
-from delfim.console.library import Library
-from delfim.console.mavlink import Key, keygen
-from delfim.parts.mavlink.signing import Signing
+from delfim.console.boats.fleet import Fleet
+from delfim.console.link.mavlink import Key, keygen
+from delfim.console.plans import plan
+from delfim.console.plans.library import Library
+from delfim.parts.mavlink.codec.signing import Signing
+from delfim.parts.mavlink.codec.wire import Speaker
 from delfim.parts.mavlink.station import Station
-from delfim.parts.mavlink.wire import Speaker
 from delfim.vehicle import console
 from delfim.vehicle.plans.mission import Mission, PayloadItem, Waypoint
 from tests.console.fakeboat import Radio, order

@@ -13,11 +13,12 @@ from delfim.base.clock import ManualClock
 from delfim.base.errors import ConfigError, FormatError, Refused
 from delfim.base.modes import Mode
 from delfim.base.numberedorders import NumberKey
-from delfim.console import plan, transfer
-from delfim.console.fleet import ASKS, Fleet
-from delfim.console.mavlink import Key, keygen
-from delfim.parts.mavlink import ownorders, plans, wire
-from delfim.parts.mavlink.signing import Signing
+from delfim.console.boats import item_transfer
+from delfim.console.boats.fleet import ASKS, Fleet
+from delfim.console.link.mavlink import Key, keygen
+from delfim.console.plans import plan
+from delfim.parts.mavlink.codec import ownorders, plans, wire
+from delfim.parts.mavlink.codec.signing import Signing
 from tests.console.fakeboat import FakeBoat, Radio, order
 
 SQUARE = {
@@ -451,7 +452,7 @@ def test_a_transfer_that_is_over_says_so_well_or_not(deed: str, silent: bool) ->
     sea.run(4.5)
     sea.fleet.put(1, SQUARE)
     getattr(sea.fleet, deed)(1, lambda well, why: sea.answers.append((well, why)))
-    sea.run(2 * transfer.TIMEOUT_S, until=lambda: sea.answers)
+    sea.run(2 * item_transfer.TIMEOUT_S, until=lambda: sea.answers)
     assert sea.answers[0][0] is not silent
     assert sea.fleet.progress() == []
     assert [each["part"] for each in sea.told if each["t"] == "progress"] == [1.0]

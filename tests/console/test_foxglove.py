@@ -12,8 +12,8 @@ import aiohttp
 import pytest
 
 from delfim.base.errors import ConfigError
-from delfim.console import foxglove
-from delfim.console.foxglove import FoxgloveView
+from delfim.console.gateway import foxglove
+from delfim.console.gateway.foxglove import FoxgloveView
 from delfim.logging.ashore import topics
 from tests.console.test_gateway import let_in, opened
 from tests.console.test_othervessels import vessel

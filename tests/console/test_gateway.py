@@ -21,13 +21,13 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from delfim.base.clock import Clock, ManualClock, SystemClock, WakefulClock
 from delfim.base.errors import ConfigError
-from delfim.console import browser
-from delfim.console.admission import kept_token, own_number
-from delfim.console.boats import MEASURED_MAX, Boat
-from delfim.console.gateway import PAGES_MAX, Gateway
-from delfim.console.replay import open_tapes
-from delfim.console.serving import serve
-from delfim.parts.mavlink import ardupilot, wire
+from delfim.console.boats.boat import MEASURED_MAX, Boat
+from delfim.console.gateway import browser
+from delfim.console.gateway.admission import kept_token, own_number
+from delfim.console.gateway.gateway import PAGES_MAX, Gateway
+from delfim.console.gateway.serving import serve
+from delfim.console.tapes.replay import open_tapes
+from delfim.parts.mavlink.codec import ardupilot, wire
 from tests.console.fakeboat import FakeBoat
 
 VEHICLE = Path(__file__).parents[2] / "etc" / "delfimx.toml"

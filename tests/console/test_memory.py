@@ -11,10 +11,10 @@ from typing import Any
 import pytest
 
 from delfim.base.clock import ManualClock
-from delfim.console.boats import TRACK_MAX
-from delfim.console.gateway import Gateway
-from delfim.console.mavlink import mavlink
-from delfim.console.watchlog import KEPT_MAX, WatchLine
+from delfim.console.boats.boat import TRACK_MAX
+from delfim.console.gateway.gateway import Gateway
+from delfim.console.gateway.watchlog import KEPT_MAX, WatchLine
+from delfim.console.link.mavlink import mavlink
 from tests.console.scenes import caught_up, fleet, opened, show, survey
 from tests.console.standin import Message, Standin
 from tests.services.browser import Page, browser

@@ -16,12 +16,12 @@ from PIL import Image
 from pymavlink.dialects.v20 import common as mavlink
 
 from delfim.base.clock import ManualClock, SystemClock
-from delfim.console.fleet import Fleet
-from delfim.console.gateway import Gateway
-from delfim.console.replay import open_tapes
-from delfim.console.serving import serve
-from delfim.console.session import Session
-from delfim.console.tape import Tape
+from delfim.console.boats.fleet import Fleet
+from delfim.console.gateway.gateway import Gateway
+from delfim.console.gateway.serving import serve
+from delfim.console.link.session import Session
+from delfim.console.tapes.replay import open_tapes
+from delfim.console.tapes.tape import Tape
 from tests.console.fakeboat import FakeBoat
 from tests.console.scenes import choose
 from tests.services.browser import Page, tab

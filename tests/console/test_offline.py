@@ -16,11 +16,11 @@ from delfim.base.clock import ManualClock
 from delfim.base.errors import DelfimError
 from delfim.base.outside import TEXT_BYTES
 from delfim.base.slices import Sliced
-from delfim.console.fleet import Fleet
-from delfim.console.forecast import dry_run
-from delfim.console.replay import open_tapes
-from delfim.console.session import Session
-from delfim.console.verdict import NO_FILE, verdict
+from delfim.console.boats.fleet import Fleet
+from delfim.console.link.session import Session
+from delfim.console.plans.dry_run import dry_run
+from delfim.console.plans.plan_check import NO_FILE, verdict
+from delfim.console.tapes.replay import open_tapes
 from tests.console.fakeboat import FakeBoat
 from tests.console.scenes import choose
 from tests.console.test_gateway import opened

@@ -9,8 +9,8 @@ import pytest
 
 from delfim import config
 from delfim.base.errors import Refused
-from delfim.console import onlooker
-from delfim.console.onlooker import Voyage
+from delfim.console.terminal import onlooker
+from delfim.console.terminal.onlooker import Voyage
 from delfim.vehicle.plans.mission import Mission, load_mission
 
 FILE = Path(__file__).parents[2] / "etc/delfimx.toml"

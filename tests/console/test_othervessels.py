@@ -7,7 +7,7 @@ import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
 from delfim.base.geodesy import origin, to_plane
-from delfim.console.othervessels import AT_ONCE, MEETS, MOST, around
+from delfim.console.boats.othervessels import AT_ONCE, MEETS, MOST, around
 from tests.console.test_fleet import Sea
 
 MARIA = 244_660_123

@@ -17,9 +17,9 @@ from hypothesis import strategies as st
 
 from delfim.base.clock import ManualClock, SystemClock
 from delfim.base.errors import ConfigError
-from delfim.console.fleet import BOATS_MAX, Fleet
-from delfim.console.mavlink import Codec, mavlink
-from delfim.console.radio import READ_BYTES, radio
+from delfim.console.boats.fleet import BOATS_MAX, Fleet
+from delfim.console.link.mavlink import Codec, mavlink
+from delfim.console.link.radio import READ_BYTES, radio
 from tests.console.fakeboat import FakeBoat
 
 

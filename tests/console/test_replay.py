@@ -15,13 +15,13 @@ from delfim import config
 from delfim.base.clock import Clock, ManualClock
 from delfim.base.errors import DelfimError, FormatError, Refused
 from delfim.base.geodesy import origin, to_plane
-from delfim.console.fleet import Fleet
-from delfim.console.mavlink import mavlink
-from delfim.console.othervessels import around
-from delfim.console.replay import TapePlayer, open_tapes
-from delfim.console.session import PENDING_BYTES, Session
-from delfim.console.statetape import States
-from delfim.console.tape import Text, TlogTape
+from delfim.console.boats.fleet import Fleet
+from delfim.console.boats.othervessels import around
+from delfim.console.link.mavlink import mavlink
+from delfim.console.link.session import PENDING_BYTES, Session
+from delfim.console.tapes.replay import TapePlayer, open_tapes
+from delfim.console.tapes.statetape import States
+from delfim.console.tapes.tape import Text, TlogTape
 from delfim.simulator.lockstep import Lockstep
 from delfim.vehicle import console
 from delfim.vehicle.log.logbook import Logbook

@@ -14,8 +14,8 @@ from typing import Any
 import pytest
 
 from delfim.base.clock import ManualClock
-from delfim.console.gateway import Gateway
-from delfim.console.replay import TapePlayer, open_tapes
+from delfim.console.gateway.gateway import Gateway
+from delfim.console.tapes.replay import TapePlayer, open_tapes
 from delfim.vehicle import console as orders
 from tests.console.scenes import show
 from tests.console.test_newcomer import Console, console

@@ -3,7 +3,7 @@
 import json
 from typing import Any
 
-from delfim.console.loggedmissions import sailed
+from delfim.console.tapes.loggedmissions import sailed
 
 
 def mission(name: str) -> str:

@@ -7,7 +7,7 @@ import pytest
 from rich.console import Console
 
 from delfim.canproxy.dsor.messages import Fault, Status
-from delfim.console.view import HEIGHT, WIDTH, View, warnings
+from delfim.console.terminal.view import HEIGHT, WIDTH, View, warnings
 from delfim.vehicle import console
 
 SQUARE = [(38.0, -9.0), (38.001, -9.0), (38.001, -8.999), (38.0, -9.0)]

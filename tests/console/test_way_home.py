@@ -10,7 +10,7 @@ from pymavlink.dialects.v20 import development as mavlink
 from delfim.base.errors import Refused
 from delfim.base.geodesy import from_plane, origin, to_plane
 from delfim.config import HomeTable
-from delfim.console.wayhome import HeardTrack
+from delfim.console.boats.wayhome import HeardTrack
 from delfim.vehicle.plans.track import Track
 from tests.console.test_fleet import Sea
 

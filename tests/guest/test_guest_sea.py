@@ -30,7 +30,7 @@ import can
 import pytest
 
 from delfim.__main__ import main
-from delfim.console.mavlink import mavlink
+from delfim.console.link.mavlink import mavlink
 from tests.guest import boat_image
 from tests.guest.ashore import BOAT, disk, network, started
 from tests.guest.guest_wire import Wire

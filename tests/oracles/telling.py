@@ -17,9 +17,9 @@ from delfim.canproxy.nmea2000.device import FIRST
 from delfim.lines.nmea0183.speaking import SPEAKERS
 from delfim.lines.serialform import Form
 from delfim.logging.liblog import LogStatus
+from delfim.parts.mavlink.codec.wire import Address
 from delfim.parts.mavlink.station import Station
 from delfim.parts.mavlink.telemetry import PROFILES
-from delfim.parts.mavlink.wire import Address
 from delfim.parts.nmea2000.nmea2000d import BoatDevice
 from delfim.parts.nmea2000.table import ToldName
 from delfim.services.page import api

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Final
 
 from delfim.__main__ import main
-from delfim.console.describe import describe
+from delfim.console.terminal.describe import describe
 from tests.oracles.keeping import Lines
 
 DESCRIBED: Final = "delfim describe"

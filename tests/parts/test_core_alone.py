@@ -34,7 +34,9 @@ def core(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for part in (place / "delfim/parts").iterdir():
         if part.is_dir() and part.name != OWN_NODES:
             for file in part.iterdir():
-                if file.name not in ("__init__.py", "table.py"):
+                if file.is_dir():
+                    shutil.rmtree(file)
+                elif file.name not in ("__init__.py", "table.py"):
                     file.unlink()
     return place
 

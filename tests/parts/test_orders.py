@@ -8,10 +8,11 @@ import pytest
 
 from delfim import config
 from delfim.base.errors import ConfigError, FormatError
-from delfim.console.describe import describe
-from delfim.console.drive import command
-from delfim.console.fleet import Fleet
-from delfim.parts.mavlink import commands, ownorders, wire
+from delfim.console.boats.fleet import Fleet
+from delfim.console.terminal.describe import describe
+from delfim.console.terminal.drive import command
+from delfim.parts.mavlink.codec import ownorders, wire
+from delfim.parts.mavlink.received import commands
 from delfim.parts.mavlink.station import Station
 from delfim.simulator.lockstep import Lockstep
 from delfim.vehicle import console

@@ -11,7 +11,7 @@ from delfim.base import parts
 from delfim.base.errors import ConfigError
 from delfim.base.frames import standard
 from delfim.canproxy.socket import CanAddress
-from delfim.console.describe import describe
+from delfim.console.terminal.describe import describe
 from delfim.services.suite import services
 from delfim.simulator.lockstep import Lockstep
 from delfim.vehicle.state import NoLog

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from delfim import config
-from delfim.console import forecast
+from delfim.console.plans import dry_run
 from delfim.simulator.scenarios import dryrun
 from delfim.vehicle.plans.estimate import in_hours, mission_s
 from delfim.vehicle.plans.mission import read_mission
@@ -55,7 +55,7 @@ def test_a_mission_that_takes_longer_than_six_hours_is_sailed_to_its_end() -> No
 
 
 def test_a_computer_that_is_too_slow_is_said_so(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setattr(forecast, "LIMIT_S", 0.05)
+    monkeypatch.setattr(dry_run, "LIMIT_S", 0.05)
     plan = {"name": "dry", "waypoints": [{"latitude_deg": 38.69, "longitude_deg": -9.21}]}
-    answer = forecast.dry_run(tmp_path / "no.toml", plan, None)
+    answer = dry_run.dry_run(tmp_path / "no.toml", plan, None)
     assert "this computer did not sail it in 0 s" in answer["end"]

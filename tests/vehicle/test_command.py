@@ -14,7 +14,7 @@ import pytest
 
 from delfim.base.errors import DelfimError, FormatError, Refused
 from delfim.base.modes import Mode
-from delfim.console.drive import command, line
+from delfim.console.terminal.drive import command, line
 from delfim.vehicle import console
 from delfim.vehicle.operator.command import LINE_BYTES, CommandServer
 from delfim.vehicle.operator.link import Link
@@ -170,7 +170,7 @@ def test_words_that_mean_nothing_are_refused_with_what_is_right(words, why):
 def keyboard(path: str, *typed: bytes) -> str:
     """What stands on the terminal after all of this was typed at the prompt, each part once the prompt is there."""
     here, there = pty.openpty()
-    program = f"from delfim.console.drive import run; run({path!r}, [])"
+    program = f"from delfim.console.terminal.drive import run; run({path!r}, [])"
     shown = b""
     with subprocess.Popen([sys.executable, "-c", program], stdin=there, stdout=there, stderr=there) as process:
         os.close(there)
@@ -210,7 +210,7 @@ def test_the_prompt_tells_that_somebody_is_there_while_it_waits(boat, tmp_path):
 
     def talk(path: str) -> bool:
         with subprocess.Popen(
-            [sys.executable, "-c", f"from delfim.console.drive import run; run({path!r}, [])"], stdin=subprocess.PIPE
+            [sys.executable, "-c", f"from delfim.console.terminal.drive import run; run({path!r}, [])"], stdin=subprocess.PIPE
         ) as process:
             told = heard.wait(200)
             process.communicate()

@@ -7,8 +7,8 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega
 
 from delfim import config
-from delfim.parts.mavlink import ardupilot
-from delfim.parts.mavlink.wire import Sender, decode, frames
+from delfim.parts.mavlink.codec import ardupilot
+from delfim.parts.mavlink.codec.wire import Sender, decode, frames
 from delfim.parts.nmea0183.table import Nmea0183, Nmea0183Port
 from delfim.vehicle import sensors
 from tests.parts.mavlink.mavlink_console import newest

@@ -14,8 +14,8 @@ from delfim import config
 from delfim.base import slices
 from delfim.base.errors import Refused
 from delfim.base.modes import Mode
-from delfim.parts.mavlink import plans
-from delfim.parts.mavlink.plans import FENCE, MISSION, Item
+from delfim.parts.mavlink.codec import plans
+from delfim.parts.mavlink.codec.plans import FENCE, MISSION, Item
 from delfim.parts.mavlink.station import Station
 from delfim.vehicle import console
 from delfim.vehicle.failsafe.failsafe import Action

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from delfim import config
-from delfim.parts.mavlink.aisvessel import NEAR, guard, number_of, ordered
+from delfim.parts.mavlink.codec.aisvessel import NEAR, guard, number_of, ordered
 from delfim.parts.traffic.encounter import BEGINNINGS, Duty, words
 from delfim.parts.traffic.lookout import LOOK_S
 from delfim.vehicle.grex import sighted

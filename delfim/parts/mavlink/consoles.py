@@ -8,15 +8,16 @@ import secrets
 from collections.abc import Callable
 from typing import Final
 
-from delfim.parts.mavlink import params, telemetry
+from delfim.parts.mavlink import telemetry
+from delfim.parts.mavlink.codec import params
+from delfim.parts.mavlink.codec.signing import Signing
+from delfim.parts.mavlink.codec.wire import GUEST, Address, Message, Speaker, dialect
+from delfim.parts.mavlink.events import News
 from delfim.parts.mavlink.missions import Missions
-from delfim.parts.mavlink.news import News
 from delfim.parts.mavlink.peers import HEARD_S, Peer, Peers
 from delfim.parts.mavlink.sequences import Sequences
-from delfim.parts.mavlink.signing import Signing
 from delfim.parts.mavlink.table import Mavlink
 from delfim.parts.mavlink.telemetry import TelemetryView
-from delfim.parts.mavlink.wire import GUEST, Address, Message, Speaker, dialect
 from delfim.vehicle import console
 from delfim.vehicle.loop import HELD_BY_HAND, VehicleLoop
 from delfim.vehicle.state import HANDSET

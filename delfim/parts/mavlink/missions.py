@@ -11,9 +11,9 @@ from typing import Final, NamedTuple, Protocol
 from delfim import config
 from delfim.base.errors import DelfimError, FormatError, Refused
 from delfim.base.slices import Sliced
-from delfim.parts.mavlink import plans
-from delfim.parts.mavlink.plans import ALL, FENCE, ITEMS, MISSION, RALLY, Item
-from delfim.parts.mavlink.wire import Message, Speaker, dialect
+from delfim.parts.mavlink.codec import plans
+from delfim.parts.mavlink.codec.plans import ALL, FENCE, ITEMS, MISSION, RALLY, Item
+from delfim.parts.mavlink.codec.wire import Message, Speaker, dialect
 from delfim.vehicle import console
 from delfim.vehicle.loop import VehicleLoop
 

@@ -6,11 +6,12 @@ from collections.abc import Callable
 from typing import Final
 
 from delfim.base.clock import Clock
-from delfim.parts.mavlink import params, telemetry
-from delfim.parts.mavlink.signing import Signing
+from delfim.parts.mavlink import telemetry
+from delfim.parts.mavlink.codec import params
+from delfim.parts.mavlink.codec.signing import Signing
+from delfim.parts.mavlink.codec.wire import Address, Message, Sender, Speaker, dialect
 from delfim.parts.mavlink.table import Mavlink
 from delfim.parts.mavlink.telemetry import Profile, TelemetryRow
-from delfim.parts.mavlink.wire import Address, Message, Sender, Speaker, dialect
 
 PEERS: Final = 16  # at once
 HEARD_S: Final = 15.0  # a peer silent for longer gets only the heartbeat; one not in the vehicle's file is forgotten

@@ -3,7 +3,7 @@
 import math
 from typing import Final, NamedTuple
 
-from delfim.parts.mavlink.wire import Address, Speaker
+from delfim.parts.mavlink.codec.wire import Address, Speaker
 
 LATE_FRAMES, LATE_S = 16, 3.0  # a frame this far behind its sender's newest, within this time, is late or repeated
 SOURCES: Final = 64  # senders whose frames are counted

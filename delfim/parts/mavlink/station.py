@@ -11,13 +11,14 @@ from ipaddress import ip_address
 from typing import Final
 
 from delfim.base.errors import FormatError
-from delfim.parts.mavlink import telemetry, wire
+from delfim.parts.mavlink import telemetry
+from delfim.parts.mavlink.codec import wire
+from delfim.parts.mavlink.codec.signing import FrameVerdict, Signing
+from delfim.parts.mavlink.codec.wire import Address, Message, Speaker, dialect
 from delfim.parts.mavlink.consoles import Consoles, Obey, Review
-from delfim.parts.mavlink.handlers import HANDLERS
 from delfim.parts.mavlink.peers import HEARD_S, Peer
-from delfim.parts.mavlink.signing import FrameVerdict, Signing
+from delfim.parts.mavlink.received.handlers import HANDLERS
 from delfim.parts.mavlink.telemetry import NEVER_S, TelemetryRow, TelemetryView
-from delfim.parts.mavlink.wire import Address, Message, Speaker, dialect
 from delfim.vehicle.loop import VehicleLoop
 
 FRAMES: Final = 2  # of a turn

@@ -11,9 +11,9 @@ from typing import Any, Final
 
 from delfim.base.clock import Clock
 from delfim.lines.serialline import SerialLine
-from delfim.parts.mavlink import wire
+from delfim.parts.mavlink.codec import wire
+from delfim.parts.mavlink.codec.wire import Address, dialect
 from delfim.parts.mavlink.table import Mavlink
-from delfim.parts.mavlink.wire import Address, dialect
 
 BITS_PER_BYTE: Final = 10  # 8N1
 READ_BYTES: Final = 128  # in one callback: noise made of beginnings of frames takes 3 us a byte

@@ -16,12 +16,12 @@ from typing import Final, Self
 from delfim.base.keys import read_key
 from delfim.base.ranges import address
 from delfim.lines.rtcm import doorstep
+from delfim.parts.mavlink.codec.signing import Kept, Signing, read_stamps, write_stamps
+from delfim.parts.mavlink.codec.wire import DATAGRAM_BYTES, Address
 from delfim.parts.mavlink.consoles import Obey, Review
-from delfim.parts.mavlink.signing import Kept, Signing, read_stamps, write_stamps
 from delfim.parts.mavlink.station import Station
 from delfim.parts.mavlink.stationserial import StationSerial
 from delfim.parts.mavlink.table import Mavlink
-from delfim.parts.mavlink.wire import DATAGRAM_BYTES, Address
 from delfim.vehicle.loop import VehicleLoop
 
 TICK_S: Final = 0.05

@@ -11,12 +11,12 @@ from typing import Final, Literal, NamedTuple
 from delfim.base.geodesy import compass, from_plane, wrap
 from delfim.base.modes import PAYLOADS, Mode
 from delfim.canproxy.dsor.messages import BatteriesStatus, Node
-from delfim.parts.mavlink.aisvessel import guard, ordered, vessels
-from delfim.parts.mavlink.ardupilot import WaterDepth, Wind
-from delfim.parts.mavlink.params import TROUBLES
-from delfim.parts.mavlink.plans import ALL
+from delfim.parts.mavlink.codec.aisvessel import guard, ordered, vessels
+from delfim.parts.mavlink.codec.ardupilot import WaterDepth, Wind
+from delfim.parts.mavlink.codec.params import TROUBLES
+from delfim.parts.mavlink.codec.plans import ALL
+from delfim.parts.mavlink.codec.wire import Message, dialect
 from delfim.parts.mavlink.table import Mavlink
-from delfim.parts.mavlink.wire import Message, dialect
 from delfim.vehicle import sensors
 from delfim.vehicle.failsafe.failsafe import Action, bits
 from delfim.vehicle.failsafe.nodehealth import NAMES

@@ -20,9 +20,9 @@ from delfim import config
 from delfim.base.clock import ManualClock, SystemClock
 from delfim.base.errors import ConfigError, PermanentFailure
 from delfim.base.keys import new_key
-from delfim.console.fleet import Fleet
-from delfim.console.mavlink import Key
-from delfim.console.serving import broker_line
+from delfim.console.boats.fleet import Fleet
+from delfim.console.gateway.serving import broker_line
+from delfim.console.link.mavlink import Key
 from delfim.parts.fleet.broker import STALE_S, BrokerLine, BrokerPlace
 from delfim.parts.fleet.fleetd import FleetMember, serve
 from delfim.parts.fleet.table import FleetTable

@@ -16,7 +16,7 @@ import pytest
 
 from delfim.canproxy.dsor.messages import Navigation
 from delfim.lines.rtcm import RtcmFrames, framed
-from delfim.parts.mavlink.wire import Sender, dialect
+from delfim.parts.mavlink.codec.wire import Sender, dialect
 from tests.parts.gnss.caster import casting, free_port, needs_str2str
 from tests.parts.nmea0183.receiver import MOVING, message, pvt
 from tests.parts.nmea0183.test_nmea0183_afloat import Pty, at_sea, port

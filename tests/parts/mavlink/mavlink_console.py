@@ -4,10 +4,10 @@ import json
 import math
 from typing import Any
 
-from delfim.parts.mavlink import ownorders, wire
-from delfim.parts.mavlink.signing import Signing
+from delfim.parts.mavlink.codec import ownorders, wire
+from delfim.parts.mavlink.codec.signing import Signing
+from delfim.parts.mavlink.codec.wire import Sender, dialect
 from delfim.parts.mavlink.station import Station
-from delfim.parts.mavlink.wire import Sender, dialect
 
 HOME = ("127.0.0.1", 14550)
 

@@ -13,15 +13,15 @@ from bench.fuzz import framed
 from delfim import config
 from delfim.base.errors import FormatError
 from delfim.base.modes import Mode
-from delfim.parts.mavlink import wire
-from delfim.parts.mavlink.commands import COMMANDS
-from delfim.parts.mavlink.params import NAMES
+from delfim.parts.mavlink.codec import wire
+from delfim.parts.mavlink.codec.params import NAMES
+from delfim.parts.mavlink.codec.signing import Signing
+from delfim.parts.mavlink.codec.wire import dialect
 from delfim.parts.mavlink.peers import PEERS
-from delfim.parts.mavlink.signing import Signing
+from delfim.parts.mavlink.received.commands import COMMANDS
 from delfim.parts.mavlink.station import FRAMES, PENDING, Station
 from delfim.parts.mavlink.stationsocket import MavlinkLink
 from delfim.parts.mavlink.table import Mavlink
-from delfim.parts.mavlink.wire import dialect
 from delfim.vehicle.console import Stop, Take
 from tests.parts.mavlink.mavlink_console import HOME, Console, Radio
 from tests.parts.mavlink.test_mavlink_station import afloat, sail

@@ -10,9 +10,10 @@ import pytest
 
 from delfim import config
 from delfim.base.modes import Mode
-from delfim.parts.mavlink import commands, handlers, ownorders
+from delfim.parts.mavlink.codec import ownorders
+from delfim.parts.mavlink.codec.signing import Signing
 from delfim.parts.mavlink.peers import PEERS
-from delfim.parts.mavlink.signing import Signing
+from delfim.parts.mavlink.received import commands, handlers
 from delfim.parts.mavlink.station import Station
 from delfim.vehicle import console
 from tests.parts.mavlink.mavlink_console import Console, Radio, newest, texts

@@ -12,8 +12,9 @@ from delfim import config
 from delfim.base.errors import FormatError
 from delfim.base.modes import Mode
 from delfim.base.slices import Sliced
-from delfim.parts.mavlink import missions, plans
-from delfim.parts.mavlink.plans import FENCE, MISSION, RALLY, Item
+from delfim.parts.mavlink import missions
+from delfim.parts.mavlink.codec import plans
+from delfim.parts.mavlink.codec.plans import FENCE, MISSION, RALLY, Item
 from delfim.vehicle import console
 from delfim.vehicle.plans.mission import CARRIED, HOLD_MAX_S, Mission, PathPoint, Waypoint, canonical, parse_mission
 from delfim.vehicle.plans.missionreader import gathered, written

@@ -18,13 +18,13 @@ from delfim import config
 from delfim.base.errors import ConfigError
 from delfim.base.modes import Mode
 from delfim.base.tables import decode
-from delfim.parts.mavlink import wire
-from delfim.parts.mavlink.signing import Signing
+from delfim.parts.mavlink.codec import wire
+from delfim.parts.mavlink.codec.signing import Signing
+from delfim.parts.mavlink.codec.wire import dialect
 from delfim.parts.mavlink.station import Station
 from delfim.parts.mavlink.stationserial import QUEUE_BYTES, STALE_S, StationSerial
 from delfim.parts.mavlink.stationsocket import MavlinkLink
 from delfim.parts.mavlink.table import Mavlink
-from delfim.parts.mavlink.wire import dialect
 
 KEY, BAUD = bytes(range(32)), 57_600
 STEP_S, TICKS = 0.01, 5  # steps of the radio from one tick of the station to the next

@@ -12,11 +12,11 @@ from delfim.base.clock import ManualClock
 from delfim.base.errors import ConfigError
 from delfim.base.keys import new_key, read_key
 from delfim.base.modes import Mode
-from delfim.parts.mavlink import wire
-from delfim.parts.mavlink.signing import Kept, Signing, read_stamps, write_stamps
+from delfim.parts.mavlink.codec import wire
+from delfim.parts.mavlink.codec.signing import Kept, Signing, read_stamps, write_stamps
+from delfim.parts.mavlink.codec.wire import dialect
 from delfim.parts.mavlink.station import Station
 from delfim.parts.mavlink.table import Mavlink
-from delfim.parts.mavlink.wire import dialect
 from tests.parts.mavlink.mavlink_console import Console, Radio, newest
 
 KEY, OTHER = bytes(range(32)), bytes(range(1, 33))

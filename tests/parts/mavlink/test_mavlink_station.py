@@ -8,9 +8,9 @@ import pytest
 from delfim import config
 from delfim.base.modes import Mode
 from delfim.canproxy.dsor import messages
+from delfim.parts.mavlink.codec.wire import dialect
 from delfim.parts.mavlink.station import Station
 from delfim.parts.mavlink.table import Mavlink
-from delfim.parts.mavlink.wire import dialect
 from delfim.vehicle import console
 from delfim.vehicle.control.hull import filled
 from delfim.vehicle.loop import VehicleLoop

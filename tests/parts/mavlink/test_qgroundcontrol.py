@@ -10,8 +10,8 @@ from typing import Any, NamedTuple
 import pytest
 
 from delfim.base.modes import Mode
-from delfim.parts.mavlink import params
-from delfim.parts.mavlink.wire import dialect
+from delfim.parts.mavlink.codec import params
+from delfim.parts.mavlink.codec.wire import dialect
 from tests.parts.mavlink.mavlink_console import Console, newest
 from tests.parts.mavlink.test_mavlink_station import afloat, sail
 

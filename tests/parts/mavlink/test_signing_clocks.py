@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
 
 from delfim.base.clock import MADE_NS, ManualClock
-from delfim.parts.mavlink import wire
-from delfim.parts.mavlink.signing import (
+from delfim.parts.mavlink.codec import wire
+from delfim.parts.mavlink.codec.signing import (
     EPOCH_NS,
     OFF_S,
     PER_S,
@@ -22,7 +22,7 @@ from delfim.parts.mavlink.signing import (
     read_stamps,
     write_stamps,
 )
-from delfim.parts.mavlink.wire import dialect
+from delfim.parts.mavlink.codec.wire import dialect
 
 KEY = bytes(range(32))
 YEAR_S = 365.25 * 86_400.0

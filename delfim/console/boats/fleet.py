@@ -1,0 +1,387 @@
+"""All boats, and every message to them: the state of the console. No socket and no clock in here.
+
+The dead-man chain (docs/console.md): the page's input is passed on as it comes and never repeated; when none came for INPUT_S
+the boat gets zero once, and then nothing, so that its own time-out counts. A boat or page that comes back moves nothing,
+and neither does a console that slept: it refuses older messages of pages, but for stop.
+"""
+
+import math
+from collections.abc import Callable
+from contextlib import suppress
+from typing import Any, Final
+
+from delfim.base.clock import Clock
+from delfim.base.errors import FormatError, Refused
+from delfim.base.modes import Mode
+from delfim.console.boats.alarms import is_trouble
+from delfim.console.boats.boat import SILENT_S, Boat
+from delfim.console.boats.drivers import INPUT_S, Drivers
+from delfim.console.boats.item_transfer import REFUSED
+from delfim.console.boats.plan_transfer import SAID, Exchange, planned
+from delfim.console.boats.profiles import Profiles
+from delfim.console.boats.requests import HALTS, LIFE_S, NO_ANSWER, Answer, Requests, entered
+from delfim.console.boats.routes import Address, Ways, in_words
+from delfim.console.link.mavlink import BOAT_NAME, BOAT_RUN, SYSTEM, TROUBLES, Codec, Key, mavlink, ownorders
+
+HEARTBEAT_S: Final = 1.0
+TIMESYNC_S: Final = 5.0
+ASKS: Final = 12  # for a minute: requests for name, modes, profile and orders
+DEAF_S: Final = 1.0  # after a sleep messages of pages are refused for so long: a page must see that it was released
+BOATS_MAX: Final = 32
+SIGNED_MAX: Final = 199  # with a key nobody can invent boats: as many as there are numbers below those of consoles
+PEERS_MAX: Final = 64
+COMPLAIN_S: Final = 60.0
+AUTOPILOT: Final = mavlink.MAV_COMP_ID_AUTOPILOT1
+WARNING: Final = int(mavlink.MAV_SEVERITY_WARNING)
+REASON_S: Final = 0.5  # the refusal of a plan and its reason come in separate messages
+Tell = Callable[[dict[str, Any]], None]
+
+
+class Fleet:
+    """`transmit` sends bytes to an address; `tell` informs the pages."""
+
+    def __init__(
+        self, clock: Clock, transmit: Callable[[Address, bytes], None], tell: Tell, key: Key | None = None, me: int = SYSTEM
+    ) -> None:
+        self.me = me  # the number of this console
+        self.boats: dict[int, Boat] = {}
+        self._exchange = Exchange(self._send, tell)
+        self.missions = self._exchange.missions
+        self.record: Callable[[bytes], None] = lambda frame: None  # every valid frame received, and every frame sent
+        self.troubles: Callable[[int, int], None] = lambda number, bits: None  # that a boat tells
+        self._clock, self._transmit, self._tell, self._key = clock, transmit, tell, key
+        self._boats_max, self._peers_max = (BOATS_MAX, PEERS_MAX) if key is None else (SIGNED_MAX, 2 * SIGNED_MAX)
+        self._peers: dict[Address, Codec] = {}
+        self._ways = Ways()
+        self._requests = Requests(self._send, self._send_all)
+        self._drivers = Drivers(self._send, self._say)
+        self._ticked_s, self._deaf_until_s, self._slept_s = clock.monotonic_s(), -math.inf, 0.0
+        self._beat_s = self._complained_s = -math.inf
+        self._texts: dict[int, tuple[float, str]] = {}
+        self._profiles = Profiles(self._send)
+        self._homes = set[int]()  # boats that were asked where their way home ends
+
+    # Messages from the boats.
+
+    def receive(self, address: Address, data: bytes) -> None:
+        """Takes bytes of a link, as they come."""
+        codec = self._peers.pop(address, None)
+        if codec is None:
+            if len(self._peers) >= self._peers_max:
+                kept = set(self._ways.routes.values())
+                del self._peers[next((each for each in self._peers if each not in kept), next(iter(self._peers)))]
+            codec = Codec(self._key, stream=address_kind(address) == "serial", me=self.me)
+        self._peers[address] = codec  # last in order: the first one was silent for longest and gives way
+        for message in codec.decode(data):
+            self.record(bytes(message.get_msgbuf()))
+            self._take(address, message)
+        if codec.doubt:
+            self._complain(codec.doubt, self._clock.monotonic_s())
+            codec.doubt = ""
+
+    def _take(self, address: Address, message: Any) -> None:
+        number, now_s = message.get_srcSystem(), self._clock.monotonic_s()
+        if number == self.me:  # a boat may take one for the other
+            where = in_words(address)
+            words = f"a console on {where} has our number, {number}: start one of the two with another --number"
+            self._complain(words, now_s)
+        if message.get_srcComponent() != mavlink.MAV_COMP_ID_AUTOPILOT1 or number in (0, self.me):
+            return
+        if number not in self.boats:
+            if message.get_type() not in ("HEARTBEAT", "HIGH_LATENCY2") or not self._has_room(now_s):
+                return
+            self.boats[number] = Boat(number, now_s)
+            self._say(number, 6, "found")
+        boat = self.boats[number]
+        if not self._ways.hear(number, address, message, now_s):
+            return
+        boat.link = address_kind(address)
+        boat.receive(message, now_s, self._utc_s())
+        handler = _HANDLERS.get(message.get_type())
+        if handler is not None:
+            handler(self, boat, message, now_s)
+
+    def _has_room(self, now_s: float) -> bool:
+        """Whether one more boat fits. A silent boat that is unsigned and that the operator never used gives way to it."""
+        if len(self.boats) < self._boats_max:
+            return True
+        silent = [boat for boat in self.boats.values() if not (boat.used or boat.signed) and now_s - boat.heard_s > SILENT_S]
+        if not silent:
+            return False
+        self._drop(min(silent, key=lambda boat: boat.heard_s).number)
+        return True
+
+    def forget(self, number: int) -> None:
+        """Takes a silent boat out of the list, until it is heard again. Raises Refused."""
+        boat = self._boat(number)
+        if self._clock.monotonic_s() - boat.heard_s <= SILENT_S or self._requests.wait_for(number):
+            raise Refused(f"{boat.name} is heard, or a command to it is under way")
+        self._drop(number)
+
+    def _drop(self, number: int) -> None:
+        del self.boats[number]
+        self._ways.forget(number)
+        self._exchange.forget(number)
+        self._drivers.end(number)
+        self._profiles.forget(number)
+        self._homes.discard(number)
+        self._texts.pop(number, None)
+
+    def _complain(self, words: str, now_s: float) -> None:
+        """Warns of what is wrong on the link, on the pages."""
+        if now_s - self._complained_s > COMPLAIN_S:
+            self._complained_s = now_s
+            self._tell({"t": "text", "boat": None, "severity": 2, "text": words, "at_s": self._utc_s(), "alarm": "console"})
+
+    def _say(self, number: int, severity: int, text: str, alarm: str = "") -> None:
+        """Shows a message about a boat on the pages. `alarm`: whose it is, the boat's or the console's, where it may be one."""
+        told = {"t": "text", "boat": number, "severity": severity, "text": text, "at_s": self._utc_s()}
+        self._tell(told | {"alarm": alarm} if alarm and severity <= WARNING else told)
+
+    def _on_ack(self, boat: Boat, message: Any, now_s: float) -> None:
+        if message.result != mavlink.MAV_RESULT_IN_PROGRESS:
+            accepted = message.result == mavlink.MAV_RESULT_ACCEPTED
+            self._requests.acknowledged(boat.number, message.command, accepted, message.get_seq())
+
+    def _on_own(self, boat: Boat, message: Any, now_s: float) -> None:
+        """The answer to an order in the boat's own words, or an order that it offers."""
+        if message.message_type == ownorders.ANSWER and message.target_system == self.me:
+            number, refused = ownorders.numbered(message)
+            self._requests.answered(boat.number, number, refused.decode("ascii", "replace"))
+        elif message.message_type == ownorders.OFFER:
+            with suppress(FormatError):
+                boat.learn_offer(*ownorders.offered(message))
+
+    def _said(self, number: int) -> str:
+        """What the boat said just now; empty: nothing."""
+        said_s, text = self._texts.get(number, (-math.inf, ""))
+        return text if self._clock.monotonic_s() - said_s < REASON_S else ""
+
+    def _on_heartbeat(self, boat: Boat, message: Any, now_s: float) -> None:
+        if self._ways.are_idle(boat.number, now_s):
+            self._requests.idle(boat.number, message.get_seq())
+
+    def _on_text(self, boat: Boat, message: Any, now_s: float) -> None:
+        text = boat.words.hear(message)
+        if text is None:
+            return
+        boat.reason, boat.reason_s = text, now_s
+        if boat.failsafe.partition(" for ")[0] == text.partition(" for ")[0]:  # the same trouble, as long as it is now
+            boat.failsafe = text
+        self._texts[boat.number] = now_s, text
+        if text.partition(": ")[0] in boat.modes.values():
+            boat.forced = text if message.severity <= mavlink.MAV_SEVERITY_ALERT else ""
+        text = text.replace(f"console {self.me} commands", "this console commands")
+        self._say(boat.number, message.severity, text, alarm="boat" if is_trouble(message.severity, text) else "")
+        if message.severity <= mavlink.MAV_SEVERITY_WARNING:
+            boat.warning = text
+
+    def _on_param(self, boat: Boat, message: Any, now_s: float) -> None:
+        self._profiles.hear(boat, message)
+
+    def _on_name(self, boat: Boat, message: Any, now_s: float) -> None:
+        if message.param_id == BOAT_NAME and boat.before:
+            self.missions.get(boat.number, {}).pop("aboard", None)
+            self._say(boat.number, 4, f"number {boat.number} is now {boat.name}: it was {boat.before}", "console")
+
+    def _on_sync(self, boat: Boat, message: Any, now_s: float) -> None:
+        if message.tc1:
+            boat.rtt_ms = round(now_s * 1e3 - message.ts1 / 1e6, 1)
+
+    def _on_home(self, boat: Boat, message: Any, now_s: float) -> None:
+        if boat.number in self._homes:
+            self._homes.discard(boat.number)
+            way = boat.heard_track.way_home(message.latitude / 1e7, message.longitude / 1e7)
+            self._tell({"t": "way_home", "boat": boat.number, **way})
+
+    def _on_mission(self, boat: Boat, message: Any, now_s: float) -> None:
+        self._exchange.receive(boat, message, now_s)
+
+    # Timed work.
+
+    def tick(self) -> None:
+        """Due ten times a second or more."""
+        now_s = self._clock.monotonic_s()
+        if now_s - self._ticked_s > INPUT_S:  # messages of pages are old by now, and the pages must know
+            self._slept_s, self._deaf_until_s = now_s - self._ticked_s, now_s + DEAF_S
+            self.release_all("the console's computer slept")
+        self._ticked_s = now_s
+        if now_s - self._beat_s >= HEARTBEAT_S:
+            self._beat_s = now_s
+            for number in self.boats:
+                words = mavlink.MAV_TYPE_GCS, mavlink.MAV_AUTOPILOT_INVALID, 0, 0, mavlink.MAV_STATE_ACTIVE
+                self._send(number, mavlink.MAVLink_heartbeat_message(*words, 3))
+        for boat in self.boats.values():
+            if now_s - boat.synced_s >= TIMESYNC_S:
+                boat.synced_s = now_s
+                self._send(boat.number, mavlink.MAVLink_timesync_message(0, round(now_s * 1e9)))
+                self._ask_once(boat)
+            self._exchange.read(boat, now_s)
+            self._look_for_twins(boat, now_s)
+        for number, address in self._ways.to_ask(now_s):
+            self._put(address, mavlink.MAVLink_param_ext_request_read_message(number, AUTOPILOT, BOAT_RUN.encode(), -1))
+        for number in self._drivers.late(now_s):
+            self.release(number, "no input from the page")
+        self._requests.tick(now_s)
+        self._profiles.tick(now_s)
+        self._exchange.tick(now_s)
+
+    def _look_for_twins(self, boat: Boat, now_s: float) -> None:
+        twins = [in_words(each) for each in self._ways.twins(boat.number, now_s)]
+        if twins and sorted(twins) != sorted(boat.twins):
+            words = f"{len(twins)} boats have the number {boat.number}: {' and '.join(twins)}; STOP goes to all of them"
+            self._say(boat.number, 1, words, "console")
+        boat.twins = twins
+
+    def _ask_once(self, boat: Boat) -> None:
+        """Asks for name, profile, modes and orders until they are known, up to ASKS times."""
+        boat.asks += 1
+        if boat.asks > ASKS:
+            return
+        to = boat.number, AUTOPILOT
+        if not boat.profile:
+            self._profiles.ask(boat.number)
+        if not boat.is_named:
+            self._send(boat.number, mavlink.MAVLink_param_ext_request_read_message(*to, BOAT_NAME.encode(), -1))
+        modes = mavlink.MAVLINK_MSG_ID_AVAILABLE_MODES, boat.has_told_modes
+        for listed, is_known in (modes, (ownorders.EXTENSION, boat.has_told_orders)):
+            if not is_known:
+                every = listed, *(0.0,) * 6
+                self._send(boat.number, mavlink.MAVLink_command_long_message(*to, mavlink.MAV_CMD_REQUEST_MESSAGE, 0, *every))
+
+    def snapshot(self) -> list[dict[str, Any]]:
+        """All boats for the page, in order of their numbers."""
+        now_s = self._clock.monotonic_s()
+        return [
+            boat.snapshot(now_s)
+            | {"owner": boat.commander in (0, self.me), "driver": self._drivers.page_of(number)}
+            | planned(boat, self.missions.get(number, {}))
+            for number, boat in sorted(self.boats.items())
+        ]
+
+    # Requests of the operator.
+
+    def command(self, number: int, word: str, words: dict[str, Any], answer: Answer, page: int = 0) -> None:
+        """Sends a command of this page. Raises Refused if it cannot be sent; otherwise calls `answer` once, with the boat's
+        answer or at the end of the wait."""
+        boat, now_s = self._use(number), self._clock.monotonic_s()
+        mode = entered(word, words)
+        if mode == "idle" and word not in HALTS:
+            word, words = "stop", {}
+        if self._asleep_s(now_s) > LIFE_S and word not in HALTS:
+            raise Refused("the console's computer slept: give the command again")
+        if word == "profile":
+            self._profiles.choose(number, words["profile"], answer, now_s)
+            return
+
+        def answered(well: bool, why: str) -> None:
+            if not well and mode and (boat.asked, boat.asked_s) == (mode, now_s):  # nothing newer was asked for
+                boat.asked = None
+            if why == NO_ANSWER and word not in HALTS and not boat.has_told_orders:
+                why = f"{why}; its program may be older than this console: it takes stop and kill alone"
+            answer(well, why)
+
+        self._requests.begin(number, word, words, answered, now_s)
+        if mode == Mode.MANUAL.name.lower():
+            self._drivers.begin(boat, page)
+        else:
+            self._drivers.end(number)
+        if mode:
+            boat.asked, boat.asked_s = mode, now_s
+        boat.released = False
+
+    def input(self, number: int, count: int, port_pct: float, starboard_pct: float, page: int = 0) -> None:
+        """Sends thrust that this page gives to a boat in manual at once, if no other page drives it."""
+        boat, now_s = self._use(number), self._clock.monotonic_s()
+        if self._asleep_s(now_s) <= INPUT_S:
+            self._drivers.input(boat, page, count, port_pct, starboard_pct, now_s)
+
+    def _asleep_s(self, now_s: float) -> float:
+        """How long this computer slept, if it has just woken up: a page's message may be that old."""
+        return self._slept_s if now_s < self._deaf_until_s else now_s - self._ticked_s
+
+    def release(self, number: int, why: str, page: int | None = None) -> None:
+        """Ends thrust by hand, if it is this page's (None: anyone's): zero once, then silence."""
+        if number in self.boats and page in (None, self._drivers.page_of(number)):
+            self._drivers.release(self.boats[number], why)
+
+    def release_all(self, why: str, page: int | None = None) -> None:
+        for number in self._drivers.driven():
+            self.release(number, why, page)
+
+    def put(self, number: int, mission: dict[str, Any]) -> None:
+        """Takes the plan on the screen for a boat. Raises FormatError, Refused."""
+        boat = self._boat(number)
+        self._exchange.put(number, mission)
+        boat.used = True
+
+    def upload(self, number: int, answer: Answer) -> None:
+        """Sends the plan on the screen to the boat, and reads it back; a boat that refuses it has said why. Raises Refused."""
+
+        def ended(well: bool, why: str) -> None:
+            answer(well, (self._said(number) if why.startswith(REFUSED) else "") or why)
+
+        self._exchange.upload(self._boat(number), ended)
+
+    def download(self, number: int, answer: Answer) -> None:
+        """Reads the mission aboard. Raises Refused."""
+        self._exchange.download(self._boat(number), answer)
+
+    def ask_home(self, number: int) -> None:
+        """Asks where the boat's way home ends; the pages are told the way when it answers. Raises Refused."""
+        self._homes.add(self._boat(number).number)
+        where = mavlink.MAVLINK_MSG_ID_HOME_POSITION, *(0.0,) * 6
+        self._send(number, mavlink.MAVLink_command_long_message(number, AUTOPILOT, mavlink.MAV_CMD_REQUEST_MESSAGE, 0, *where))
+
+    def progress(self) -> list[dict[str, Any]]:
+        """The progress of mission transfers."""
+        return self._exchange.progress()
+
+    def _use(self, number: int) -> Boat:
+        """The boat, marked as used by the operator. Raises Refused."""
+        boat = self._boat(number)
+        boat.used = True
+        return boat
+
+    def _boat(self, number: int) -> Boat:
+        if number not in self.boats:
+            raise Refused(f"no boat {number}")
+        return self.boats[number]
+
+    def _send(self, number: int, message: Any) -> None:
+        if number in self._ways.routes:
+            self._put(self._ways.routes[number], message)
+
+    def _send_all(self, number: int, message: Any) -> None:
+        """Sends also to other boats that use this number."""
+        for address in self._ways.to_stop(number, self._clock.monotonic_s()):
+            self._put(address, message)
+
+    def _put(self, address: Address, message: Any) -> None:
+        codec = self._peers.get(address)
+        if codec is not None:
+            data = codec.encode(message)
+            self.record(data)
+            self._transmit(address, data)
+
+    def _utc_s(self) -> float:
+        return round(self._clock.time_ns() / 1e9, 3)
+
+
+def address_kind(address: Address) -> str:
+    """The kind of a link: the first word of its addresses."""
+    return address[0] if isinstance(address, tuple) else "udp"
+
+
+_HANDLERS: Final[dict[str, Callable[[Fleet, Boat, Any, float], None]]] = {
+    "HEARTBEAT": Fleet._on_heartbeat,
+    "COMMAND_ACK": Fleet._on_ack,
+    "V2_EXTENSION": Fleet._on_own,
+    "STATUSTEXT": Fleet._on_text,
+    "PARAM_VALUE": Fleet._on_param,
+    "PARAM_EXT_VALUE": Fleet._on_name,
+    "TIMESYNC": Fleet._on_sync,
+    "HOME_POSITION": Fleet._on_home,
+    "NAMED_VALUE_INT": lambda fleet, boat, m, _: fleet.troubles(boat.number, m.value) if m.name == TROUBLES else None,
+    **dict.fromkeys(SAID, Fleet._on_mission),
+}

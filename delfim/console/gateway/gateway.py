@@ -1,0 +1,397 @@
+"""The gateway between the boats and the page, one process on the operator's computer: informs pages, answers their requests.
+
+The messages of the WebSocket stand in docs/console.md. Every decision about a boat is in `Fleet`.
+"""
+
+import asyncio
+import json
+import math
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
+from functools import partial
+from pathlib import Path
+from typing import Any, Final
+
+import msgspec
+from aiohttp import WSMsgType, web
+
+from delfim import __version__
+from delfim.base.clock import Clock
+from delfim.base.errors import DelfimError, Refused
+from delfim.console.boats.fleet import Fleet
+from delfim.console.boats.othervessels import around
+from delfim.console.charts.charts import Charts
+from delfim.console.gateway import foxglove, page_messages
+from delfim.console.gateway.admission import Admission, own_number
+from delfim.console.gateway.onwatch import WatchKeeper
+from delfim.console.gateway.plan_tools import Desk
+from delfim.console.gateway.watchlog import table
+from delfim.console.link.mavlink import Key
+from delfim.console.link.radio import radio
+from delfim.console.link.session import Session
+from delfim.console.link.udp import Udp
+from delfim.console.tapes.replay import TapePlayer
+from delfim.console.tapes.tape import Tape
+from delfim.parts.fleet.broker import DOWN, BrokerLine
+
+PAGE: Final = Path(__file__).parents[1] / "page"
+SHOW_TICKS: Final = 2  # ten times a second, for up to ...
+SHOWN: Final = 32  # ... this many boats; for more of them less often, so that a page gets as many states a second
+VESSEL_TICKS: Final = 20  # once a second
+CHUNK: Final = 500  # points of a track in one message
+BACKLOG_BYTES: Final = 1 << 20  # a page that is so far behind misses older states
+PAGES_MAX: Final = 8
+QUEUE_MAX: Final = 1000  # messages to one of them
+MESSAGE_BYTES: Final = 1 << 20
+
+
+def encoded(message: Any) -> str:
+    """JSON, with null for numbers that are not finite: browsers take no others."""
+    return msgspec.json.encode(message).decode()
+
+
+class Page:
+    """One browser. Messages beyond BACKLOG_BYTES are left out, but for answers."""
+
+    def __init__(self, link: web.WebSocketResponse, request: web.Request, number: int) -> None:
+        self._link, self._request, self.number = link, request, number
+        self.queue: asyncio.Queue[str | None] = asyncio.Queue(maxsize=QUEUE_MAX + 1)  # None: the end
+
+    @property
+    def who(self) -> str:
+        return f"page {self.number} at {self._request.remote}"
+
+    def tell(self, message: dict[str, Any]) -> None:
+        transport = self._request.transport
+        behind = transport is None or transport.get_write_buffer_size() > BACKLOG_BYTES
+        if self.queue.qsize() >= QUEUE_MAX or (behind and message["t"] in ("boats", "vessels", "progress")):
+            return
+        self.queue.put_nowait(encoded(message))
+
+    def end(self) -> None:
+        self.queue.put_nowait(None)
+
+    async def write(self) -> None:
+        """Sends until the connection ends."""
+        with suppress(ConnectionError):
+            while (text := await self.queue.get()) is not None:
+                await self._link.send_str(text)
+
+
+class Gateway:
+    """Serves the pages."""
+
+    def __init__(
+        self,
+        clock: Clock,
+        missions: Path,
+        key: Key | None = None,
+        token: str = "",
+        vehicle: Path | None = None,
+        *,
+        charts: Path | None = None,
+        radios: Sequence[str] = (),
+        sessions: Path | None = None,
+        tapes: Sequence[Tape] = (),
+        number: int | None = None,
+    ) -> None:
+        self.udp = Udp(self._receive)
+        self.radios = {each.device: each for each in (radio(words, self._receive) for words in radios)}
+        self.session = Session(sessions, clock) if sessions is not None and not tapes else None
+        self.charts = Charts(charts)
+        admission = Admission(token)
+        self.token = admission.token
+        self.me = number or own_number(self.token)
+        self._clock, self._pages = clock, set[Page]()
+        self.viewers: list[Callable[[dict[str, Any]], None]] = []  # other programs that hear what pages hear
+        self.fleet: Fleet | TapePlayer
+        self.watch = WatchKeeper(self._broadcast, self._utc_s, self._name)
+        if tapes:
+            self.fleet = TapePlayer(tapes, clock, self.tell)
+            self.fleet.moved = self._show_jump
+        else:
+            self.fleet = Fleet(clock, self._transmit, self.tell, key, self.me)
+            if self.session is not None:
+                self.fleet.record = self.session.put
+            self.fleet.troubles = self.watch.alarms.troubles
+        self.broker: BrokerLine | None = None
+        self._complaints: dict[str, str] = {}  # the last complaint about each link and file, to say it once
+        self.heard_on: list[str] = [*self.radios]  # addresses and radios, for the page
+        self._desk = Desk(self.fleet, missions, vehicle, self.charts)
+        self._ticks = self._opened = 0
+        self.app = web.Application(middlewares=[admission.admit], client_max_size=MESSAGE_BYTES)
+        self.app.router.add_get("/", self._index)
+        self.app.router.add_get("/ws", self._socket)
+        self.app.router.add_get("/api/boats", self._boats)
+        self.app.router.add_get("/foxglove.json", self._layout)
+        self.app.router.add_get("/watch.csv", self._table)
+        self.charts.routes(self.app)
+        if PAGE.is_dir():
+            self.app.router.add_static("/", PAGE)
+
+    def close(self) -> None:
+        """Called after the last tick."""
+        for each in self.radios.values():
+            each.close()
+        if self.session is not None:
+            self.session.flush()
+            self._keep()
+        self.charts.close()
+
+    def tell(self, message: dict[str, Any]) -> None:
+        """Sends to every page and viewer; a text is kept in the log of the watch."""
+        self._broadcast(message)
+        if message["t"] == "text" and not isinstance(self.fleet, TapePlayer):
+            self.watch.hear(message)
+
+    def _broadcast(self, message: dict[str, Any]) -> None:
+        for page in self._pages:
+            page.tell(message)
+        for view in self.viewers:
+            view(message)
+
+    def _name(self, number: int) -> str:
+        return self.fleet.boats[number].name if number in self.fleet.boats else ""
+
+    def tick(self) -> None:
+        self.fleet.tick()
+        if isinstance(self.fleet, Fleet):
+            self.watch.tick(self.fleet.boats.values(), self._clock.monotonic_s())
+        if self.session is not None:
+            if self.session.tick():
+                self._keep()
+            self._complain("recording of the session", self.session.reason)
+            self._complain("log of the watch", self.watch.log.reason)
+        for name, each in self.radios.items():
+            self._complain(name, each.reason)
+        if self.broker is not None:
+            self._complain("the broker", self.broker.reason)
+        self._ticks += 1
+        if (self._pages or self.viewers) and self._ticks % (SHOW_TICKS * math.ceil(len(self.fleet.boats) / SHOWN or 1)) == 0:
+            self.tell({"t": "boats", "at_s": self._utc_s(), "boats": self.fleet.snapshot()})
+            for progress in self.fleet.progress():
+                self.tell(progress)
+        if (self._pages or self.viewers) and self._ticks % self._vessel_ticks() == 0:
+            self.tell(self._vessels())
+
+    def _keep(self) -> None:
+        """Writes the log of the watch beside the frames."""
+        if self.session is not None and self.session.file is not None:
+            self.watch.log.write(self.session.file.with_suffix(".csv"))
+
+    def _complain(self, name: str, reason: str) -> None:
+        """Tells the pages once for each reason."""
+        before = self._complaints.get(name, "")
+        if reason == before:
+            return
+        self._complaints[name] = reason
+        well = self._text(f"{name}: works again", 6)
+        self.tell(self._text(f"{name}: {reason}") | {"alarm": "console"} if reason else well)
+        for words, is_so in ((before, False), (reason, True)):
+            if words:
+                self.watch.alarms.hold(None, 4, f"{name}: {words}", self._utc_s(), is_so)
+
+    def _text(self, words: str, severity: int = 4) -> dict[str, Any]:
+        """Words of the console itself."""
+        return {"t": "text", "boat": None, "severity": severity, "text": words, "at_s": self._utc_s()}
+
+    def _receive(self, address: Any, data: bytes) -> None:
+        self.fleet.receive(address, data)
+
+    def hear_of(self, topic: str, data: bytes) -> None:
+        """Frames at the broker, of the boat that the topic names."""
+        self.fleet.receive(("broker", topic.split("/")[1]), data)
+
+    def _transmit(self, address: Any, data: bytes) -> None:
+        if address[0] == "serial":
+            self.radios[address[1]].send(data)
+        elif address[0] == "broker":
+            assert self.broker is not None
+            self.broker.put(self.broker.place.topic(address[1], DOWN), data)
+        else:
+            self.udp.send(address, data)
+
+    async def _index(self, request: web.Request) -> web.StreamResponse:
+        if not (PAGE / "index.html").exists():
+            raise web.HTTPNotFound(text="the page was not built: make page\n")
+        return web.FileResponse(PAGE / "index.html", headers={"Cache-Control": "no-cache"})
+
+    async def _boats(self, request: web.Request) -> web.Response:
+        return web.json_response(self.fleet.snapshot(), dumps=encoded)
+
+    async def _layout(self, request: web.Request) -> web.Response:
+        """A layout of Foxglove for the boats that are known now, as a file to import."""
+        boats = [boat["name"] for boat in self.fleet.snapshot()]
+        return web.json_response(foxglove.layout(boats), headers={"Content-Disposition": "attachment"})
+
+    async def _table(self, request: web.Request) -> web.Response:
+        """The log of the watch as a table."""
+        named = {"Content-Disposition": 'attachment; filename="watch.csv"'}
+        return web.Response(text=table(self.watch.log.lines), content_type="text/csv", headers=named)
+
+    async def _socket(self, request: web.Request) -> web.WebSocketResponse:
+        if len(self._pages) >= PAGES_MAX:
+            raise web.HTTPServiceUnavailable(text="too many pages are open: close one\n")
+        link = web.WebSocketResponse(heartbeat=5.0, max_msg_size=MESSAGE_BYTES)
+        await link.prepare(request)
+        self._opened += 1
+        page = Page(link, request, self._opened)
+        self._greet(page)
+        self._pages.add(page)
+        self.watch.note(None, page.who, "page", "opened")
+        try:
+            await asyncio.gather(self._listen(page, link), page.write())
+        finally:
+            self._pages.discard(page)
+            self.watch.note(None, page.who, "page", "closed")
+            self.fleet.release_all("the page was closed", page.number)
+        return link
+
+    async def _listen(self, page: Page, link: web.WebSocketResponse) -> None:
+        try:
+            async for message in link:
+                if message.type is WSMsgType.TEXT:
+                    self._hear(page, message.data)
+        finally:
+            page.end()
+
+    def _greet(self, page: Page) -> None:
+        fleet = self.fleet
+        page.tell(
+            {
+                "t": "hello",
+                "version": __version__,
+                "me": self.me,
+                "page": page.number,
+                "backgrounds": self.charts.backgrounds,
+                "charts": self.charts.folder,
+                "boats": fleet.snapshot(),
+                "heard_on": self.heard_on,
+                "replay": _time_line(fleet) if isinstance(fleet, TapePlayer) else None,
+            }
+        )
+        for fault in (*self.charts.faults, *(f"{name}: {reason}" for name, reason in self._complaints.items() if reason)):
+            page.tell(self._text(fault))
+        self.watch.greet(page.tell)
+        page.tell(self._vessels())
+        self._show_tracks(page)
+        if isinstance(fleet, TapePlayer):
+            for number, track in fleet.tracks().items():
+                for points in _chunks(track):
+                    page.tell({"t": "whole_track", "boat": number, "points": points})
+            for number, graphs in fleet.graphs().items():
+                page.tell({"t": "graphs", "boat": number, "graphs": graphs})
+        for number, missions in fleet.missions.items():
+            for where, mission in missions.items():
+                page.tell({"t": "mission", "boat": number, "where": where, "mission": mission})
+
+    def _vessels(self) -> dict[str, Any]:
+        """Other vessels."""
+        fleet = self.fleet
+        now_s = fleet.at_s if isinstance(fleet, TapePlayer) else self._clock.monotonic_s()
+        return {"t": "vessels", "at_s": self._utc_s(), **around(list(fleet.boats.values()), now_s)}
+
+    def _vessel_ticks(self) -> int:
+        """Between two times that the pages are told of other vessels: in a fast replay they are not left behind."""
+        rate = self.fleet.rate if isinstance(self.fleet, TapePlayer) else 1.0
+        return max(round(VESSEL_TICKS / max(rate, 1.0)), SHOW_TICKS)
+
+    def _show_jump(self) -> None:
+        """The time of a replay has jumped: all tracks now, and with the next tick boats and vessels."""
+        for page in self._pages:
+            self._show_tracks(page)
+        self._ticks = -1
+
+    def _show_tracks(self, page: Page) -> None:
+        for number, boat in self.fleet.boats.items():
+            for at, points in enumerate(_chunks(list(boat.track))):
+                page.tell({"t": "track", "boat": number, "start": at == 0, "points": points})
+
+    def _hear(self, page: Page, text: str) -> None:
+        """Takes a message of a page, and answers a wrong one with the reason."""
+        sequence: Any = None
+        try:
+            asked = json.loads(text)  # it accepts infinity, so that the message's number is found all the same
+            sequence = asked.get("seq") if isinstance(asked, dict) else None
+            self._ask(page, msgspec.convert(asked, page_messages.Message), asked, partial(_answer, page, sequence))
+        except DelfimError as error:
+            _answer(page, sequence, False, str(error))
+        except (msgspec.MsgspecError, ValueError, TypeError, KeyError, RecursionError) as error:
+            _answer(page, sequence, False, f"not understood: {error}")
+
+    def _ask(
+        self, page: Page, asked: page_messages.Message, words: dict[str, Any], answer: Callable[[bool, str], None]
+    ) -> None:
+        fleet = self.fleet
+        answer = self.watch.ordered(page.who, asked, words, answer)
+        match asked:
+            case page_messages.Input(boat=number):
+                fleet.input(number, asked.n, asked.port_pct, asked.starboard_pct, page.number)
+            case page_messages.Release(boat=number, why=why):
+                fleet.release(number, why[:80], page.number)
+            case page_messages.Command(boat="all"):
+                if asked.command != "stop":
+                    raise Refused("only stop can be given to all boats")
+                self._stop_all(answer)
+            case page_messages.Command(boat=int(number)):
+                if asked.command == "stop":
+                    fleet.release(number, "stop")
+                numbers = {name: value for name, value in words.items() if name not in page_messages.NO_NUMBERS}
+                fleet.command(number, asked.command, numbers, answer, page.number)
+            case page_messages.Profile(boat=number, profile=profile):
+                fleet.command(number, "profile", {"profile": profile}, answer)
+            case page_messages.Forget(boat=number):
+                fleet.forget(number)
+                self.watch.alarms.forget(number)
+                self.tell({"t": "forgotten", "boat": number})
+                answer(True, "")
+            case page_messages.Home(boat=number):
+                fleet.ask_home(number)
+                answer(True, "")
+            case page_messages.Acknowledge(ids=ids):
+                self.watch.acknowledge(page.who, ids)
+                answer(True, "")
+            case page_messages.Replay():
+                if not isinstance(fleet, TapePlayer):
+                    raise Refused("nothing is being replayed")
+                fleet.steer(asked.at_s, asked.rate)
+                answer(True, "")
+            case page_messages.Mission():
+                self._desk.ask(asked, words.get("mission"), page.tell, answer)
+
+    def _stop_all(self, answer: Callable[[bool, str], None]) -> None:
+        """Answers when all boats have stopped, or one has failed to."""
+        fleet = self.fleet
+        fleet.release_all("stop")
+        waiting, names = set(fleet.boats), {number: boat.name for number, boat in fleet.boats.items()}
+
+        def stopped(number: int, well: bool, why: str) -> None:
+            waiting.discard(number)
+            if not well:
+                answer(False, f"{names[number]}: {why}")
+            elif not waiting:
+                answer(True, "")
+
+        for number in sorted(waiting):
+            fleet.command(number, "stop", {}, partial(stopped, number))
+        if not fleet.boats:
+            answer(False, "no boat has been heard")
+
+    def _utc_s(self) -> float:
+        """The time that pages show."""
+        return round(self.fleet.at_s if isinstance(self.fleet, TapePlayer) else self._clock.time_ns() / 1e9, 3)
+
+
+def _answer(page: Page, sequence: Any, well: bool, reason: str) -> None:
+    if sequence is not None:
+        page.tell({"t": "answer", "seq": sequence, "ok": well, "reason": reason})
+
+
+def _time_line(replay: TapePlayer) -> dict[str, Any]:
+    return {"from_s": replay.from_s, "to_s": replay.to_s, "events": replay.events()}
+
+
+def _chunks(points: list[tuple[float, float, float]]) -> Iterator[list[tuple[float, float, float]]]:
+    """A track in chunks; one at least."""
+    for at in range(0, max(len(points), 1), CHUNK):
+        yield points[at : at + CHUNK]

@@ -1,0 +1,1 @@
+"""Plans: as the page has them, checked, tried, kept in files."""

@@ -1,0 +1,1 @@
+"""Recordings on the console: sessions and logs of boats, played again."""

@@ -1,0 +1,1 @@
+"""What the messages say, for both ends of the console's link."""

@@ -1,0 +1,1 @@
+"""What consoles say to the boat, and its answers."""
