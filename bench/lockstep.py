@@ -13,6 +13,7 @@ from typing import Final
 from delfim import config
 from delfim.base.errors import ConfigError, DelfimError
 from delfim.simulator.lockstep import Lockstep
+from delfim.simulator.tables import Simulation
 from delfim.vehicle.log.logbook import Logbook
 from delfim.vehicle.plans.mission import canonical, load_mission
 
@@ -24,9 +25,9 @@ CONTRACT: Final = 1000.0  # times real time
 def run(asked: argparse.Namespace) -> int:
     """The command. Returns 0 when it was measured, whatever came out."""
     settings = config.load(asked.file, asked.set)
-    if not settings.simulation.mission:
+    if not settings.of(Simulation).mission:
         raise ConfigError(asked.file, "simulation.mission", "missing: there is nothing to sail")
-    mission = canonical(load_mission(str(Path(asked.file).parent / settings.simulation.mission)))
+    mission = canonical(load_mission(str(Path(asked.file).parent / settings.of(Simulation).mission)))
     cpus = os.sched_getaffinity(0)
     os.sched_setaffinity(0, {min(cpus)})
     try:

@@ -6,7 +6,7 @@ part (`parts.py`) that the file names has its keys beside these: `whole` adds th
 
 import math
 from collections.abc import Iterator, Sequence
-from ipaddress import IPv4Address, IPv4Interface, ip_network
+from ipaddress import ip_network
 from itertools import combinations, pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Final, Literal, cast, get_args, get_type_hints
@@ -17,27 +17,20 @@ from delfim.base import parts
 from delfim.base.errors import ConfigError
 from delfim.base.geodesy import polygon_fault
 from delfim.base.modes import Mode
-from delfim.base.parts import OWN, OWN_NODES, Drives, Part, named, of_kind, table_of
+from delfim.base.parts import OWN, OWN_NODES, TABLED, Drives, Part, named, of_kind, table_of
 from delfim.base.ranges import (
-    PORT,
     BatteryVoltage,
-    Baud,
     BitRate,
     Degrees,
-    DeviceName,
     DsorNode,
     Endpoint,
     Fraction,
     Interface,
-    LinuxInterface,
-    Listeners,
     Megabytes,
     Metres,
     Moment,
-    MountPoint,
     Name,
     Network,
-    Ports,
     Seconds,
     Speed,
     is_loopback,
@@ -97,24 +90,6 @@ Position = tuple[Annotated[float, msgspec.Meta(ge=-89.0, le=89.0)], Annotated[fl
 CORNERS, ZONES, AREAS = 100, 100, 20  # of a polygon, to keep out of, and to keep in, at most
 Ring = Annotated[tuple[Position, ...], msgspec.Meta(max_length=CORNERS)]  # corners of a polygon, degrees north and east
 ValueName = Annotated[str, text("[a-z][a-z0-9_]{0,31}", "the name of a value, as depth_m")]
-Password = Annotated[  # hashed; a log shows a hash that no password has
-    str,
-    text("scrypt:[A-Za-z0-9+/=]+:[A-Za-z0-9+/=]+", "the output of `delfim password`", shown="scrypt:hidden:hidden"),
-]
-Identifiers = Annotated[  # one or a range; three digits are a standard identifier, eight an extended one
-    str,
-    text(
-        "([0-7][0-9A-Fa-f]{2}(-[0-7][0-9A-Fa-f]{2})?|[01][0-9A-Fa-f]{7}(-[01][0-9A-Fa-f]{7})?)",
-        "three or eight hexadecimal digits, or two such with - between them",
-    ),
-]
-PublicKey = Annotated[str, text(r"ssh-ed25519 [A-Za-z0-9+/]+=*( [^\n]*)?\n?", "ssh-ed25519 KEY, as in a .pub file")]
-Carrier = Annotated[str, text("(none|dcd|file:/[^ ]+)", "none, dcd, or file:/PATH")]
-InstrumentRate = Annotated[float, msgspec.Meta(ge=0.0, le=50.0)]
-INSTRUMENTS = ("receiver", "compass", "gyro", "sounder", "wind", "ais")
-InstrumentName = Annotated[
-    str, text(rf"[A-Za-z][A-Za-z0-9_-]{{0,31}}:({'|'.join(INSTRUMENTS)})", f"PORT:INSTRUMENT, one of {', '.join(INSTRUMENTS)}")
-]
 
 
 class BoatTable(Table, frozen=True):
@@ -756,175 +731,6 @@ class GuestTable(Table, frozen=True):
             raise ValueError("a guest on another computer needs a key; make one with: delfim console --keygen FILE")
 
 
-class Cantcpd(Table, frozen=True):
-    """CAN over TCP, the socketcand protocol. It has no passwords: addresses decide who may watch and who may transmit."""
-
-    listen: Listeners = ("127.0.0.1:29536",)  # addresses and ports
-    slcan: Ports = ()  # addresses and ports that serve the first bus in slcan
-    buses: tuple[Interface, ...] = ()  # that clients can open, by name or its part after the last colon; empty: the boat's
-    watch: tuple[Network, ...] = ("127.0.0.0/8", "::1/128")  # networks that may connect
-    transmit: tuple[Network, ...] = ()  # the networks, among these, that may also send frames: no password keeps others out
-    barred: tuple[Identifiers, ...] = ("040-043", "0A0", "0C0", "0C8")  # nobody sends these: to actuators, reset, time, off
-    clients: Annotated[int, msgspec.Meta(ge=1, le=64)] = 16  # connections at once; beyond, the oldest without a bus is closed
-    clients_per_address: Annotated[int, msgspec.Meta(ge=1, le=64)] = 8  # likewise, from one address
-    queue_bytes: Annotated[int, msgspec.Meta(ge=8192, le=16 << 20)] = 1 << 18  # of one client; if full, the oldest frames go
-    stall_s: Seconds = 30.0  # a client that reads and sends nothing, or opens no bus, for this long is closed
-    beacon: tuple[LinuxInterface, ...] = ()  # LANs on which the buses are announced (UDP port 42000); never a radio link
-
-    def __post_init__(self) -> None:
-        for network in (*self.watch, *self.transmit):
-            ip_network(network)
-
-
-class CanipPeer(Table, frozen=True):
-    """A node of the bus that has an address."""
-
-    address: str  # IPv4
-    node: DsorNode  # on the bus
-
-    def __post_init__(self) -> None:
-        IPv4Address(self.address)
-
-
-class Canip(Table, frozen=True):
-    """IP over CAN: a TUN device that carries UDP datagrams to nodes of the bus and back."""
-
-    enabled: bool = False  # run it; needs CAP_NET_ADMIN
-    device: DeviceName = "canip0"  # the device's name
-    address: str = "192.168.1.2/24"  # of the device, IPv4 with prefix length; empty: set by another program
-    mtu: Annotated[int, msgspec.Meta(ge=576, le=65_535)] = 65_535  # larger datagrams come as fragments, which are dropped
-    priority: Annotated[int, msgspec.Meta(ge=0, le=255)] = 192  # of datagrams on the bus; 0 is the most urgent
-    source: str = "192.168.1.1"  # IPv4 source address of datagrams from nodes that are not among the peers
-    peers: dict[Name, CanipPeer] = msgspec.field(default_factory=dict)
-
-    def __post_init__(self) -> None:
-        IPv4Address(self.source)
-        if self.address:
-            IPv4Interface(self.address)
-        peers = self.peers.values()
-        if len({peer.address for peer in peers}) < len(peers) or len({peer.node for peer in peers}) < len(peers):
-            raise ValueError("two peers have the same address or the same node")
-
-
-class RoutingBus(Table, frozen=True):
-    """A further bus with nodes of the DSOR protocol."""
-
-    interface: Interface  # the bus
-    nodes: Annotated[tuple[DsorNode, ...], msgspec.Meta(min_length=1, max_length=64)]  # that are on it
-    bitrate_bps: BitRate = 500_000  # of a Linux interface, which the first process sets up (docs/boot.md)
-
-
-class Routing(Table, frozen=True):
-    """Messages of the DSOR protocol between buses (docs/dsor.md). Nodes that no bus names are on `can.interface`."""
-
-    everybody: Annotated[tuple[DsorNode, ...], msgspec.Meta(max_length=64)] = ()  # their messages to everybody go to all buses
-    frames_per_s: Annotated[int, msgspec.Meta(ge=1, le=10_000)] = 2000  # that go from bus to bus at most; more are lost
-    buses: dict[Name, RoutingBus] = msgspec.field(default_factory=dict)
-
-    def __post_init__(self) -> None:
-        nodes = [node for bus in self.buses.values() for node in bus.nodes]
-        interfaces = [bus.interface for bus in self.buses.values()]
-        for node in nodes:
-            if nodes.count(node) > 1:
-                raise ValueError(f"node {node:#04x} is named twice: each is on one bus")
-        for interface in interfaces:
-            if interfaces.count(interface) > 1:
-                raise ValueError(f"{interface} is named twice: each bus has one table")
-
-
-class Slipd(Table, frozen=True):
-    """The radio's serial line as a network interface."""
-
-    device: Annotated[str, text("(/dev/[^ ]+)?", "/dev/NAME, or empty")] = ""  # the radio's serial port; empty: no radio
-    baud: Baud = 115_200  # of the port
-    radio_bps: Annotated[int, msgspec.Meta(ge=0, le=4_000_000)] = 0  # bit/s, if the radio is slower than its port; else 0
-    encapsulation: Literal["slip", "cslip"] = "cslip"  # cslip compresses TCP's headers (RFC 1144); both ends must agree
-    mode: Literal["auto", "kernel", "user"] = "auto"  # SLIP of the kernel, of this program; auto: the kernel's if any
-    interface: DeviceName = "radio0"  # its name in mode user
-    address: str = "10.0.0.1"  # of the boat
-    peer: str = "10.0.0.2"  # of the other end
-    mtu: Annotated[int, msgspec.Meta(ge=68, le=1500)] = 296  # the shorter, the sooner an urgent packet is sent
-    carrier: Carrier = "none"  # source of carrier detection: none, the modem's line (dcd), or a file
-    station: Annotated[int, msgspec.Meta(ge=0, le=254)] = 0  # number of the boat if several share a frequency; else 0
-
-    def __post_init__(self) -> None:
-        IPv4Address(self.address)
-        IPv4Address(self.peer)
-        if self.station and self.mode == "kernel":
-            raise ValueError("a station speaks when the shore polls it, which the kernel's SLIP does not do: leave mode away")
-
-
-class Timed(Table, frozen=True):
-    """The time frame at the start of each second, from this computer's clock."""
-
-    mode: Literal["off", "master", "redundant"] = "off"  # redundant: only while no other node sends it
-    takeover_s: Annotated[float, msgspec.Meta(ge=1.1, le=3600.0)] = 2.5  # silence after which the redundant one sends
-
-
-class Httpd(Table, frozen=True):
-    """The statistics page, read-only. Anyone who can reach the address may read it and the logs."""
-
-    listen: Endpoint = "127.0.0.1:8080"  # address and port; 0.0.0.0 is every interface
-    connections: Annotated[int, msgspec.Meta(ge=1, le=1000)] = 32  # at once; the next one is closed
-    connections_per_address: Annotated[int, msgspec.Meta(ge=1, le=1000)] = 8  # so that one visitor cannot keep the others out
-    scan_s: Annotated[float, msgspec.Meta(ge=5.0, le=3600.0)] = 5.0  # between two samples of the computer and its processes
-    console: str = ""  # address of the operator's console, for a link to it, such as "http://127.0.0.1:8765/"; "" for none
-
-
-class PowerdTable(Table, frozen=True):
-    """The orderly shutdown: by frame, button or command, or before the batteries are empty (docs/powerd.md)."""
-
-    partition: MountPoint = "/log"  # unmounted last, if it holds the logs; "": none
-    end_s: Seconds = 5.0  # time for other users of the partition to end before they are killed
-    held_s: Seconds = 30.0  # a partition still in use after this time is given up: synced, but not unmounted
-    told_s: Annotated[float, msgspec.Meta(ge=0.0, le=60.0)] = 2.0  # the acknowledgement is repeated for this long, then it ends
-    button: str = ""  # an input device under /dev/input, or a file (a GPIO's value); "" for none
-    button_pressed: str = "1"  # the file begins with this while the button is pressed
-    button_s: Annotated[float, msgspec.Meta(ge=0.0, le=60.0)] = 2.0  # the button must be held for this long
-    battery_charge: Fraction = 0.05  # the charge of a battery is at most this; 0: never ...
-    battery_v: BatteryVoltage = 0.0  # ... or the voltage of one is; 0: never ...
-    battery_s: Seconds = 60.0  # ... for this long, while no propeller is commanded to run
-
-
-class FtpUser(Table, frozen=True):
-    """A user who may log in by FTP, by name."""
-
-    password: Password  # from `delfim password`
-    upload: bool = False  # may write in `log.upload_folder`; everything else is read-only for everybody
-
-
-class Ftpd(Table, frozen=True):
-    """Files over FTP. Without users it is not started."""
-
-    listen: Endpoint = "127.0.0.1:2121"  # address and port; 0.0.0.0 is every interface
-    root: str = "/log"  # the folder that clients see as "/"; no path leads out of it
-    certificate: str = ""  # PEM file with certificate and key: login needs TLS (RFC 4217); "": everything goes in the clear
-    connections: Annotated[int, msgspec.Meta(ge=1, le=1000)] = 16  # at once; the next one is closed
-    connections_per_address: Annotated[int, msgspec.Meta(ge=1, le=1000)] = 8  # so that one visitor cannot keep the others out
-    users: dict[Name, FtpUser] = msgspec.field(default_factory=dict)
-
-
-class SshUser(Table, frozen=True):
-    """A user who may log in by SSH, by name."""
-
-    keys: Annotated[tuple[str, ...], msgspec.Meta(min_length=1, max_length=16)]  # public ones, as ssh-keygen writes them
-
-
-class Sshd(Table, frozen=True):
-    """Commands, a shell, SFTP and SCP over SSH. Without users it is not started."""
-
-    listen: Endpoint = "127.0.0.1:2222"  # address and port; 0.0.0.0 is every interface
-    user: str = ""  # system user that runs everything; "": the user that started sshd. Needs place = "process"
-    can: bool = False  # that user may open CAN sockets, and so command the propellers past cantcpd
-    shell: str = "/bin/sh"  # that runs the commands
-    root: str = "/log"  # the folder that SFTP and SCP see as "/"; no path leads out of it
-    host_key: str = "/log/.keys/ssh_host_ed25519"  # made at the first start, and kept
-    sessions: Annotated[int, msgspec.Meta(ge=1, le=1000)] = 16  # programs at once
-    connections: Annotated[int, msgspec.Meta(ge=1, le=1000)] = 16  # at once; the next one is closed
-    connections_per_address: Annotated[int, msgspec.Meta(ge=1, le=1000)] = 8  # so that one visitor cannot keep the others out
-    users: dict[Name, SshUser] = msgspec.field(default_factory=dict)
-
-
 class LogTable(Table, frozen=True):
     """Where and how logs are written, and the response to a full disk."""
 
@@ -938,12 +744,6 @@ class LogTable(Table, frozen=True):
     upload_names_max: Annotated[int, msgspec.Meta(ge=0, le=10_000)] = 1000  # files and folders of all uploads
     state_method: Literal["write", "zwrite", "zpipe"] = "zpipe"  # plain, deflated in the program, deflated in a niced child
     required: bool = True  # no log, no start
-
-
-class Logd(Table, frozen=True):
-    """Log messages of the nodes of the bus."""
-
-    nodes: tuple[Annotated[int, msgspec.Meta(ge=1, le=126)], ...] = ()  # nodes to log; empty: the service is off
 
 
 class RuntimeTable(Table, frozen=True):
@@ -969,14 +769,6 @@ class SupervisorTable(Table, frozen=True):
     hardware_watchdog: str = "/dev/watchdog"  # fed if it exists; "" for none
 
 
-class Image(Table, frozen=True):
-    """The two slots of the boot partition, and the signers whose images may be installed there."""
-
-    signers: tuple[PublicKey, ...] = ()  # public ed25519 keys, as ssh-keygen writes them; without any, nothing can be installed
-    partition: str = ""  # of the slots, mounted only while it is read or written; "" if the directory is always mounted
-    directory: str = "/boot"  # where it is mounted
-
-
 class ServiceTable(Table, frozen=True):
     """A service of the suite, by its name."""
 
@@ -985,101 +777,6 @@ class ServiceTable(Table, frozen=True):
     memory_max_mb: Megabytes | None = None  # of its process and all it starts, restarted beyond; 0: no limit; null: 256, at sea
     cpu_max: Annotated[float, msgspec.Meta(ge=0.0, le=1024.0)] = 0.0  # processors that its process may use; 0: no limit
     log: Literal["debug", "info", "warning", "error"] = "info"  # the least level of its words that the system log keeps
-
-
-class Sea(Table, frozen=True):
-    """The simulator's weather. As sailors say it, wind is named by where it comes from, current by where it goes."""
-
-    current_mps: Annotated[float, msgspec.Meta(ge=0.0, le=5.0)] = 0.0  # speed of the current
-    current_to_deg: Annotated[float, msgspec.Meta(ge=0.0, le=360.0)] = 0.0  # direction it sets
-    wind_mps: Annotated[float, msgspec.Meta(ge=0.0, le=50.0)] = 0.0  # mean wind
-    wind_from_deg: Annotated[float, msgspec.Meta(ge=0.0, le=360.0)] = 0.0  # direction it comes from
-    gusts: Fraction = 0.2  # standard deviation of the wind, as a part of its mean
-
-
-MeetingName = Literal["", "head-on", "give-way", "stand-on", "overtaking", "overtaken", "parallel"]
-
-
-class VesselTurn(Table, frozen=True):
-    """A change of course of another vessel, at `turn_dps`."""
-
-    at_s: Annotated[float, msgspec.Meta(ge=0.0, le=86_400.0)]  # after the start of the simulation
-    course_deg: Annotated[float, msgspec.Meta(ge=-360.0, le=360.0)]
-
-
-class SimulatedVessel(Table, frozen=True):
-    """Another vessel of the simulated world. It starts at latitude and longitude, or so far from where the boat starts."""
-
-    name: Annotated[str, text(r"[ -~]{0,20}", "up to 20 characters")] = ""  # as its AIS tells it
-    mmsi: Annotated[int, msgspec.Meta(ge=0, le=999_999_999)] = 0  # 0: 235000000 and its number in the list
-    transponder: Literal["A", "B", "none"] = "B"  # class of its AIS
-    status: Annotated[int, msgspec.Meta(ge=0, le=15)] = 0  # navigational status of ITU-R M.1371; class A alone tells it
-    type: Annotated[int, msgspec.Meta(ge=0, le=99)] = 0  # of ship, of ITU-R M.1371: 30 fishing, 36 sailing, 70 cargo
-    length_m: Annotated[float, msgspec.Meta(gt=0.0, le=500.0)] = 12.0  # from bow to stern
-    beam_m: Annotated[float, msgspec.Meta(gt=0.0, le=100.0)] = 4.0  # its greatest breadth
-    antenna_m: Annotated[float, msgspec.Meta(ge=-250.0, le=250.0)] = 0.0  # of its AIS, ahead of the middle
-    north_m: Annotated[float, msgspec.Meta(ge=-100_000.0, le=100_000.0)] = 0.0  # from where the boat starts
-    east_m: Annotated[float, msgspec.Meta(ge=-100_000.0, le=100_000.0)] = 0.0  # from there, too
-    latitude_deg: Annotated[float, msgspec.Meta(ge=-89.0, le=89.0)] | None = None  # with longitude_deg: where it starts instead
-    longitude_deg: Annotated[float, msgspec.Meta(ge=-180.0, le=180.0)] | None = None  # with latitude_deg
-    course_deg: Annotated[float, msgspec.Meta(ge=-360.0, le=360.0)] = 0.0  # over ground
-    speed_mps: Annotated[float, msgspec.Meta(ge=0.0, le=50.0)] = 0.0  # over ground
-    turns: Annotated[tuple[VesselTurn, ...], msgspec.Meta(max_length=100)] = ()  # changes of course
-    turn_dps: Annotated[float, msgspec.Meta(gt=0.0, le=90.0)] = 1.0  # degrees a second
-    silent_from_s: Annotated[float, msgspec.Meta(ge=0.0)] | None = None  # its AIS says nothing from here ...
-    silent_to_s: Annotated[float, msgspec.Meta(ge=0.0)] | None = None  # ... to here, or to the end
-    lost: Fraction = 0.0  # part of its reports that nobody hears
-    noise_m: Annotated[float, msgspec.Meta(ge=0.0, le=1000.0)] = 5.0  # standard deviation of its position, which wanders
-    follows_m: Annotated[float, msgspec.Meta(ge=0.0, le=20_000.0)] | None = None  # always so far from the boat: a forged one
-    follows_deg: Annotated[float, msgspec.Meta(ge=-360.0, le=360.0)] = 0.0  # from there in this direction, by north
-    sides_s: Annotated[float, msgspec.Meta(ge=0.0, le=86_400.0)] = 0.0  # it changes to the boat's other side so often; 0: never
-    chases: bool = False  # it steers for the boat, as fast as it turns
-    meets_s: Annotated[float, msgspec.Meta(ge=0.0)] | None = None  # when it is nearest if nobody does anything; for `manner`
-    meeting: MeetingName = ""  # what meeting it is for the boat, by rules 13 to 15; for `manner`, and for who judges the run
-
-    def __post_init__(self) -> None:
-        if (self.latitude_deg is None) is not (self.longitude_deg is None):
-            raise ValueError("latitude_deg and longitude_deg go together")
-
-
-Vessels = Annotated[tuple[SimulatedVessel, ...], msgspec.Meta(max_length=300)]
-
-
-class SimulatedTraffic(Table, frozen=True):
-    """Other vessels of the simulated world, and how they are heard (docs/encounters.md)."""
-
-    manner: Literal["told", "rules", "late", "turn", "silent", "gap"] = "told"  # of all with `meets_s`; told: as their rows
-    heard: Literal["told", "perfect", "A", "B"] = "told"  # told: as their rows; perfect: each second, all, without errors
-    lost: Fraction = 0.0  # part of all reports that nobody hears, if it is more than a row says
-    vessel: Vessels = ()  # each a table of its own, below
-
-
-class Simulation(Table, frozen=True):
-    """Settings for simulation alone: `delfim sim`, `delfim nodes`."""
-
-    faults: bool = False  # `delfim fault` may break the boat's own log and links; true in `delfim sim`, never at sea
-    interface: Interface = "canloop:can0"  # the bus of a simulated boat
-    httpd: Endpoint = "127.0.0.1:8080"  # where its page is
-    ftpd: Endpoint = "127.0.0.1:2121"  # where its files are
-    sshd: Endpoint = "127.0.0.1:2222"  # where its shell is
-    latitude_deg: Annotated[float, msgspec.Meta(ge=-89.0, le=89.0)] = 38.6907  # where it starts
-    longitude_deg: Annotated[float, msgspec.Meta(ge=-180.0, le=180.0)] = -9.2153  # where it starts
-    heading_deg: Annotated[float, msgspec.Meta(ge=0.0, le=360.0)] = 0.0  # how it lies at start
-    mission: str = ""  # played by `delfim sim`, beside the vehicle's file
-    noise: bool = True  # false: the sensors measure exactly, whatever the next three say
-    position_noise_m: Annotated[float, msgspec.Meta(ge=0.0, le=100.0)] = 0.3  # standard deviation of the position
-    heading_noise_deg: Annotated[float, msgspec.Meta(ge=0.0, le=90.0)] = 0.5  # standard deviation of the heading
-    speed_noise_mps: Annotated[float, msgspec.Meta(ge=0.0, le=10.0)] = 0.03  # standard deviation of the speed
-    receiver_hz: InstrumentRate = 5.0  # positions a second of a receiver on NMEA 2000, DroneCAN or NMEA 0183; 0: none
-    compass_hz: InstrumentRate = 10.0  # headings a second of a compass there, and rates of turn of a gyro; 0: none
-    gyro: bool = True  # there is a gyro, too
-    sounder_hz: InstrumentRate = 1.0  # depths a second of an echo sounder on NMEA 0183; 0: none
-    wind_hz: InstrumentRate = 1.0  # of a wind vane there; 0: none
-    motors: bool = True  # motor controllers answer on buses of DroneCAN and VESC; false: you have your own there
-    instruments: Annotated[tuple[InstrumentName, ...], msgspec.Meta(max_length=32)] = ()  # empty: all on the first port
-    external: Annotated[str, text(rf"([^ :]+:{PORT})?", "ADDRESS:PORT, or empty")] = ""  # of a model in another program
-    sea: Sea = Sea()
-    traffic: SimulatedTraffic = SimulatedTraffic()
 
 
 def thrusters_fault(rows: Sequence[ThrusterTable], aboard: tuple[Part, ...]) -> str | None:
@@ -1155,7 +852,7 @@ def _struct(name: str, fields: Sequence[tuple[Any, ...]], bases: tuple[type, ...
 def with_tables(kind: type[T]) -> type[T]:
     """The class with a key for each table of the boat's own parts, behind the table that its row names: so documents and log
     have them in one order."""
-    hints, rows = get_type_hints(kind, include_extras=True), [row for row in OWN.values() if row.table]
+    hints = get_type_hints(kind, include_extras=True)
     made_anew = {*kind.__struct_fields__, *vars(Table)} - {"__doc__"}
     namespace = {name: value for name, value in vars(kind).items() if name not in made_anew}
     fields = list[tuple[str, Any, Any]]()
@@ -1164,18 +861,18 @@ def with_tables(kind: type[T]) -> type[T]:
         if each.default_factory is not msgspec.NODEFAULT:
             value = msgspec.field(default_factory=each.default_factory)
         fields.append((each.name, hints[each.name], value))
-        fields += _behind(each.name, rows)
+        fields += _behind(each.name)
     made: type[T] = _struct(kind.__name__, fields, (Table,), namespace)
     return made
 
 
-def _behind(name: str, rows: Sequence[Part]) -> Iterator[tuple[str, Any, Any]]:
+def _behind(name: str) -> Iterator[tuple[str, Any, Any]]:
     """The keys of the parts whose tables stand behind this one, and behind theirs."""
-    for row in rows:
+    for row in TABLED:
         if row.after == name:
             kind = table_of(row)
             yield row.name, kind, kind() if isinstance(kind, type) else msgspec.field(default_factory=dict)
-            yield from _behind(row.name, rows)
+            yield from _behind(row.name)
 
 
 @with_tables
@@ -1202,22 +899,10 @@ class Vehicle(Table, frozen=True):
     handset: HandsetTable = HandsetTable()
     kill: KillTable = KillTable()
     guest: GuestTable = GuestTable()
-    cantcpd: Cantcpd = Cantcpd()
-    canip: Canip = Canip()
-    routing: Routing = Routing()
-    timed: Timed = Timed()
-    slipd: Slipd = Slipd()
-    httpd: Httpd = Httpd()
-    ftpd: Ftpd = Ftpd()
-    sshd: Sshd = Sshd()
-    powerd: PowerdTable = PowerdTable()
     log: LogTable = LogTable()
-    logd: Logd = Logd()
     runtime: RuntimeTable = RuntimeTable()
     supervisor: SupervisorTable = SupervisorTable()
-    image: Image = Image()
     services: dict[Name, ServiceTable] = msgspec.field(default_factory=dict)
-    simulation: Simulation = Simulation()
 
     def __post_init__(self) -> None:
         for name, ports in self.ports.items():
@@ -1246,8 +931,8 @@ class Vehicle(Table, frozen=True):
         return getattr(self, name, None)
 
     def facts(self, key: str) -> list[Any]:
-        """The values of a key, or of what follows from several, in the tables of the boat's own parts that have it."""
-        found = (getattr(self, row.name) for row in OWN.values() if row.table)
+        """The values of a key, or of what follows from several, in the tables of parts and rooms that have it."""
+        found = (getattr(self, row.name) for row in TABLED)
         return [getattr(table, key) for table in found if hasattr(table, key)]
 
     def drives(self, row: ThrusterTable) -> Drives:
@@ -1322,7 +1007,7 @@ class Vehicle(Table, frozen=True):
         """The tables of the boat's nodes and parts, by their names in the file."""
         spoken = tuple(name for name in OWN if getattr(self.table(name), "joins", False))
         names = ("can", "handset", *self.navigation.sources, *self.sensors.names, *self.drivers, *spoken)
-        routed = {f"routing.buses.{name}": bus for name, bus in self.routing.buses.items()}
+        routed = {f"routing.buses.{name}": bus for name, bus in self.table("routing").buses.items()}
         lines = {f"{part}.ports.{name}": port for part, ports in self.ports.items() for name, port in ports.items()}
         beside = {key: table for tables in self.facts("lines") for key, table in tables.items()}
         return {name: self.table(name) for name in names} | routed | lines | beside
@@ -1419,7 +1104,7 @@ def _buses_apart(vehicle: Vehicle, file: str) -> None:
         if theirs != ours:
             words = f"{interface} carries {theirs} ({other}) already, and this is {ours}; a bus carries one protocol, for the "
             raise ConfigError(file, key, words + "identifiers of several overlap")
-    for name, bus in vehicle.routing.buses.items():
+    for name, bus in vehicle.table("routing").buses.items():
         if bus.interface == vehicle.can.interface:
             raise ConfigError(file, f"routing.buses.{name}.interface", "this is can.interface: its nodes need no table")
         if vehicle.can.node in bus.nodes:
@@ -1435,7 +1120,7 @@ def _lines_apart(vehicle: Vehicle, file: str) -> None:
     """A serial line has one reader: two would each get a part of what comes. Raises ConfigError."""
     readers: dict[str, str] = {}
     told = [(key, to) for ends in vehicle.facts("ends") for key, to in ends.items() if to.startswith("/")]
-    for key, device in [("slipd.device", vehicle.slipd.device), *vehicle.outside("device").items(), *told]:
+    for key, device in [("slipd.device", vehicle.table("slipd").device), *vehicle.outside("device").items(), *told]:
         if device and device in readers:
             raise ConfigError(file, key, f"{device} is read by {readers[device]} already, and a serial line has one reader")
         readers[device] = key
@@ -1451,7 +1136,7 @@ def polygons(zones: Zones, file: str) -> Work[None]:
 
 def mission_place(file: str, vehicle: Vehicle) -> Path:
     """Path of a simulation's mission, beside the vehicle's file. Raises ConfigError if it does not exist."""
-    place = Path(file).parent / vehicle.simulation.mission
+    place = Path(file).parent / str(vehicle.table("simulation").mission)
     if not place.is_file():
         raise ConfigError(file, "simulation.mission", f"there is no file {place}; put it beside the vehicle's file")
     return place

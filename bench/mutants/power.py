@@ -92,6 +92,7 @@ def sailed(seed: int) -> tuple[str, list[str]]:
     from delfim.simulator.scenarios.mixed import mixed, mixed_mission
     from delfim.simulator.scenarios.scenario import settings_of
     from delfim.simulator.scenarios.trial import sail
+    from delfim.simulator.tables import Simulation
     from delfim.vehicle.state import NoLog
 
     here, tapes = config.load(VEHICLE), list[RunTape]()
@@ -102,7 +103,7 @@ def sailed(seed: int) -> tuple[str, list[str]]:
         return tapes[-1]
 
     signal.setitimer(signal.ITIMER_PROF, RUN_S)  # which ends the process
-    result = sail(scenario, settings_of(scenario, VEHICLE), seed, mixed_mission(here.simulation), tape)
+    result = sail(scenario, settings_of(scenario, VEHICLE), seed, mixed_mission(here.of(Simulation)), tape)
     signal.setitimer(signal.ITIMER_PROF, 0.0)
     return tapes[0].hash.hexdigest(), result.failures
 

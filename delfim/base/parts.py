@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple
 
 from delfim.base import modes
 from delfim.base.errors import ConfigError, DelfimError, PermanentFailure, did_you_mean, in_words
-from delfim.base.numberedorders import numbered
 from delfim.base.pulses import CHANNELS
 from delfim.base.tables import Table
 
@@ -207,6 +206,22 @@ OWN: Final = {  # in the order in which sources are listed
     )
 }
 
+ROOMS: Final = (  # the tables of daemons and of the simulator, which lie in their rooms
+    Part("cantcpd", "delfim.canproxy.tables:Cantcpd", after="guest"),
+    Part("canip", "delfim.canproxy.tables:Canip", after="cantcpd"),
+    Part("routing", "delfim.canproxy.tables:Routing", after="canip"),
+    Part("timed", "delfim.services.tables:Timed", after="routing"),
+    Part("slipd", "delfim.services.tables:Slipd", after="timed"),
+    Part("httpd", "delfim.services.tables:Httpd", after="slipd"),
+    Part("ftpd", "delfim.services.tables:Ftpd", after="httpd"),
+    Part("sshd", "delfim.services.tables:Sshd", after="ftpd"),
+    Part("powerd", "delfim.services.tables:PowerdTable", after="sshd"),
+    Part("logd", "delfim.services.tables:Logd", after="log"),
+    Part("image", "delfim.services.tables:Image", after="supervisor"),
+    Part("simulation", "delfim.simulator.tables:Simulation", after="services"),
+)
+TABLED: Final = tuple(row for row in (*OWN.values(), *ROOMS) if row.table)  # those with keys in every vehicle's file
+
 
 @cache
 def installed() -> "dict[str, list[EntryPoint]]":
@@ -248,6 +263,8 @@ def named(wanted: object, file: str) -> tuple[Part, ...]:
 
 def _check_orders(rows: tuple[Part, ...], file: str) -> None:
     """Raises ConfigError where an order has no name or number of its own, or numbers cannot give it."""
+    from delfim.base.numberedorders import numbered  # few files name a part
+
     names, numbers = dict[str, str](), dict[int, str]()
     for part, order in ((row.name, order) for row in rows for order in row.orders):
         key, name = f"parts.{part}", order.name

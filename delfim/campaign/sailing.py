@@ -26,6 +26,7 @@ from delfim.simulator.scenarios.scenario import Scenario, laid_upon
 from delfim.simulator.scenarios.searching import DRAWN
 from delfim.simulator.scenarios.trial import Event, sail
 from delfim.simulator.scenarios.watch import TruePlace
+from delfim.simulator.tables import Simulation
 from delfim.vehicle.log.logbook import Logbook
 from delfim.vehicle.state import NoLog, StateLog
 
@@ -158,7 +159,7 @@ def drawn_run(plan: Plan, point: int, seed: int) -> Drawn:
             scenario = broken_of(scenario, faults, plan.name)
     elif not story.mission:
         settings = config.read(boat, plan.name)
-        scenario, mission = DRAWN[story.name](seed, settings), mixed_mission(settings.simulation)
+        scenario, mission = DRAWN[story.name](seed, settings), mixed_mission(settings.of(Simulation))
     return Drawn(boat, values, scenario, mission)
 
 

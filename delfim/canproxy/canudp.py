@@ -15,11 +15,11 @@ from collections import Counter
 from ipaddress import IPv4Address, IPv4Interface
 from typing import Final
 
-from delfim import config
 from delfim.base.errors import DelfimError, FormatError, PermanentFailure, Refused
 from delfim.canproxy.dsor.protocol import BROADCAST, Message, Outcome
 from delfim.canproxy.dsor.sockets import DsorTransport
 from delfim.canproxy.socket import CanSocket
+from delfim.canproxy.tables import Canip
 
 UDP_MAX: Final = 65_507  # bytes of data that fit a datagram of IPv4
 TTL: Final = 64
@@ -83,7 +83,7 @@ class CanIp:
     counts  outcome of datagrams -> number: "sent", "delivered", "received", and the reasons for dropping others
     """
 
-    def __init__(self, loop: asyncio.AbstractEventLoop, tun: int, can: CanSocket, settings: config.Canip, node: int) -> None:
+    def __init__(self, loop: asyncio.AbstractEventLoop, tun: int, can: CanSocket, settings: Canip, node: int) -> None:
         """`node` is this computer's. Both stay the caller's to close, after `close`. Raises BusError, FormatError."""
         self.counts: Counter[str] = Counter()
         self._tun, self._settings, self._node = tun, settings, node

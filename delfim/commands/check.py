@@ -10,8 +10,11 @@ from pathlib import Path
 
 from delfim import config
 from delfim.base.ranges import NETWORKED
+from delfim.canproxy.tables import Canip, Cantcpd
 from delfim.commands import example_file
 from delfim.parts.nmea2000.table import Nmea2000
+from delfim.services.tables import Slipd
+from delfim.simulator.tables import Simulation
 
 TOLD = 50  # faults listed for one file
 
@@ -86,17 +89,17 @@ def _doubts(file: str, vehicle: config.Vehicle) -> Iterator[str]:
         if ":" not in bus and not Path("/sys/class/net", bus).exists():
             yield f"{key}: this computer has no {bus}; the boat needs it, `delfim sim` does not"
     yield from (doubt for doubts in vehicle.facts("doubts") for doubt in doubts)
-    if vehicle.canip.enabled and vehicle.canip.address:
+    if vehicle.of(Canip).enabled and vehicle.of(Canip).address:
         yield from _on_the_bus(vehicle)
     files = {key: path for named in vehicle.facts("files") for key, path in named.items()} | {"kill.chip": vehicle.kill.chip}
-    files |= {"slipd.device": vehicle.slipd.device} | vehicle.outside("device")
+    files |= {"slipd.device": vehicle.of(Slipd).device} | vehicle.outside("device")
     for key, path in files.items():
         if path and not path.startswith(NETWORKED) and not Path(path).exists():
             yield f"{key}: there is no file {path} on this computer"
     for name, payload in vehicle.table("payload").items():
         if not os.access(payload.command[0], os.X_OK):
             yield f"payload.{name}.command: there is no program {payload.command[0]} on this computer"
-    if vehicle.simulation.mission:
+    if vehicle.of(Simulation).mission:
         try:
             load_mission(config.mission_place(file, vehicle))
         except ConfigError as error:
@@ -105,10 +108,12 @@ def _doubts(file: str, vehicle: config.Vehicle) -> Iterator[str]:
 
 def _on_the_bus(vehicle: config.Vehicle) -> Iterator[str]:
     """Addresses of the file that the network of canip takes from all others: what is sent to them goes onto the bus."""
-    bus = IPv4Interface(vehicle.canip.address).network
-    named = {"guest.networks": vehicle.guest.networks if vehicle.guest.enabled else (), "cantcpd.watch": vehicle.cantcpd.watch}
+    bus = IPv4Interface(vehicle.of(Canip).address).network
+    radio = vehicle.of(Slipd)
+    named = {"guest.networks": vehicle.guest.networks if vehicle.guest.enabled else ()}
+    named |= {"cantcpd.watch": vehicle.of(Cantcpd).watch}
     named |= {key: places for told in vehicle.facts("addresses") for key, places in told.items()}
-    named |= {"slipd.peer": (vehicle.slipd.peer,) if vehicle.slipd.device else ()}
+    named |= {"slipd.peer": (radio.peer,) if radio.device else ()}
     for key, places in named.items():
         for place in places:
             with contextlib.suppress(ValueError):  # a name of a host, or IPv6

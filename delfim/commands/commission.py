@@ -14,11 +14,14 @@ from typing import Any, Final, NamedTuple
 from delfim import config
 from delfim.base.errors import DelfimError, Refused
 from delfim.base.ranges import address, is_loopback
+from delfim.canproxy.tables import Cantcpd
 from delfim.commands import overrides, shipped
 from delfim.parts.fleet.table import FleetTable
 from delfim.parts.ros.table import RosTable
 from delfim.services.access import commissioned
 from delfim.services.access.commissioned import BOAT
+from delfim.services.tables import Slipd, Sshd
+from delfim.simulator.tables import Simulation
 
 FILE: Final = "etc/delfimx-sea.toml"
 USER: Final = "[A-Za-z][A-Za-z0-9_-]{0,31}"
@@ -164,7 +167,7 @@ def _addresses(answers: Mapping[str, str], network: IPv4Interface, settings: con
     """The networks of the others: the console may watch the bus, and so may the boat's own network, where the guest is."""
     own, console = str(network.network), answers["console"]
     radio = {"slipd.device": answers["radio"], "slipd.address": answers["radio-address"], "slipd.peer": console}
-    found: dict[str, Any] = radio if answers["radio"] else {"slipd.device": ""} if settings.slipd.device else {}
+    found: dict[str, Any] = radio if answers["radio"] else {"slipd.device": ""} if settings.of(Slipd).device else {}
     fleet = settings.of(FleetTable)
     found |= {"mavlink.peers": [f"{console}:14550", *([fleet.listen] if fleet.broker else [])]}
     if settings.guest.enabled:
@@ -181,7 +184,7 @@ def _opened(settings: config.Vehicle) -> dict[str, Any]:
     places = {f"{name}.listen": getattr(settings, name).listen for name in names}
     found: dict[str, Any] = {key: _everywhere(place) for key, place in places.items()}
     if commissioned.bus(settings):
-        found |= {"cantcpd.listen": [_everywhere(place) for place in settings.cantcpd.listen]}
+        found |= {"cantcpd.listen": [_everywhere(place) for place in settings.of(Cantcpd).listen]}
     return found
 
 
@@ -193,7 +196,7 @@ def _mission(file: str, settings: config.Vehicle) -> dict[str, str]:
     """The file's mission, by its name beside the copies of the file. Raises ConfigError, OSError."""
     from delfim.base.outside import read_text
 
-    place = config.mission_place(file, settings) if settings.simulation.mission else None
+    place = config.mission_place(file, settings) if settings.of(Simulation).mission else None
     return {place.name: read_text(place)} if place else {}
 
 
@@ -217,7 +220,7 @@ def _secrets(answers: Mapping[str, str], crew: Mapping[str, str], console_key: s
         each for each in (answers["radio-address"] if answers["radio"] else "", answers["network"].partition("/")[0]) if each
     ]
     host, tls = credentials.ssh_key(boat), credentials.certificate(boat, places, datetime.datetime.now(datetime.UTC))
-    known, port = " ".join(host.public.split()[:2]), address(file.sshd.listen)[1]
+    known, port = " ".join(host.public.split()[:2]), address(file.of(Sshd).listen)[1]
     files = {
         "boat/mavlink.key": console_key,
         "boat/ftpd.pem": tls.certificate + tls.key,

@@ -10,6 +10,7 @@ from delfim import config
 from delfim.base.errors import DelfimError, Refused
 from delfim.commands import vehicle_file
 from delfim.services.image import imagefile, slots
+from delfim.services.tables import Image
 from delfim.vehicle.operator.link import Link
 
 ANSWER_S = 10.0  # for the answer of a vehicle on a busy board
@@ -59,15 +60,15 @@ def under_way(settings: config.Vehicle) -> str:
 
 
 def verify(settings: config.Vehicle, bundle: Path) -> int:
-    image = imagefile.verify(bundle, settings.image.signers)
+    image = imagefile.verify(bundle, settings.of(Image).signers)
     print(f"{bundle.name}: version {image.manifest.version}, whole, signed by {image.signer}")
     return 0
 
 
 def install(settings: config.Vehicle, bundle: Path) -> int:
-    imagefile.verify(bundle, settings.image.signers)  # before anything on the partition is touched
-    with slots.boot_partition(settings.image, write=True) as both:
-        slot, image = both.install(bundle, settings.image.signers)
+    imagefile.verify(bundle, settings.of(Image).signers)  # before anything on the partition is touched
+    with slots.boot_partition(settings.of(Image), write=True) as both:
+        slot, image = both.install(bundle, settings.of(Image).signers)
     print(f"version {image.manifest.version}, signed by {image.signer}, is in slot {slot} and is tried at the next start.")
     print("If it works, confirm it then, or the next start is the old one: delfim image FILE confirm")
     return 0
@@ -75,7 +76,7 @@ def install(settings: config.Vehicle, bundle: Path) -> int:
 
 def confirm(settings: config.Vehicle) -> int:
     running, _ = slots.started(Path("/proc/cmdline").read_text())
-    with slots.boot_partition(settings.image, write=True) as both:
+    with slots.boot_partition(settings.of(Image), write=True) as both:
         both.confirm(running)
     slots.confirmed(settings.runtime.run_directory)
     print(f"slot {running} is confirmed: it is started from now on")
@@ -85,7 +86,7 @@ def confirm(settings: config.Vehicle) -> int:
 def status(settings: config.Vehicle) -> int:
     """Returns 1 if a slot that may be started is damaged or an image was rolled back."""
     running, tried = slots.started(Path("/proc/cmdline").read_text())
-    with slots.boot_partition(settings.image, write=False) as both:
+    with slots.boot_partition(settings.of(Image), write=False) as both:
         environment = both.environment()
         damages = {slot: both.damage(slot) for slot in slots.SLOTS}
         manifests = {slot: None if damages[slot] else both.manifest(slot) for slot in slots.SLOTS}

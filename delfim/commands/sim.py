@@ -28,6 +28,7 @@ from delfim.commands import OWN_FILE, example_file, seconds, shipped
 from delfim.console.terminal.onlooker import CTRL_C, START_S, Voyage
 from delfim.parts.mavlink.table import Mavlink
 from delfim.simulator.berth import BOATS, PAGE, SIMULATED, Berth, berth, settings_of
+from delfim.simulator.tables import Simulation
 from delfim.vehicle.log.logbook import Logbook
 from delfim.vehicle.plans.mission import Mission, canonical, load_mission
 
@@ -211,7 +212,7 @@ def _alone(interface: str) -> None:
 def _mission(asked: argparse.Namespace, settings: config.Vehicle) -> Mission:
     if asked.mission:
         return load_mission(asked.mission)
-    if not settings.simulation.mission:
+    if not settings.of(Simulation).mission:
         raise ConfigError(asked.file, "simulation.mission", "missing, and no --mission was given")
     return load_mission(config.mission_place(asked.file, settings))
 
@@ -244,7 +245,7 @@ def _lockstep(asked: argparse.Namespace, settings: config.Vehicle, mission: Miss
     started = time.monotonic()
     model = SteppedModel.of(settings)
     if model is not None:
-        print(f"delfim: waits for the model at {settings.simulation.external}", flush=True)
+        print(f"delfim: waits for the model at {settings.of(Simulation).external}", flush=True)
         model.begin()
         started = time.monotonic()
     run = Lockstep(settings, asked.seed, lambda clock: Logbook(settings, clock), model)

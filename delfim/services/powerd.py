@@ -39,6 +39,7 @@ from delfim.canproxy.socket import CanAddress
 from delfim.services.page.api import State
 from delfim.services.runtime import Runtime
 from delfim.services.supervision import shutdown
+from delfim.services.tables import PowerdTable
 from delfim.services.watching import watch
 from delfim.vehicle.failsafe.nodehealth import NAMES
 from delfim.vehicle.failsafe.troubles import DEAD_V
@@ -100,7 +101,7 @@ class Powerd:
     """The state of the inputs. `order` and `reason` are set when the power is to be cut. `watches`: the vehicle is asked, too,
     and while it is silent its motors count as driven, because nobody knows."""
 
-    def __init__(self, settings: config.PowerdTable, clock: Clock, watches: bool = False) -> None:
+    def __init__(self, settings: PowerdTable, clock: Clock, watches: bool = False) -> None:
         self._settings, self._clock, self._watches = settings, clock, watches
         self.order: shutdown.Word | None = None
         self.reason = ""
@@ -199,14 +200,14 @@ def _least(told: Mapping[str, tuple[float, float]], now_s: float) -> float:
 def is_told_by_vehicle(settings: config.Vehicle) -> bool:
     """Whether batteries or motors of this boat are unknown on DelfimX's own bus, or its voltage matters."""
     others = any(settings.facts("batteries")) or any(part.batteries for part in settings.sensing)
-    return bool(others or settings.powerd.battery_v or settings.driven("nodes", False))
+    return bool(others or settings.of(PowerdTable).battery_v or settings.driven("nodes", False))
 
 
 async def serve(runtime: Runtime) -> None:
     """The service."""
     settings = runtime.config
     watches = is_told_by_vehicle(settings)
-    heard = Powerd(settings.powerd, runtime.clock, watches)
+    heard = Powerd(settings.of(PowerdTable), runtime.clock, watches)
     with contextlib.ExitStack() as links:
         links.callback(heard.button.close)
         can = links.enter_context(open_can(settings.can.interface))

@@ -21,11 +21,14 @@ from delfim import __version__, config
 from delfim.base import parts, pulses
 from delfim.base.errors import DelfimError, FormatError, PermanentFailure, in_words
 from delfim.base.outside import parse_json, read_file
+from delfim.canproxy.tables import Canip, Routing
 from delfim.logging import systemlog
 from delfim.services.can.buses import bring_up
 from delfim.services.supervision import cgroup, shutdown
 from delfim.services.supervision.children import STACKS_SIGNAL, Supervised
 from delfim.services.supervision.privileges import real_time
+from delfim.services.tables import Ftpd, Logd, PowerdTable, Slipd, Sshd, Timed
+from delfim.simulator.tables import Simulation
 
 SHUTDOWN_LOOK_S = 0.1
 log = logging.getLogger(__name__)
@@ -79,12 +82,12 @@ class Service(NamedTuple):
 SERVICES = (
     Service("syslogd", "delfim.services.syslogd:serve", place="process", uvloop=False),
     Service("canzlogd", "delfim.services.can.canzlogd:serve"),
-    Service("logd", "delfim.services.can.logd:serve", when=lambda settings: settings.logd.nodes),
+    Service("logd", "delfim.services.can.logd:serve", when=lambda settings: settings.of(Logd).nodes),
     Service("cantcpd", "delfim.services.can.cantcpd:serve"),
-    Service("timed", "delfim.services.clock.timed:serve", when=lambda settings: settings.timed.mode != "off"),
-    Service("slipd", "delfim.services.radio.slipd:serve", when=lambda settings: settings.slipd.device),
-    Service("canip", "delfim.services.can.canip:serve", when=lambda settings: settings.canip.enabled),
-    Service("router", "delfim.services.can.router:serve", when=lambda settings: settings.routing.buses),
+    Service("timed", "delfim.services.clock.timed:serve", when=lambda settings: settings.of(Timed).mode != "off"),
+    Service("slipd", "delfim.services.radio.slipd:serve", when=lambda settings: settings.of(Slipd).device),
+    Service("canip", "delfim.services.can.canip:serve", when=lambda settings: settings.of(Canip).enabled),
+    Service("router", "delfim.services.can.router:serve", when=lambda settings: settings.of(Routing).buses),
     Service(
         "numbering",
         "delfim.parts.dronecan.numbering:serve",
@@ -100,12 +103,12 @@ SERVICES = (
         when=lambda settings: any(settings.facts("joins")),
     ),
     Service("httpd", "delfim.services.page.httpd:serve", late=True),
-    Service("ftpd", "delfim.services.files.ftpd:serve", place="process", when=lambda settings: settings.ftpd.users),
+    Service("ftpd", "delfim.services.files.ftpd:serve", place="process", when=lambda settings: settings.of(Ftpd).users),
     Service(
         "sshd",
         "delfim.services.files.sshd:serve",
         place="process",
-        when=lambda settings: settings.sshd.users,
+        when=lambda settings: settings.of(Sshd).users,
         uvloop=False,
         memory_max_mb=0,  # programs of its users count, too
     ),
@@ -278,14 +281,14 @@ def _above(fifo_priority: int) -> None:
 def _limits(settings: config.Vehicle, row: Service) -> cgroup.Limits:
     """Those of the vehicle's file; at sea also the memory of a service that nobody limited."""
     asked = settings.services.get(row.name, config.ServiceTable())
-    usual_mb = 0 if settings.simulation.faults else row.memory_max_mb
+    usual_mb = 0 if settings.of(Simulation).faults else row.memory_max_mb
     is_asked = bool(asked.memory_max_mb or asked.cpu_max)
     return cgroup.Limits((usual_mb if asked.memory_max_mb is None else asked.memory_max_mb) << 20, asked.cpu_max, is_asked)
 
 
 def _last_act(settings: config.Vehicle, reason: str, tell: Callable[[bool, Sequence[str]], None]) -> bool:
     """After the programs: the log partition unmounted, the bus told. Returns whether the power may be cut."""
-    limits = settings.powerd
+    limits = settings.of(PowerdTable)
     inside = Path(limits.partition) in (Path(settings.log.directory), *Path(settings.log.directory).parents)
     return shutdown.last_act(
         reason,

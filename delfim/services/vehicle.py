@@ -34,6 +34,7 @@ from delfim.services.guestdoor import GuestDoor
 from delfim.services.image import slots
 from delfim.services.runtime import Runtime
 from delfim.services.voyagekeeping import VoyageKeeping
+from delfim.simulator.tables import Simulation
 from delfim.vehicle.aboard import Hand
 from delfim.vehicle.build import build
 from delfim.vehicle.console import Commands, ShutDown
@@ -282,7 +283,7 @@ def _stamps(settings: config.Vehicle) -> Path:
 
 def _breakable(runtime: Runtime, links: contextlib.ExitStack) -> Breakable | None:
     """The faults that `delfim fault` can inject into this program. None at sea: nothing of it is loaded there."""
-    if not runtime.config.simulation.faults:
+    if not runtime.config.of(Simulation).faults:
         return None
     from delfim.simulator.bycommand import Aboard
 

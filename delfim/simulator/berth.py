@@ -24,9 +24,11 @@ from delfim.base import tables
 from delfim.base.errors import DelfimError
 from delfim.base.pulses import CHANNELS
 from delfim.base.ranges import address, is_loopback
+from delfim.canproxy.tables import Cantcpd, Routing
 from delfim.logging.blackbox import device
 from delfim.logging.keptwriter import VOYAGE
 from delfim.simulator.nodes.talkers import BOARD
+from delfim.simulator.tables import Simulation
 
 SIMULATED: Final = "run/sim"  # the folder of the first one
 NUMBERS: Final = 20  # simulations on one computer at most
@@ -107,7 +109,7 @@ def berth(folder: str | None) -> Iterator[Berth]:
 
 def settings_of(vehicle: config.Vehicle, its: Berth, named: Collection[str]) -> BerthSettings:
     """The overrides with which a boat sails in simulation. `named` are the keys that the operator set."""
-    place, simulation = its.folder.resolve(), vehicle.simulation
+    place, simulation = its.folder.resolve(), vehicle.of(Simulation)
 
     def free(key: str, wanted: str, *, udp: bool = False) -> str:
         return wanted if key in named else its.address(wanted, udp=udp)
@@ -116,16 +118,17 @@ def settings_of(vehicle: config.Vehicle, its: Berth, named: Collection[str]) -> 
         return f"[{', '.join(_quoted(free(key, each)) for each in wanted)}]"
 
     bus = simulation.interface if "simulation.interface" in named else its.interface(simulation.interface)
-    loop = bus if bus.startswith("canloop:") else its.interface(f"canloop:{device(bus)}")  # no motor of a real bus turns
+    is_loop = bus.startswith("canloop:")
+    loop = bus if is_loop else its.interface(f"canloop:{device(bus)}")  # no motor of a real bus turns
     motors = [name for name in vehicle.drivers if hasattr(vehicle.table(name), "interface")]
     sensors = ["dronecan"] if "dronecan" in (*vehicle.navigation.sources, *vehicle.sensors.names) else []
     boat_id = vehicle.boat.id if "boat.id" in named else (vehicle.boat.id + its.number - 2) % 249 + 1
     page = free("simulation.httpd", simulation.httpd)
     texts = {
         "can.interface": bus,
-        **({"nmea2000.interface": f"{bus}-nmea2000"} if bus.startswith("canloop:") else {}),
+        **({"nmea2000.interface": f"{bus}-nmea2000"} if is_loop else {}),
         **{f"{name}.interface": f"{loop}-{name}" for name in (*motors, *sensors)},
-        **{f"routing.buses.{name}.interface": f"{bus}-{name}" for name in vehicle.routing.buses if bus.startswith("canloop:")},
+        **{f"routing.buses.{name}.interface": f"{bus}-{name}" for name in (vehicle.of(Routing).buses if is_loop else ())},
         "console.socket": f"{place}/command",
         "log.directory": f"{place}/log",
         "runtime.run_directory": str(place),
@@ -145,8 +148,8 @@ def settings_of(vehicle: config.Vehicle, its: Berth, named: Collection[str]) -> 
     }
     values = {
         "boat.id": str(boat_id),
-        "cantcpd.listen": several("cantcpd.listen", vehicle.cantcpd.listen),
-        "cantcpd.slcan": several("cantcpd.slcan", vehicle.cantcpd.slcan),
+        "cantcpd.listen": several("cantcpd.listen", vehicle.of(Cantcpd).listen),
+        "cantcpd.slcan": several("cantcpd.slcan", vehicle.of(Cantcpd).slcan),
         "runtime.fifo_priority": "0",
         **({} if "handset.device" in named else {"handset.mandatory": "false"}),
         "simulation.faults": "true",

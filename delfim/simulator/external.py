@@ -21,6 +21,7 @@ from delfim.base.geodesy import origin
 from delfim.base.outside import UNREADABLE
 from delfim.base.ranges import address
 from delfim.simulator.model import Hull, Model, hull_of
+from delfim.simulator.tables import Sea, Simulation
 
 DATAGRAMS: Final = 16  # taken at once
 ANSWER_S: Final = 0.1  # a state is answered after this time even if the vehicle commanded nothing
@@ -62,7 +63,7 @@ class ExternalModel(Model):
         longitude_rad: float,
         rows: Sequence[config.ThrusterTable] = config.DELFIMX,
     ) -> None:
-        super().__init__(hull, config.Sea(), 0, latitude_rad, longitude_rad, 0.0, rows)
+        super().__init__(hull, Sea(), 0, latitude_rad, longitude_rad, 0.0, rows)
         self.origin = origin(latitude_rad, longitude_rad)
         self.malformed = 0
         self._fresh = False  # a state came that navigation may be made from
@@ -80,7 +81,7 @@ class ExternalModel(Model):
     @classmethod
     def of(cls, settings: config.Vehicle) -> Self | None:
         """The model in another program, if the vehicle's file gives its address. Raises DelfimError."""
-        there = settings.simulation
+        there = settings.of(Simulation)
         if not there.external:
             return None
         start = math.radians(there.latitude_deg), math.radians(there.longitude_deg)

@@ -14,8 +14,9 @@ from typing import Final, Literal, NamedTuple
 
 from delfim.base.geodesy import from_plane, origin
 from delfim.base.parts import OWN_NODES
-from delfim.config import DELFIMX, Sea, ThrusterTable, Vehicle
+from delfim.config import DELFIMX, ThrusterTable, Vehicle
 from delfim.simulator.propulsor import AMBIENT_C, VOLTAGE_V, W_PER_N, Drive
+from delfim.simulator.tables import Sea
 from delfim.vehicle.control.hull import full_mps
 
 Side = Literal["starboard", "port"]  # the thrusters of DelfimX

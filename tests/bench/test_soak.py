@@ -14,9 +14,9 @@ import pytest
 from bench.__main__ import main
 from bench.critical_path import running
 from bench.soak import LOGS_WRITTEN, Sample, busiest, grown, oldest_log
-from delfim import config
 from delfim.services.access.door import hashed
 from delfim.services.files import ftpd
+from delfim.services.tables import Ftpd, FtpUser
 from tests.services.boat import served, vehicle_file
 
 VEHICLE = str(Path(__file__).parents[2] / "etc" / "delfimx.toml")
@@ -61,8 +61,8 @@ class Stepped(ftplib.FTP):
 def test_a_log_that_the_clock_gave_another_name_after_it_was_listed_is_looked_for_again(
     tmp_path: Path, times: int, got: bytes
 ) -> None:
-    users = {"bench": config.FtpUser(password=hashed("sesame"))}
-    table = config.Ftpd(listen="127.0.0.1:0", root=str(tmp_path / "log"), users=users)
+    users = {"bench": FtpUser(password=hashed("sesame"))}
+    table = Ftpd(listen="127.0.0.1:0", root=str(tmp_path / "log"), users=users)
     settings = vehicle_file(tmp_path, ftpd=table)
     (tmp_path / "log/20261123/state").mkdir(parents=True)
     (tmp_path / "log/20261123/state/101500.state.gz").write_bytes(b"records")

@@ -12,28 +12,29 @@ from delfim import config
 from delfim.campaign.rulecheck import Instant, RuleTape, alterations
 from delfim.simulator.lockstep import Lockstep
 from delfim.simulator.scenarios.encounters import START_S
+from delfim.simulator.tables import SimulatedTraffic, SimulatedVessel, Simulation
 from delfim.vehicle.state import NoLog
 
 OWN_MPS = 1.5
 LENGTH_M = 20.0
 
 
-def met(meeting: str, course_deg: float, mps: float, meets_s: float) -> config.SimulatedVessel:
+def met(meeting: str, course_deg: float, mps: float, meets_s: float) -> SimulatedVessel:
     """A vessel that the boat meets at that time if it goes on to the north."""
     course_rad = math.radians(course_deg)
     north_m = OWN_MPS * meets_s - mps * (meets_s + START_S) * math.cos(course_rad)
     east_m = -mps * (meets_s + START_S) * math.sin(course_rad)
     place = {"north_m": north_m, "east_m": east_m, "course_deg": course_deg, "speed_mps": mps, "length_m": LENGTH_M}
-    return config.SimulatedVessel(transponder="none", meeting=meeting, meets_s=meets_s + START_S, **place)
+    return SimulatedVessel(transponder="none", meeting=meeting, meets_s=meets_s + START_S, **place)
 
 
-def tape(row: config.SimulatedVessel, turn_s: float, turn_deg: float, part: float = 1.0, back_s: float = 300.0) -> RuleTape:
+def tape(row: SimulatedVessel, turn_s: float, turn_deg: float, part: float = 1.0, back_s: float = 300.0) -> RuleTape:
     """The boat goes north, and from `turn_s` to `back_s` on another course, at a part of its speed."""
-    traffic = config.SimulatedTraffic(vessel=(row,))
+    traffic = SimulatedTraffic(vessel=(row,))
     run = Lockstep(
         config.Vehicle(
             boat=config.BoatTable(name="test"),
-            simulation=config.Simulation(traffic=traffic),
+            simulation=Simulation(traffic=traffic),
             control=config.ControlTable(speed=config.SpeedTable(max_mps=OWN_MPS)),
         ),
         1,
@@ -103,5 +104,5 @@ def test_alterations_are_courses_that_were_kept():
 
 
 def test_vessels_without_a_meeting_are_not_judged():
-    row = config.SimulatedVessel(north_m=500.0, speed_mps=2.0)
+    row = SimulatedVessel(north_m=500.0, speed_mps=2.0)
     assert tape(row, 100, 45.0).checks() == []

@@ -22,6 +22,7 @@ from delfim.canproxy.dsor.endpoint import Endpoint
 from delfim.canproxy.dsor.protocol import BROADCAST, Message
 from delfim.canproxy.opening import open_can
 from delfim.canproxy.socket import ANYTHING
+from delfim.canproxy.tables import Canip, CanipPeer
 
 BUS = "canloop:canip"
 FIRST, SECOND = "192.168.1.2", "192.168.1.3"
@@ -135,7 +136,7 @@ def test_the_largest_datagram() -> None:
 class Side:
     """`device` is what the kernel would hold of the TUN device."""
 
-    def __init__(self, settings: config.Canip, node: int) -> None:
+    def __init__(self, settings: Canip, node: int) -> None:
         self.device, self._tun = socket.socketpair(socket.AF_UNIX, socket.SOCK_DGRAM)
         for end in (self.device, self._tun):
             end.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 1 << 20)
@@ -162,10 +163,10 @@ class Side:
 
 @contextmanager
 def sides(source_known: bool = True) -> Iterator[tuple[Side, Side]]:
-    peers = {"second": config.CanipPeer(address=SECOND, node=2), "dead": config.CanipPeer(address="192.168.1.9", node=9)}
-    first = Side(config.Canip(address=f"{FIRST}/24", peers=peers), 1)
-    known = {"first": config.CanipPeer(address=FIRST, node=1)} if source_known else {}
-    second = Side(config.Canip(address=f"{SECOND}/24", peers=known), 2)
+    peers = {"second": CanipPeer(address=SECOND, node=2), "dead": CanipPeer(address="192.168.1.9", node=9)}
+    first = Side(Canip(address=f"{FIRST}/24", peers=peers), 1)
+    known = {"first": CanipPeer(address=FIRST, node=1)} if source_known else {}
+    second = Side(Canip(address=f"{SECOND}/24", peers=known), 2)
     yield first, second
     first.close()
     second.close()
@@ -253,7 +254,7 @@ def test_a_device_that_is_gone_ends_the_service() -> None:
     async def main() -> None:
         ours, theirs = socket.socketpair()
         with open_can(BUS) as can:
-            carrier = CanIp(asyncio.get_running_loop(), ours.fileno(), can, config.Canip(), 0)
+            carrier = CanIp(asyncio.get_running_loop(), ours.fileno(), can, Canip(), 0)
             for end in (ours, theirs):
                 end.close()
             with pytest.raises(DelfimError, match="canip0: Bad file descriptor"):

@@ -50,6 +50,7 @@ from delfim.canproxy.dsor.messages import (
 from delfim.canproxy.dsor.protocol import Message, segments
 from delfim.canproxy.opening import open_can
 from delfim.canproxy.socket import ANYTHING, CanAddress, CanSocket
+from delfim.canproxy.tables import Cantcpd
 
 T = TypeVar("T")
 ROOT = Path(__file__).parents[2]
@@ -71,7 +72,7 @@ class Served:
     """A server in a thread of its own, as clients block."""
 
     def __init__(self, buses: list[str], closed: tuple[str, ...] = (), **settings: Any) -> None:
-        self._settings, self._buses = config.Cantcpd(**{"transmit": ("127.0.0.0/8",), **settings}), buses
+        self._settings, self._buses = Cantcpd(**{"transmit": ("127.0.0.0/8",), **settings}), buses
         self._access = Access(self._settings, None, closed)
         self._ready, self._never, self._stop = threading.Event(), threading.Event(), asyncio.Event()
         self.defects: list[dict[str, Any]] = []  # exceptions that reached the loop
@@ -600,9 +601,7 @@ def test_our_own_client_is_told_why_not(served: Served) -> None:
 
 
 def test_access_by_network_and_identifier() -> None:
-    access = Access(
-        config.Cantcpd(watch=("10.0.0.0/8", "::1/128"), transmit=("10.1.0.0/16",), barred=("040-043", "050", "00000040"))
-    )
+    access = Access(Cantcpd(watch=("10.0.0.0/8", "::1/128"), transmit=("10.1.0.0/16",), barred=("040-043", "050", "00000040")))
     assert access.may_watch("10.9.9.9")
     assert access.may_watch("::ffff:10.9.9.9")
     assert access.may_watch("::1")
@@ -617,10 +616,10 @@ def test_access_by_network_and_identifier() -> None:
 
 
 def test_by_default_nobody_transmits_and_who_may_does_not_command_the_boat_nor_speak_as_its_nodes() -> None:
-    access = Access(config.Cantcpd())
+    access = Access(Cantcpd())
     assert not access.may_transmit("127.0.0.1")
     assert not access.may_transmit("::1")
-    access = Access(config.Cantcpd(transmit=("127.0.0.0/8",)), config.Can(vehicle=0xD0))
+    access = Access(Cantcpd(transmit=("127.0.0.0/8",)), config.Can(vehicle=0xD0))
     actuators = PROPELLER_STARBOARD, PROPELLER_PORT, BATTERIES_STARBOARD, BATTERIES_PORT
     refused = [arb for arb in map(standard, range(0x800)) if access.refusal("127.0.0.1", "can0", arb)]
     assert refused == [*actuators, RESET, TIME_FRAME, SHUTDOWN, time_frame(0xD0)]
@@ -629,7 +628,7 @@ def test_by_default_nobody_transmits_and_who_may_does_not_command_the_boat_nor_s
 
 @pytest.mark.parametrize("node", set(Node) - {Node.BROADCAST})
 def test_nobody_speaks_in_the_name_of_a_node_of_the_boat(node: Node) -> None:
-    access = Access(config.Cantcpd(transmit=("127.0.0.0/8",)), config.Can())
+    access = Access(Cantcpd(transmit=("127.0.0.0/8",)), config.Can())
     for priority in (0, NAVIGATION_PRIORITY, 255):
         message = Message(priority, node, Node.BROADCAST, NAVIGATION_ID, bytes(32))
         for arb in (*(frame.arb for frame in segments(message, 7)), sysstat_arb(node)):

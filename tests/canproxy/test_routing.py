@@ -22,15 +22,16 @@ from delfim.canproxy.dsor.protocol import BROADCAST, Kind, dsor_arb
 from delfim.canproxy.dsor.routing import FRAMES_A_CALL, Router
 from delfim.canproxy.dsor.sockets import DsorSocket, open_dsor
 from delfim.canproxy.socket import ANYTHING
+from delfim.canproxy.tables import Routing, RoutingBus
 from delfim.simulator.lockstepbus import LockstepBus
 
 ROOT = Path(__file__).parents[2]
 HOME, SONARS, WINCH = (f"canloop:{name}-{os.getpid()}" for name in ("home", "sonars", "winch"))
-TABLE = config.Routing(
+TABLE = Routing(
     everybody=(2,),
     buses={
-        "sonars": config.RoutingBus(interface=SONARS, nodes=(0x30, 0x31)),
-        "winch": config.RoutingBus(interface=WINCH, nodes=(0x40,)),
+        "sonars": RoutingBus(interface=SONARS, nodes=(0x30, 0x31)),
+        "winch": RoutingBus(interface=WINCH, nodes=(0x40,)),
     },
 )
 
@@ -106,7 +107,7 @@ def test_to_everybody_goes_what_the_table_lets_go(routed: None) -> None:
 class Wires:
     """Three buses in this process with a router between them."""
 
-    def __init__(self, table: config.Routing) -> None:
+    def __init__(self, table: Routing) -> None:
         self.clock = ManualClock()
         self.buses = {name: LockstepBus(self.clock, name) for name in (HOME, SONARS, WINCH)}
         self.router = Router(table, HOME, {name: bus.socket("router") for name, bus in self.buses.items()}, self.clock)
@@ -161,7 +162,7 @@ def test_a_source_on_the_wrong_bus_is_counted_and_goes_no_further() -> None:
 
 
 def test_no_more_frames_go_on_than_the_table_allows() -> None:
-    wires = Wires(config.Routing(frames_per_s=10, buses=TABLE.buses))
+    wires = Wires(Routing(frames_per_s=10, buses=TABLE.buses))
     waiting = deque(Frame(dsor_arb(0x80, 1, 0x30, 2, n & 31)) for n in range(30))
     while waiting:
         wires.ends[SONARS].sendmsg(waiting.popleft())

@@ -15,6 +15,7 @@ from delfim.simulator.scenarios.mixed import mixed, mixed_mission, place_of
 from delfim.simulator.scenarios.scenario import Scenario, load_scenario, mission_of, settings_of
 from delfim.simulator.scenarios.trial import sail
 from delfim.simulator.scenarios.watch import TruePlace
+from delfim.simulator.tables import Simulation
 from tests.oracles.traces import Layout, Tape, Trace
 
 ROOT: Final = Path(__file__).parents[2]
@@ -65,7 +66,7 @@ def boats() -> Iterator[Voyage]:
         yield Voyage(_name(file), settings, 1, scenario, mission, Layout(settings.navigation.rate_hz, 60.0, 5.0, each=True))
 
 
-def _orders(here: config.Simulation) -> Iterator[dict[str, Any]]:
+def _orders(here: Simulation) -> Iterator[dict[str, Any]]:
     latitude_deg, longitude_deg = place_of(here, 20.0, -15.0)
     yield {"command": "play"}
     yield {"command": "mode", "mode": "hold"}

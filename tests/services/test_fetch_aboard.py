@@ -8,10 +8,10 @@ from pathlib import Path
 
 import asyncssh
 
-from delfim import config
 from delfim.services.access.door import hashed
 from delfim.services.files import ftpd, sshd
 from delfim.services.runtime import Runtime
+from delfim.services.tables import Ftpd, FtpUser, Sshd, SshUser
 from tests.logging.test_fetch import T0_NS, arrived, gz
 from tests.services.boat import served, vehicle_file
 from tests.services.radio import Radio, radio
@@ -54,8 +54,8 @@ async def fetched_twice(url: str, place: Path, link: Radio) -> None:
 
 
 def test_by_ftp(tmp_path: Path) -> None:
-    users = {"ana": config.FtpUser(password=hashed("sesame"))}
-    table = config.Ftpd(listen="127.0.0.1:0", root=str(tmp_path / "log"), users=users)
+    users = {"ana": FtpUser(password=hashed("sesame"))}
+    table = Ftpd(listen="127.0.0.1:0", root=str(tmp_path / "log"), users=users)
 
     async def main() -> None:
         async with (
@@ -69,8 +69,8 @@ def test_by_ftp(tmp_path: Path) -> None:
 
 
 def test_what_is_being_written_on_the_boat_is_not_called_cut(tmp_path: Path) -> None:
-    users = {"ana": config.FtpUser(password=hashed("sesame"))}
-    table = config.Ftpd(listen="127.0.0.1:0", root=str(tmp_path / "log"), users=users)
+    users = {"ana": FtpUser(password=hashed("sesame"))}
+    table = Ftpd(listen="127.0.0.1:0", root=str(tmp_path / "log"), users=users)
     old, new = (f"20100101/can0/09{minute}000.log.gz" for minute in (3, 4))
 
     async def main() -> None:
@@ -87,8 +87,8 @@ def test_what_is_being_written_on_the_boat_is_not_called_cut(tmp_path: Path) -> 
 
 
 def test_by_ftp_with_tls(tmp_path: Path, certificate: Path) -> None:
-    users = {"ana": config.FtpUser(password=hashed("sesame"))}
-    table = config.Ftpd(listen="127.0.0.1:0", root=str(tmp_path / "log"), users=users, certificate=str(certificate))
+    users = {"ana": FtpUser(password=hashed("sesame"))}
+    table = Ftpd(listen="127.0.0.1:0", root=str(tmp_path / "log"), users=users, certificate=str(certificate))
 
     async def main() -> None:
         async with served(vehicle_file(tmp_path, ftpd=table), ftpd.serve, "ftpd") as runtime:
@@ -106,8 +106,8 @@ def test_by_sftp(tmp_path: Path) -> None:
     key = asyncssh.generate_private_key("ssh-ed25519")
     key.write_private_key(home / "id_ed25519")
     host_key = tmp_path / "log/.keys/host"
-    users = {"ana": config.SshUser(keys=(key.export_public_key().decode(),))}
-    table = config.Sshd(listen="127.0.0.1:0", root=str(tmp_path / "log"), host_key=str(host_key), users=users)
+    users = {"ana": SshUser(keys=(key.export_public_key().decode(),))}
+    table = Sshd(listen="127.0.0.1:0", root=str(tmp_path / "log"), host_key=str(host_key), users=users)
 
     async def main() -> None:
         async with (

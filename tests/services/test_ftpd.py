@@ -17,18 +17,18 @@ from typing import Any
 
 import pytest
 
-from delfim import config
 from delfim.base.errors import PermanentFailure
 from delfim.logging import guard
 from delfim.services.access import door
 from delfim.services.access.door import hashed
 from delfim.services.files import ftpd, ftpdata, uploads
+from delfim.services.tables import Ftpd, FtpUser
 from tests.services.boat import served, vehicle_file
 
 CONTENT = bytes(range(256)) * 2000
 USERS = {
-    "reader": config.FtpUser(password=hashed("sesame", b"salt")),
-    "writer": config.FtpUser(password=hashed("open", b"salt"), upload=True),
+    "reader": FtpUser(password=hashed("sesame", b"salt")),
+    "writer": FtpUser(password=hashed("open", b"salt"), upload=True),
 }
 
 
@@ -103,7 +103,7 @@ class Raw:
 @contextlib.asynccontextmanager
 async def files(tmp_path: Path, **limits: Any) -> AsyncIterator[Files]:
     root = tmp_path / "log"
-    table = config.Ftpd(listen="127.0.0.1:0", root=str(root), users=USERS, **limits)
+    table = Ftpd(listen="127.0.0.1:0", root=str(root), users=USERS, **limits)
     settings = vehicle_file(tmp_path, ftpd=table)
     (root / "20260101").mkdir(exist_ok=True)
     (root / "20260101/a b.log").write_bytes(CONTENT)

@@ -25,6 +25,7 @@ from delfim.base.clock import SystemClock
 from delfim.services.access import door
 from delfim.services.page import api, board, httpd, page
 from delfim.services.runtime import Runtime
+from delfim.services.tables import Httpd
 from tests.services.boat import STATE, served, vehicle, vehicle_file
 from tests.services.browser import PROGRAM, tab
 
@@ -84,7 +85,7 @@ class Site:
 
 @contextlib.asynccontextmanager
 async def site(tmp_path: Path, *, with_vehicle: bool = True, **limits: Any) -> AsyncIterator[Site]:
-    settings = vehicle_file(tmp_path, httpd=config.Httpd(listen="127.0.0.1:0", **limits))
+    settings = vehicle_file(tmp_path, httpd=Httpd(listen="127.0.0.1:0", **limits))
     state = copy.deepcopy(STATE)
     async with contextlib.AsyncExitStack() as stack:
         if with_vehicle:

@@ -22,6 +22,7 @@ from delfim.services import powerd
 from delfim.services.powerd import EV_KEY, INPUT_EVENT, KEY_POWER, Button, Powerd
 from delfim.services.runtime import LoadedService, Runtime
 from delfim.services.supervision import shutdown
+from delfim.services.tables import PowerdTable
 
 OFF = Frame(messages.SHUTDOWN, messages.pack_shutdown(Shutdown(False)))
 REBOOT = Frame(messages.SHUTDOWN, messages.pack_shutdown(Shutdown(True)))
@@ -39,7 +40,7 @@ class Boat:
 
     def __init__(self, **settings: object) -> None:
         self.clock = ManualClock()
-        self.powerd = Powerd(config.PowerdTable(**settings), self.clock)  # type: ignore[arg-type]
+        self.powerd = Powerd(PowerdTable(**settings), self.clock)  # type: ignore[arg-type]
 
     def goes_on(self, seconds: float, *frames: Frame) -> str:
         """These frames each second for so long. Returns why the power is to be cut, or nothing."""

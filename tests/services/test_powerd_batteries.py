@@ -25,6 +25,7 @@ from delfim.services.page.api import State as ToldState
 from delfim.services.powerd import FRESH_S, Powerd, is_told_by_vehicle
 from delfim.services.runtime import LoadedService, Runtime
 from delfim.services.supervision import shutdown
+from delfim.services.tables import PowerdTable
 from delfim.vehicle.links import Links
 from delfim.vehicle.operator.command import CommandServer
 from delfim.vehicle.propulsion import thrusters
@@ -100,14 +101,14 @@ def told_by_motors(name: str, **tables: config.Table) -> tuple[config.Vehicle, S
 
 
 def vesc() -> tuple[config.Vehicle, State]:
-    return told_by_motors("vesc", powerd=config.PowerdTable(battery_v=24.5))
+    return told_by_motors("vesc", powerd=PowerdTable(battery_v=24.5))
 
 
 def board() -> tuple[config.Vehicle, State]:
     return told_by_motors(
         "mavlink_front_seat",
         mavlink_front_seat=MavlinkFrontSeat(battery=True),
-        powerd=config.PowerdTable(battery_charge=0.8),
+        powerd=PowerdTable(battery_charge=0.8),
     )
 
 
@@ -149,7 +150,7 @@ def test_a_boards_charge_counts_only_where_the_file_says_so():
 
 def test_an_own_battery_beside_other_motors_ends_no_boat_that_is_driven():
     """Its motors are on another bus, where powerd hears no command."""
-    settings = msgspec.structs.replace(vesc()[0], powerd=config.PowerdTable(battery_s=10.0))
+    settings = msgspec.structs.replace(vesc()[0], powerd=PowerdTable(battery_s=10.0))
     boat = Boat(settings, State())
     for _ in range(60):
         boat.powerd.on_frame(batteries(0.01))
@@ -161,7 +162,7 @@ def test_an_own_battery_beside_other_motors_ends_no_boat_that_is_driven():
 
 
 def test_while_the_vehicle_is_silent_nobody_knows_whether_it_is_driven():
-    settings = msgspec.structs.replace(vesc()[0], powerd=config.PowerdTable(battery_s=10.0))
+    settings = msgspec.structs.replace(vesc()[0], powerd=PowerdTable(battery_s=10.0))
     boat = Boat(settings, State())
     for _ in range(60):
         boat.powerd.on_frame(batteries(0.01))

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from delfim import config
 from delfim.base.clock import ManualClock
 from delfim.services.radio.slipd import SerialRadio, carrier_source
+from delfim.services.tables import Slipd
 
 
 class FakeLine:
@@ -43,7 +43,7 @@ class Bench:
         self.carrier.write_text("1")
         self.device = os.ttyname(slave)
         os.close(slave)
-        self.settings = config.Slipd(device=self.device, carrier=f"file:{self.carrier}")
+        self.settings = Slipd(device=self.device, carrier=f"file:{self.carrier}")
         self.clock, self.lines, self.refusal = ManualClock(), list[FakeLine](), ""
         self.radio = SerialRadio(self.settings, self.clock, self.open_line)
 
@@ -125,7 +125,7 @@ def test_a_refusal_of_the_kernel_is_told_and_tried_again(bench: Bench) -> None:
 
 
 def test_an_adapter_that_is_not_there_is_told_and_its_descriptors_are_not_kept(bench: Bench) -> None:
-    radio = SerialRadio(config.Slipd(device="/dev/no-such-port"), bench.clock, bench.open_line)
+    radio = SerialRadio(Slipd(device="/dev/no-such-port"), bench.clock, bench.open_line)
     before = len(os.listdir("/proc/self/fd"))
     for _ in range(100):
         if radio.is_due():

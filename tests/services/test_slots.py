@@ -14,10 +14,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from delfim import config
 from delfim.base.errors import DelfimError, FormatError, Refused
 from delfim.services.image import imagefile, slots
 from delfim.services.image.slots import Environment, Slots
+from delfim.services.tables import Image
 
 
 class Yard:
@@ -296,7 +296,7 @@ def test_two_thousand_damaged_images_are_refused_or_are_the_same(yard: Yard, tmp
 
 
 def test_two_are_not_installed_at_once(yard: Yard) -> None:
-    table = config.Image(directory=str(yard.boot))
+    table = Image(directory=str(yard.boot))
     with (
         slots.boot_partition(table, write=True),
         pytest.raises(Refused, match="another image"),
@@ -307,13 +307,13 @@ def test_two_are_not_installed_at_once(yard: Yard) -> None:
 
 def test_a_computer_without_slots_says_so(tmp_path: Path) -> None:
     with (
-        slots.boot_partition(config.Image(directory=str(tmp_path)), write=False) as both,
+        slots.boot_partition(Image(directory=str(tmp_path)), write=False) as both,
         pytest.raises(Refused, match="has no slots"),
     ):
         both.environment()
     with (
         pytest.raises(Refused, match="boot partition: mount"),
-        slots.boot_partition(config.Image(partition="/dev/nothing", directory=str(tmp_path)), write=False),
+        slots.boot_partition(Image(partition="/dev/nothing", directory=str(tmp_path)), write=False),
     ):
         pass
 

@@ -16,11 +16,11 @@ from typing import Any
 import asyncssh
 import pytest
 
-from delfim import config
 from delfim.base.errors import PermanentFailure
 from delfim.logging import guard
 from delfim.services.access import door
 from delfim.services.files import sshd, sshfiles, sshprograms, uploads
+from delfim.services.tables import Sshd, SshUser
 from tests.services.boat import served, vehicle_file
 
 pytestmark = pytest.mark.skipif(not shutil.which("ssh") or not shutil.which("sftp"), reason="needs the OpenSSH client")
@@ -74,7 +74,7 @@ async def boat(place: Path, keys: dict[str, asyncssh.SSHKey], **limits: Any) -> 
         (place / name).chmod(0o600)
     public = keys["key"].export_public_key().decode()
     table = {"listen": "127.0.0.1:0", "root": str(place / "log"), "host_key": str(place / "log/.keys/host")} | limits
-    settings = vehicle_file(place, sshd=config.Sshd(users={"ana": config.SshUser(keys=(public,))}, **table))
+    settings = vehicle_file(place, sshd=Sshd(users={"ana": SshUser(keys=(public,))}, **table))
     async with served(settings, sshd.serve, "sshd") as runtime:
         yield Boat(int(str(runtime.board["sshd"]()["address"]).rpartition(":")[2]), place)
 

@@ -18,6 +18,7 @@ from delfim.services.files.threads import worked
 from delfim.services.files.uploads import LOOK_BYTES, PART, NoRoom, Uploads
 from delfim.services.page import files as webfiles
 from delfim.services.page import httpd
+from delfim.services.tables import Httpd
 from tests.services.boat import served, vehicle_file
 from tests.services.test_ftpd import CONTENT, Files, run
 
@@ -188,7 +189,7 @@ def test_a_visitor_who_vanishes_while_his_file_is_opened_leaves_nothing_open(tmp
     monkeypatch.setattr(webfiles, "opened", held(webfiles.opened, doing, go_on))
 
     async def main() -> None:
-        settings = vehicle_file(tmp_path, httpd=config.Httpd(listen="127.0.0.1:0"))
+        settings = vehicle_file(tmp_path, httpd=Httpd(listen="127.0.0.1:0"))
         (tmp_path / "log/x.log").write_bytes(CONTENT)
         async with served(settings, httpd.serve, "httpd") as runtime:
             port = int(str(runtime.board["httpd"]()["address"]).strip("/").rpartition(":")[2])

@@ -13,6 +13,7 @@ from delfim.simulator.berth import Berth, settings_of
 from delfim.simulator.faults import fault
 from delfim.simulator.lockstep import Lockstep
 from delfim.simulator.nodes.cansensors import FIRST_NODE, CanSensors
+from delfim.simulator.tables import Sea, Simulation
 from delfim.vehicle import console
 from delfim.vehicle.state import NoLog, State
 
@@ -23,14 +24,14 @@ BENT = Dronecan(
 
 
 def boat(estimator: bool = True, gyro: bool = True, table: Dronecan = BENT) -> Lockstep:
-    sea = config.Sea(current_mps=0.5, current_to_deg=250.0, wind_mps=6.0)
+    sea = Sea(current_mps=0.5, current_to_deg=250.0, wind_mps=6.0)
     settings = config.Vehicle(
         boat=config.BoatTable(name="test"),
         navigation=config.NavigationTable(sources=("dronecan",), rate_hz=10.0, estimator=estimator),
         sensors=config.Sensors(names=("dronecan",)),
         sysstat=config.Sysstat(required=()),
         dronecan=table,
-        simulation=config.Simulation(sea=sea, gyro=gyro),
+        simulation=Simulation(sea=sea, gyro=gyro),
     )
     return Lockstep(settings, 1, lambda clock: NoLog())
 

@@ -18,6 +18,7 @@ from delfim.parts.nmea0183.table import Nmea0183, Nmea0183Port
 from delfim.parts.nmea2000.table import Nmea2000
 from delfim.simulator.lockstep import Lockstep
 from delfim.simulator.nodes.devices import COMPASS, NAMES, RECEIVER, Devices
+from delfim.simulator.tables import Sea, Simulation
 from delfim.vehicle import console
 from delfim.vehicle.state import NoLog
 
@@ -32,8 +33,8 @@ CORNER_S = 15.0  # after a waypoint, until the boat is on its next line
 def boat(
     seed: int, navigation: config.NavigationTable = SEPARATE, *, towards_deg: float = 250.0, gyro: bool = True
 ) -> Lockstep:
-    sea = config.Sea(current_mps=0.5, current_to_deg=towards_deg)
-    simulation = config.Simulation(sea=sea, gyro=gyro)
+    sea = Sea(current_mps=0.5, current_to_deg=towards_deg)
+    simulation = Simulation(sea=sea, gyro=gyro)
     ports = {"gnss": Nmea0183Port(device="/dev/gnss"), "compass": Nmea0183Port(device="/dev/compass")}
     settings = config.Vehicle(
         boat=config.BoatTable(name="test"), navigation=navigation, simulation=simulation, nmea0183=Nmea0183(ports=ports)
@@ -245,7 +246,7 @@ def test_after_a_silence_of_the_receiver_everything_begins_with_a_position():
 
 def test_sources_are_chosen_by_name_where_the_vehicles_file_has_names() -> None:
     table = Nmea2000(preferred_sources=(NAMES[RECEIVER], NAMES[COMPASS]))
-    simulation = config.Simulation(heading_deg=90.0)
+    simulation = Simulation(heading_deg=90.0)
     settings = config.Vehicle(boat=config.BoatTable(name="test"), navigation=SEPARATE, nmea2000=table, simulation=simulation)
     run = Lockstep(settings, 1, lambda clock: NoLog())
     stranger = run.buses[table.interface].socket("stranger")

@@ -26,6 +26,7 @@ from delfim.simulator.faults import fault
 from delfim.simulator.instrumentlines import InstrumentLines
 from delfim.simulator.lockstep import Lockstep
 from delfim.simulator.nodes import Nodes, nodes_of
+from delfim.simulator.tables import Sea, Simulation
 from delfim.vehicle import console
 from delfim.vehicle.state import NoLog
 
@@ -33,12 +34,12 @@ ROOT = Path(__file__).parents[2]
 NOON_NS = 1_795_348_800_200_000_000  # 2026-11-22 12:00:00.2 UTC
 PORTS = {"gnss": Nmea0183Port(device="/dev/gnss"), "compass": Nmea0183Port(device="/dev/compass")}
 
-WINDY = config.Simulation(sea=config.Sea(wind_mps=6.0, wind_from_deg=90.0, gusts=0.0))
+WINDY = Simulation(sea=Sea(wind_mps=6.0, wind_from_deg=90.0, gusts=0.0))
 APART = msgspec.structs.replace(WINDY, instruments=("gnss:receiver", "compass:compass", "compass:gyro"))
 
 
 def vehicle(
-    simulation: config.Simulation = WINDY, ports: dict[str, Nmea0183Port] = PORTS, run: Path = Path("/run/delfim")
+    simulation: Simulation = WINDY, ports: dict[str, Nmea0183Port] = PORTS, run: Path = Path("/run/delfim")
 ) -> config.Vehicle:
     """A boat that navigates by its instruments."""
     return config.Vehicle(

@@ -12,6 +12,7 @@ from delfim.base.clock import ManualClock
 from delfim.base.modes import Mode
 from delfim.base.slices import Sliced
 from delfim.simulator.lockstep import Lockstep
+from delfim.simulator.tables import Sea, Simulation
 from delfim.vehicle import console
 from delfim.vehicle.log import record
 from delfim.vehicle.plans.fence import stopping_m
@@ -22,7 +23,7 @@ ROOT = Path(__file__).parents[2]
 MISSION = ROOT / "etc/missions/doca.toml"
 RECORD = record.of(config.load(ROOT / "etc/delfimx.toml"))
 PACK = struct.Struct("<" + "".join(field.code for field in RECORD.fields)).pack
-CROSS = config.Sea(current_mps=0.5, current_to_deg=250.0, wind_mps=4.0, wind_from_deg=320.0)
+CROSS = Sea(current_mps=0.5, current_to_deg=250.0, wind_mps=4.0, wind_from_deg=320.0)
 
 
 class Bytes:
@@ -44,9 +45,9 @@ class Bytes:
         pass
 
 
-def boat(seed: int, sea: config.Sea = CROSS) -> Lockstep:
+def boat(seed: int, sea: Sea = CROSS) -> Lockstep:
     settings = config.load(ROOT / "etc/delfimx.toml")
-    there = config.Simulation(sea=sea)
+    there = Simulation(sea=sea)
     simulated = config.Vehicle(boat=settings.boat, control=settings.control, thrusters=settings.thrusters, simulation=there)
     return Lockstep(simulated, seed, Bytes)
 
@@ -109,7 +110,7 @@ def test_a_guest_steers_in_grex_mode():
 @pytest.mark.parametrize("speed_mps", [0.5, 1.0, 1.5, 2.2])
 @pytest.mark.parametrize("order", [console.Stop(), console.SetMode("hold")], ids=["stop", "hold"])
 def test_the_boat_comes_to_rest_where_the_fence_reckons_with(speed_mps, order):
-    sailing = boat(1, config.Sea())
+    sailing = boat(1, Sea())
     list(sailing.cycles(4.0))
     assert sailing.command(console.Heading(0.0, speed_mps)) is None
     list(sailing.cycles(40.0))

@@ -10,8 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from delfim.base.geodesy import to_plane
-from delfim.config import BoatTable, Sea, Steer, ThrusterTable, Vehicle, load
+from delfim.config import BoatTable, Steer, ThrusterTable, Vehicle, load
 from delfim.simulator.model import Hull, Model, hull_of
+from delfim.simulator.tables import Sea
 
 CALM = Sea()
 

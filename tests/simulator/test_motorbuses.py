@@ -35,6 +35,7 @@ from delfim.simulator.berth import Berth, settings_of
 from delfim.simulator.faults import fault
 from delfim.simulator.lockstep import Lockstep
 from delfim.simulator.nodes import nodes_of
+from delfim.simulator.tables import Simulation
 from delfim.vehicle import console
 from delfim.vehicle.state import NoLog, ThrusterReport
 from tests.parts.pwm.test_pulsefiles import rows, written
@@ -289,5 +290,5 @@ def test_the_program_of_the_nodes_plays_them_in_real_time_unless_others_do(drive
                     motors |= {decode(transfer).motor} if transfer is not None else set()
         finally:
             nodes.terminate()
-    others = msgspec.structs.replace(boat(driver), simulation=config.Simulation(motors=False))
+    others = msgspec.structs.replace(boat(driver), simulation=Simulation(motors=False))
     assert nodes_of(others, 1).beside == ()

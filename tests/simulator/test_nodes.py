@@ -41,16 +41,17 @@ from delfim.canproxy.dsor.protocol import Message
 from delfim.canproxy.dsor.receiver import Receiver
 from delfim.canproxy.socket import accepts
 from delfim.simulator.nodes import Nodes, nodes_of
+from delfim.simulator.tables import Sea, Simulation
 
 COMMANDS = nodes_of(config.Vehicle(boat=config.BoatTable(name="test")), 1).hears
 UTC_NS = 1_262_304_000_000_000_000
-QUIET = config.Simulation(position_noise_m=0.0, heading_noise_deg=0.0, speed_noise_mps=0.0)
+QUIET = Simulation(position_noise_m=0.0, heading_noise_deg=0.0, speed_noise_mps=0.0)
 
 
 class Boat:
     """The nodes and a receiver of what they say; time goes in steps."""
 
-    def __init__(self, simulation: config.Simulation = QUIET, rate_hz: float = 5.0, seed: int = 1) -> None:
+    def __init__(self, simulation: Simulation = QUIET, rate_hz: float = 5.0, seed: int = 1) -> None:
         boat, rate = config.BoatTable(name="test"), config.NavigationTable(rate_hz=rate_hz)
         self.nodes: Nodes = nodes_of(config.Vehicle(boat=boat, navigation=rate, simulation=simulation), seed)
         self.model = self.nodes.model
@@ -124,9 +125,7 @@ def test_navigation_comes_at_its_rate_and_tells_the_truth_but_for_the_noise(rate
 
 
 def test_navigation_noise_has_the_asked_deviation() -> None:
-    boats = [
-        Boat(config.Simulation(position_noise_m=2.0, heading_noise_deg=1.0, speed_noise_mps=0.1), seed=i) for i in range(200)
-    ]
+    boats = [Boat(Simulation(position_noise_m=2.0, heading_noise_deg=1.0, speed_noise_mps=0.1), seed=i) for i in range(200)]
     measured = [(boat, boat.nodes.navigation.measured(UTC_NS)) for boat in boats]
     north = [(n.latitude_rad - b.model.latitude_rad) * b.model.origin.north_m_per_rad for b, n in measured if n.latitude_rad]
     heading = [
@@ -139,7 +138,7 @@ def test_navigation_noise_has_the_asked_deviation() -> None:
 
 
 def test_the_error_of_position_wanders_and_does_not_jump() -> None:
-    boat = Boat(config.Simulation(position_noise_m=2.0))
+    boat = Boat(Simulation(position_noise_m=2.0))
     errors = [boat.nodes.navigation.measured(UTC_NS).latitude_rad or 0.0 for _ in range(3000)]
     metres = [(error - boat.model.latitude_rad) * boat.model.origin.north_m_per_rad for error in errors]
     steps = [after - before for before, after in pairwise(metres)]
@@ -149,7 +148,7 @@ def test_the_error_of_position_wanders_and_does_not_jump() -> None:
 
 def test_the_same_seed_gives_the_same_frames_and_another_does_not() -> None:
     def frames(seed: int) -> list[tuple[float, Frame]]:
-        boat = Boat(config.Simulation(sea=config.Sea(wind_mps=5.0)), seed=seed)
+        boat = Boat(Simulation(sea=Sea(wind_mps=5.0)), seed=seed)
         boat.sail(20, 700, 800)
         return boat.said
 

@@ -21,21 +21,22 @@ from delfim.simulator.nodes import nodes_of
 from delfim.simulator.nodes.aisframes import facts, framed, position
 from delfim.simulator.nodes.aivdm import facts_said, position_said
 from delfim.simulator.nodes.shipping import Shipping, axes_m, nearness
+from delfim.simulator.tables import Sea, SimulatedTraffic, SimulatedVessel, Simulation, VesselTurn
 from delfim.vehicle.state import NoLog
 
 STEP_S = 0.2
 Heard = list[tuple[float, VesselPosition | VesselFacts]]
 
 
-def shipping(traffic: config.SimulatedTraffic, *, noise: bool = False, seed: int = 1) -> tuple[Shipping, Model]:
-    settings = config.Vehicle(boat=config.BoatTable(name="test"), simulation=config.Simulation(noise=noise, traffic=traffic))
-    model = Model(Hull(), config.Sea(), 1, math.radians(38.6), math.radians(-9.6), 0.0)
+def shipping(traffic: SimulatedTraffic, *, noise: bool = False, seed: int = 1) -> tuple[Shipping, Model]:
+    settings = config.Vehicle(boat=config.BoatTable(name="test"), simulation=Simulation(noise=noise, traffic=traffic))
+    model = Model(Hull(), Sea(), 1, math.radians(38.6), math.radians(-9.6), 0.0)
     return Shipping(settings, model, seed), model
 
 
-def one(heard: str = "told", manner: str = "told", lost: float = 0.0, **row: Any) -> config.SimulatedTraffic:
-    vessel = config.SimulatedVessel(mmsi=244_660_123, name="MARIA", **row)
-    return config.SimulatedTraffic(heard=heard, manner=manner, lost=lost, vessel=(vessel,))
+def one(heard: str = "told", manner: str = "told", lost: float = 0.0, **row: Any) -> SimulatedTraffic:
+    vessel = SimulatedVessel(mmsi=244_660_123, name="MARIA", **row)
+    return SimulatedTraffic(heard=heard, manner=manner, lost=lost, vessel=(vessel,))
 
 
 def listened(there: Shipping, seconds: float) -> Iterator[tuple[float, VesselPosition | VesselFacts]]:
@@ -83,7 +84,7 @@ def test_name_and_size_are_read_in_the_lengths_of_their_messages(is_a):
 
 
 def test_a_vessel_sails_its_course_and_turns_at_its_rate():
-    there, _ = shipping(one(speed_mps=5.0, turns=(config.VesselTurn(at_s=10.0, course_deg=90.0),), turn_dps=3.0))
+    there, _ = shipping(one(speed_mps=5.0, turns=(VesselTurn(at_s=10.0, course_deg=90.0),), turn_dps=3.0))
     list(listened(there, 100.1))
     (vessel,) = there.vessels
     assert math.degrees(vessel.course_rad) == pytest.approx(90.0)
@@ -112,7 +113,7 @@ def test_it_is_heard_as_often_as_its_class_and_speed_say(row, interval_s):
 
 
 def test_a_ship_that_turns_is_heard_more_often_and_tells_its_rate():
-    there, _ = shipping(one(transponder="A", speed_mps=5.0, turns=(config.VesselTurn(at_s=100.0, course_deg=90.0),)))
+    there, _ = shipping(one(transponder="A", speed_mps=5.0, turns=(VesselTurn(at_s=100.0, course_deg=90.0),)))
     turning = [(t_s, each) for t_s, each in positions(list(listened(there, 200.0))) if 101.0 < t_s < 190.0]
     assert len(turning) > 20
     assert [each.rate_radps for _, each in turning] == pytest.approx([math.radians(1.0)] * len(turning), rel=0.01)
@@ -207,10 +208,10 @@ def test_the_domain_is_longer_than_wide_and_measured_in_truth():
     assert axes_m(100.0) == (400.0, 160.0)
     assert axes_m(5.0) == (50.0, 30.0)
     assert nearness(0.0, 400.0, math.pi / 2.0, axes_m(100.0)) == pytest.approx(1.0), "ahead of a ship that goes east"
-    row = config.SimulatedVessel(north_m=100.0, east_m=-60.0, course_deg=90.0, speed_mps=1.0, transponder="none")
+    row = SimulatedVessel(north_m=100.0, east_m=-60.0, course_deg=90.0, speed_mps=1.0, transponder="none")
     settings = config.Vehicle(
         boat=config.BoatTable(name="test"),
-        simulation=config.Simulation(traffic=config.SimulatedTraffic(vessel=(row,))),
+        simulation=Simulation(traffic=SimulatedTraffic(vessel=(row,))),
     )
     run = Lockstep(settings, 1, lambda clock: NoLog())
     list(run.cycles(120.0))
@@ -224,7 +225,7 @@ def test_latitude_and_longitude_are_taken_instead_and_only_together():
     there, _ = shipping(one(latitude_deg=38.6, longitude_deg=-9.59))
     assert there.vessels[0].east_m == pytest.approx(870.0, abs=5.0)
     with pytest.raises(ValueError, match="go together"):
-        config.SimulatedVessel(latitude_deg=38.6)
+        SimulatedVessel(latitude_deg=38.6)
 
 
 def test_a_receiver_that_fails_is_silent_frozen_late_or_wrong():
@@ -282,7 +283,7 @@ def test_a_boat_with_a_line_of_nmea_0183_hears_them_there():
         boat=config.BoatTable(name="test"),
         sensors=config.Sensors(names=("nmea0183",)),
         nmea0183=Nmea0183(ports={"ais": Nmea0183Port(device="/dev/ais")}),
-        simulation=config.Simulation(instruments=("ais:ais",), traffic=one(heard="perfect", speed_mps=3.0)),
+        simulation=Simulation(instruments=("ais:ais",), traffic=one(heard="perfect", speed_mps=3.0)),
     )
     nodes, said = nodes_of(settings, 1), b""
     assert nodes.instruments is not None

@@ -13,8 +13,9 @@ from delfim.base.geodesy import Origin, origin, wrap
 from delfim.base.modes import Mode
 from delfim.base.slices import Sliced
 from delfim.canproxy.socket import CanSocket
-from delfim.config import Sea, Vehicle, load
+from delfim.config import Vehicle, load
 from delfim.simulator.model import WATER, Hull, Model, hull_of
+from delfim.simulator.tables import Sea
 from delfim.vehicle.control.control import admit, control, enter, lacking, settings_of
 from delfim.vehicle.control.modes.path import APPROACH, nearest
 from delfim.vehicle.plans.mission import load_mission, plan

@@ -15,9 +15,10 @@ from typing import NamedTuple
 from delfim import config
 from delfim.base import geodesy
 from delfim.simulator.model import Hull, Model
+from delfim.simulator.tables import Sea
 from delfim.vehicle.navigation.estimator import Estimate, Estimator
 
-SEA = config.Sea(current_mps=0.5, current_to_deg=60.0, wind_mps=6.0, wind_from_deg=200.0)
+SEA = Sea(current_mps=0.5, current_to_deg=60.0, wind_mps=6.0, wind_from_deg=200.0)
 PLACE = geodesy.origin(0.67, -0.16)
 TICK_S = 0.02  # of the gyro, 50 Hz
 LIMITS = config.NavigationTable(sources=("nmea2000",), stale_s=2.5)

@@ -13,6 +13,7 @@ from delfim.parts.traffic import lookout
 from delfim.parts.traffic.watchkeeper import LATE_S
 from delfim.simulator.faults import fault
 from delfim.simulator.lockstep import Lockstep
+from delfim.simulator.tables import SimulatedTraffic, SimulatedVessel
 from delfim.vehicle import console
 from delfim.vehicle.state import NoLog
 from tests.vehicle.test_lookout import slices
@@ -22,19 +23,19 @@ SET = ("simulation.heading_deg=0.0", 'sensors.names=["sysstat", "nmea2000"]')
 BOAT_MPS, MEETS_S, FAILS_S = 1.5, 300.0, 100.0
 
 
-def crossing(number: int = 0, **row: Any) -> config.SimulatedVessel:
+def crossing(number: int = 0, **row: Any) -> SimulatedVessel:
     """From starboard, to where the boat is after MEETS_S; the others of a crowd farther along the way."""
     north_m, east_m = BOAT_MPS * (MEETS_S - 10.0) + 60.0 * (number // 10), 2.0 * MEETS_S + 40.0 * (number % 10)
     told = {"transponder": "A", "length_m": 30.0, "course_deg": 270.0, "speed_mps": 2.0, "north_m": north_m, "east_m": east_m}
-    return config.SimulatedVessel(name=f"SHIP {number}", **(told | row))
+    return SimulatedVessel(name=f"SHIP {number}", **(told | row))
 
 
 class Voyage:
     """The boat steers north at 1.5 m/s; its receiver fails after a while."""
 
-    def __init__(self, monkeypatch: pytest.MonkeyPatch, fault: str, *vessels: config.SimulatedVessel, **failsafe: Any) -> None:
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, fault: str, *vessels: SimulatedVessel, **failsafe: Any) -> None:
         settings, replace = config.load(VEHICLE, SET), msgspec.structs.replace
-        world = replace(settings.simulation, traffic=config.SimulatedTraffic(vessel=vessels))
+        world = replace(settings.simulation, traffic=SimulatedTraffic(vessel=vessels))
         settings = replace(settings, simulation=world, failsafe=replace(settings.failsafe, **failsafe))
         self.spent, self.orders, self.told = slices(monkeypatch), 0, set[str]()
         self.run = Lockstep(settings, 1, lambda clock: NoLog())

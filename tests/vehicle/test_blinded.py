@@ -15,6 +15,7 @@ from delfim.base.vessels import VesselPosition
 from delfim.parts.traffic.targets import MOST
 from delfim.simulator.lockstep import Lockstep
 from delfim.simulator.nodes.shipping import Vessel
+from delfim.simulator.tables import SimulatedTraffic, SimulatedVessel
 from delfim.vehicle import console
 from delfim.vehicle.state import NoLog
 
@@ -32,7 +33,7 @@ class Voyage:
     def __init__(self, **row: float | str) -> None:
         settings, replace = config.load(VEHICLE, SET), msgspec.structs.replace
         told: dict[str, object] = {"north_m": BOAT_MPS * (MEETS_S - 10.0) + SHIP_MPS * MEETS_S, "speed_mps": SHIP_MPS}
-        ship = config.SimulatedVessel(
+        ship = SimulatedVessel(
             name="MARIA",
             mmsi=MMSI,
             transponder="A",
@@ -40,7 +41,7 @@ class Voyage:
             course_deg=180.0,
             **(told | row),  # type: ignore[arg-type]
         )
-        world = replace(settings.simulation, traffic=config.SimulatedTraffic(vessel=(ship,)))
+        world = replace(settings.simulation, traffic=SimulatedTraffic(vessel=(ship,)))
         self.run = Lockstep(replace(settings, simulation=world), 1, lambda clock: NoLog())
         self.told = set[str]()
         list(self.run.cycles(10.0))

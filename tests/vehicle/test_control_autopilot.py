@@ -9,8 +9,9 @@ from hypothesis import strategies as st
 
 from delfim.base.geodesy import wrap
 from delfim.base.modes import Mode
-from delfim.config import Sea, load
+from delfim.config import load
 from delfim.simulator.model import Model, hull_of
+from delfim.simulator.tables import Sea
 from delfim.vehicle.control.allocation import Allocation, thruster
 from delfim.vehicle.control.autopilot import clamp, entered, steer
 from delfim.vehicle.control.memory import Integrals, Memory, lacking

@@ -7,7 +7,7 @@ import pytest
 
 from delfim.base.geodesy import wrap
 from delfim.base.modes import Mode
-from delfim.config import Sea
+from delfim.simulator.tables import Sea
 from delfim.vehicle.control.control import admit, control, enter
 from delfim.vehicle.control.guidance import along
 from delfim.vehicle.control.modes.path import APPROACH

@@ -17,6 +17,7 @@ from delfim.lines.nmea0183.tracklines import INVALID, MILE_M, TrackLine, track_l
 from delfim.parts.nmea0183.table import Nmea0183, Nmea0183Guest
 from delfim.services.access.doors import doors
 from delfim.simulator.lockstep import Lockstep
+from delfim.simulator.tables import Sea, Simulation
 from delfim.vehicle import console
 from delfim.vehicle.state import NoLog
 
@@ -123,7 +124,7 @@ def test_any_fields_are_a_line_within_bounds_or_refused(address: str, rest: list
 
 
 def settings(current_mps: float = 0.0, **guest: object) -> config.Vehicle:
-    simulation = config.Simulation(sea=config.Sea(current_mps=current_mps, current_to_deg=0.0), heading_deg=60.0)
+    simulation = Simulation(sea=Sea(current_mps=current_mps, current_to_deg=0.0), heading_deg=60.0)
     return config.Vehicle(
         boat=config.BoatTable(name="test"),
         simulation=simulation,

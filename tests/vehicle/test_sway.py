@@ -9,7 +9,8 @@ import pytest
 from delfim import config
 from delfim.base.geodesy import wrap
 from delfim.base.modes import Mode
-from delfim.config import Sea, Steer, ThrusterTable
+from delfim.config import Steer, ThrusterTable
+from delfim.simulator.tables import Sea
 from delfim.vehicle.control.control import control
 from delfim.vehicle.control.hull import craft
 from delfim.vehicle.control.memory import Integrals, Memory, lacking, settings_of

@@ -9,6 +9,7 @@ from delfim import config
 from delfim.base.frames import CAN_IDE, extended, identifier, standard
 from delfim.canproxy.dsor.messages import Node, time_frame
 from delfim.canproxy.dsor.protocol import SOURCE_AT
+from delfim.canproxy.tables import Cantcpd
 
 _OWN: Final = frozenset(Node) - {Node.BROADCAST}
 
@@ -27,7 +28,7 @@ class Networks:
 class Access:
     """The networks that may watch and transmit, the barred identifiers, and what only the boat's nodes say."""
 
-    def __init__(self, settings: config.Cantcpd, can: config.Can | None = None, closed: Collection[str] = ()) -> None:
+    def __init__(self, settings: Cantcpd, can: config.Can | None = None, closed: Collection[str] = ()) -> None:
         """`can`: the bus of the boat's nodes. `closed`: the interfaces where only devices speak."""
         self._can, self._closed = can, closed
         self._watch, self._transmit = Networks(settings.watch), Networks(settings.transmit)

@@ -9,7 +9,6 @@ from collections.abc import Mapping
 from math import inf
 from typing import Any, Final, cast
 
-from delfim import config
 from delfim.base.errors import BusError
 from delfim.canproxy import socketcand
 from delfim.canproxy.cantcp import slcan
@@ -17,6 +16,7 @@ from delfim.canproxy.cantcp.access import Access
 from delfim.canproxy.cantcp.bcm import JOBS_MAX, Cycles, Subscription
 from delfim.canproxy.cantcp.outbox import Outbox, Timers
 from delfim.canproxy.cantcp.sharedbus import FRAMES_A_CALL, Ear, SharedBus
+from delfim.canproxy.tables import Cantcpd
 
 INPUT_BYTES: Final = 512  # of a client's commands in one call: 40 frames to send
 HOLD_S: Final = 0.02  # from the answer to `rawmode` to the first frame: clients compare what they read with "< ok >"
@@ -294,7 +294,7 @@ class Client(asyncio.BufferedProtocol):
 class Clients:
     """The connected clients, the limits for new ones, and the counts of those that left."""
 
-    def __init__(self, settings: config.Cantcpd, access: Access) -> None:
+    def __init__(self, settings: Cantcpd, access: Access) -> None:
         self.settings, self.access = settings, access
         self.inside: set[Client] = set()
         self.refused = 0  # connections

@@ -15,7 +15,6 @@ import logging
 from collections.abc import Iterable, Mapping
 from typing import Final
 
-from delfim import config
 from delfim.base.clock import Clock
 from delfim.canproxy import socketcand
 from delfim.canproxy.cantcp import slcan
@@ -23,6 +22,7 @@ from delfim.canproxy.cantcp.access import Access, bus_name
 from delfim.canproxy.cantcp.beacon import announce
 from delfim.canproxy.cantcp.client import Client, Clients
 from delfim.canproxy.cantcp.sharedbus import Readers, SharedBus
+from delfim.canproxy.tables import Cantcpd
 
 BEACON_EVERY: Final = 3  # polls
 
@@ -34,7 +34,7 @@ class CanServer:
 
     def __init__(
         self,
-        settings: config.Cantcpd,
+        settings: Cantcpd,
         interfaces: Iterable[str],
         readers: Readers,
         clock: Clock,

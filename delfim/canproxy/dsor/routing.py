@@ -26,7 +26,7 @@ from delfim.canproxy.dsor.protocol import (
     message_filter,
 )
 from delfim.canproxy.socket import CanAddress, CanSocket
-from delfim.config import Routing
+from delfim.canproxy.tables import Routing
 
 FRAMES_A_CALL: Final = 8
 _ROUTED: Final = frozenset(kind << KIND_AT | CAN_IDE for kind in Kind if kind is not Kind.PLAIN)

@@ -15,6 +15,7 @@ import msgspec
 from delfim import config
 from delfim.base import tables
 from delfim.base.modes import Mode
+from delfim.simulator.tables import SimulatedVessel, Vessels
 
 LISTS = "thrusters", "simulation.traffic.vessel"  # tables of which there are several
 
@@ -63,8 +64,8 @@ def _tables(prefix: str, kind: Any) -> list[tuple[str, Any]]:
             found.append((f"{prefix}{name}.NAME", get_args(hint)[1]))
         elif get_origin(hint) is dict:
             found.append((f"{prefix}{name}", hint))
-        elif hint is config.Vessels:
-            found.append((f"{prefix}{name}", config.SimulatedVessel))
+        elif hint is Vessels:
+            found.append((f"{prefix}{name}", SimulatedVessel))
         elif prefix + name in LISTS:
             found += [(name, get_args(get_args(hint)[0])[0]), (f"{name}.steer", config.Steer)]
         elif _is_table(hint):

@@ -29,6 +29,7 @@ from delfim.canproxy.dronecan.transfers import STATUS, Publisher, TransferReceiv
 from delfim.parts.dronecan.table import Dronecan
 from delfim.simulator.model import Model
 from delfim.simulator.nodes.period import TOLERANCE_S, Period, patience_s
+from delfim.simulator.tables import Simulation
 
 FIRST_NODE: Final = 20
 REPORT_S: Final = 0.04
@@ -146,7 +147,7 @@ class Escs:
 
 
 def devices_of(settings: config.Vehicle, model: Model, seed: int) -> Escs | None:
-    return Escs(settings, model) if settings.simulation.motors else None
+    return Escs(settings, model) if settings.of(Simulation).motors else None
 
 
 class DronecanCommands:

@@ -23,6 +23,7 @@ from delfim.parts.vesc.driver import (
 from delfim.parts.vesc.table import Vesc
 from delfim.simulator.model import Model
 from delfim.simulator.nodes.period import TOLERANCE_S, Period, patience_s
+from delfim.simulator.tables import Simulation
 
 REPORT_S: Final = 0.05
 SILENT_S: Final = 0.5  # without a command, after which it releases its motor, as docs/vesc.md says to set it
@@ -97,7 +98,7 @@ class PlayedVescs:
 
 
 def devices_of(settings: config.Vehicle, model: Model, seed: int) -> PlayedVescs | None:
-    return PlayedVescs(settings, model) if settings.simulation.motors else None
+    return PlayedVescs(settings, model) if settings.of(Simulation).motors else None
 
 
 class VescCommands:

@@ -10,6 +10,8 @@ from typing import Final
 
 from delfim import config
 from delfim.base.ranges import address, is_loopback
+from delfim.canproxy.tables import Cantcpd
+from delfim.services.tables import Ftpd, Httpd, Slipd, Sshd
 
 BOAT: Final = "/log/.boat"  # aboard; names with a dot in front are given out by no service
 
@@ -59,22 +61,22 @@ def _commands(shore: Path, settings: config.Vehicle, own: str, user: str, runnin
     """One for each door that is open beyond the boat's computer."""
     from delfim.canproxy.cantcp.access import bus_name
 
-    line, mavlink = settings.slipd, settings.table("mavlink")
+    line, mavlink = settings.of(Slipd), settings.table("mavlink")
     boat = line.address if line.device else own
     if line.device:
         yield from _shore(line)
     if not is_loopback(mavlink.listen):
         yield f"delfim console --boats 0.0.0.0:14550 --key {shore}/mavlink.key --vehicle {shore}/boat.toml"
-    if "sshd" in running and not is_loopback(listen := settings.sshd.listen):
+    if "sshd" in running and not is_loopback(listen := settings.of(Sshd).listen):
         key = f"-i {shore}/{user}.key " if (shore / f"{user}.key").exists() else ""
         yield f"ssh {_port('-p', listen, 22)}{key}-o UserKnownHostsFile={shore}/known_hosts {user}@{boat}"
-    if "ftpd" in running and not is_loopback(listen := settings.ftpd.listen):
+    if "ftpd" in running and not is_loopback(listen := settings.of(Ftpd).listen):
         tls = f"set ftp:ssl-force true; set ssl:ca-file {shore}/boat.crt"
         yield f"lftp {_port('-p', listen, 21)}-u {user} -e '{tls}' {boat}"
     watched = bus(settings)
-    if "cantcpd" in running and watched and not is_loopback(listen := settings.cantcpd.listen[0]):
+    if "cantcpd" in running and watched and not is_loopback(listen := settings.of(Cantcpd).listen[0]):
         yield f"delfim can dump socketcand:{boat}:{address(listen)[1]}:{bus_name(watched)}"
-    if "httpd" in running and not is_loopback(listen := settings.httpd.listen):
+    if "httpd" in running and not is_loopback(listen := settings.of(Httpd).listen):
         port = address(listen)[1]
         yield f"browser: http://{boat}{'' if port == 80 else f':{port}'}/"
 
@@ -84,7 +86,7 @@ def _port(option: str, listen: str, usual: int) -> str:
     return "" if port == usual else f"{option} {port} "
 
 
-def _shore(line: config.Slipd) -> Iterator[str]:
+def _shore(line: Slipd) -> Iterator[str]:
     """The command for the radio's other end."""
     boat, ashore = (f"{line.address}={line.station}", f"{line.peer}/24") if line.station else (line.address, line.peer)
     yield f"sudo delfim shore /dev/ttyUSB0 --boats {boat} --address {ashore} \\"

@@ -10,6 +10,9 @@ from typing import Final, Literal, NamedTuple
 
 from delfim import config
 from delfim.base.ranges import is_loopback
+from delfim.canproxy.tables import Canip, Cantcpd
+from delfim.services.tables import Ftpd, Httpd, Slipd, Sshd
+from delfim.simulator.tables import Simulation
 
 EVERY: Final = "every program of this computer"
 
@@ -37,7 +40,7 @@ def doors(settings: config.Vehicle, running: Collection[str]) -> list[Entrance]:
 
 def _console(settings: config.Vehicle) -> Iterator[Entrance]:
     here = "programs of this computer that may open the file"
-    fault = "simulation.faults lets `delfim fault` break the boat's log and links" if settings.simulation.faults else ""
+    fault = "simulation.faults lets `delfim fault` break the boat's log and links" if settings.of(Simulation).faults else ""
     yield Entrance("vehicle", settings.console.socket, "here", here, "command the boat", fault)
     mavlink = settings.table("mavlink")
     if mavlink.enabled and mavlink.key:
@@ -96,7 +99,7 @@ def _instruments(settings: config.Vehicle) -> Iterator[Entrance]:
 
 
 def _cantcpd(settings: config.Vehicle) -> Iterator[Entrance]:
-    table = settings.cantcpd
+    table = settings.of(Cantcpd)
     for listen in (*table.listen, *table.slcan):
         watching, sending = _beyond(table.watch), _beyond(table.transmit)
         if is_loopback(listen) or not watching:
@@ -109,24 +112,24 @@ def _cantcpd(settings: config.Vehicle) -> Iterator[Entrance]:
 
 
 def _httpd(settings: config.Vehicle) -> Iterator[Entrance]:
-    yield _open("httpd", settings.httpd.listen, "read the boat's page and its logs")
+    yield _open("httpd", settings.of(Httpd).listen, "read the boat's page and its logs")
 
 
 def _slipd(settings: config.Vehicle) -> Iterator[Entrance]:
-    table = settings.slipd
+    table = settings.of(Slipd)
     place = f"{table.device}, {table.address}"
     yield Entrance("slipd", place, "anyone", "anyone with such a radio on its frequency", "reach the doors of this list")
 
 
 def _canip(settings: config.Vehicle) -> Iterator[Entrance]:
-    table = settings.canip
+    table = settings.of(Canip)
     yield Entrance(
         "canip", f"{table.device}, {table.address}", "anyone", "nodes of the bus", "reach the UDP doors of this list"
     )
 
 
 def _ftpd(settings: config.Vehicle) -> Iterator[Entrance]:
-    table = settings.ftpd
+    table = settings.of(Ftpd)
     writers = [name for name, user in table.users.items() if user.upload]
     may = f"read {table.root}" + (f"; upload: {', '.join(writers)}" if writers else "")
     how = "by password, over TLS" if table.certificate else "by password, in the clear"
@@ -136,7 +139,7 @@ def _ftpd(settings: config.Vehicle) -> Iterator[Entrance]:
 
 
 def _sshd(settings: config.Vehicle) -> Iterator[Entrance]:
-    table = settings.sshd
+    table = settings.of(Sshd)
     may = f"run programs as {table.user or 'the user that started Delfim'}, read and write files"
     yield Entrance("sshd", table.listen, "known", f"{', '.join(table.users)}, by key", may)
 

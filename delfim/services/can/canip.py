@@ -6,12 +6,13 @@ import os
 
 from delfim.canproxy.canudp import CanIp, open_tun
 from delfim.canproxy.opening import open_can
+from delfim.canproxy.tables import Canip
 from delfim.services.runtime import Runtime
 
 
 async def serve(runtime: Runtime) -> None:
     """Until it is cancelled."""
-    settings, bus = runtime.config.canip, runtime.config.can
+    settings, bus = runtime.config.of(Canip), runtime.config.can
     tun = open_tun(settings.device, settings.address, settings.mtu)
     with contextlib.ExitStack() as links:
         links.callback(os.close, tun)

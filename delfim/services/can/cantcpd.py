@@ -6,19 +6,20 @@ import contextlib
 from delfim.base.ranges import address
 from delfim.canproxy.cantcp.access import Access
 from delfim.canproxy.cantcp.server import CanServer
+from delfim.canproxy.tables import Cantcpd
 from delfim.services.runtime import Runtime
 
 
 async def serve(runtime: Runtime) -> None:
     """Until it is cancelled. Raises OSError if it cannot listen on an address."""
     settings, loop = runtime.config, asyncio.get_running_loop()
-    interfaces = settings.cantcpd.buses or settings.buses
+    interfaces = settings.of(Cantcpd).buses or settings.buses
     with contextlib.ExitStack() as links:
-        access = Access(settings.cantcpd, settings.can, settings.closed_buses)
-        server = CanServer(settings.cantcpd, interfaces, runtime, runtime.clock, settings.can.receive_buffer_bytes, access)
+        access = Access(settings.of(Cantcpd), settings.can, settings.closed_buses)
+        server = CanServer(settings.of(Cantcpd), interfaces, runtime, runtime.clock, settings.can.receive_buffer_bytes, access)
         links.callback(server.close)
-        asked = [(listen, server.slcan_connection) for listen in settings.cantcpd.slcan]
-        asked += [(listen, server.connection) for listen in settings.cantcpd.listen]
+        asked = [(listen, server.slcan_connection) for listen in settings.of(Cantcpd).slcan]
+        asked += [(listen, server.connection) for listen in settings.of(Cantcpd).listen]
         for listen, connection in asked:
             listening = await loop.create_server(connection, *address(listen))
             links.callback(listening.close)

@@ -10,12 +10,13 @@ from delfim.canproxy.opening import open_bound
 from delfim.canproxy.socket import CanAddress
 from delfim.logging.nodelog import LogMessages
 from delfim.services.runtime import Runtime
+from delfim.services.tables import Logd
 
 
 async def serve(runtime: Runtime) -> None:
     """Until it is cancelled."""
     settings = runtime.config
-    names = {node: Node(node).name.lower() if node in list(Node) else f"node-{node}" for node in settings.logd.nodes}
+    names = {node: Node(node).name.lower() if node in list(Node) else f"node-{node}" for node in settings.of(Logd).nodes}
     filters = tuple(CanAddress(*message_filter(source=node)) for node in names)
     with contextlib.ExitStack() as links:
         can = links.enter_context(open_bound(settings.can, settings.can.interface, filters))

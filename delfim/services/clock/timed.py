@@ -8,11 +8,12 @@ from delfim.canproxy.opening import open_bound
 from delfim.canproxy.socket import CanAddress
 from delfim.canproxy.timekeeping import SecondTimer, Timekeeper, TimeService
 from delfim.services.runtime import Runtime
+from delfim.services.tables import Timed
 
 
 async def serve(runtime: Runtime) -> None:
     """Until it is cancelled."""
-    settings, clock, can_settings = runtime.config.timed, runtime.clock, runtime.config.can
+    settings, clock, can_settings = runtime.config.of(Timed), runtime.clock, runtime.config.can
     assert settings.mode != "off"
     frame = time_frame(can_settings.vehicle)
     keeper = Timekeeper(settings.mode, settings.takeover_s, clock.monotonic_s(), frame)

@@ -26,6 +26,7 @@ from delfim.services.files.ftpfiles import FtpFiles
 from delfim.services.files.threads import worked
 from delfim.services.files.uploads import NoRoom
 from delfim.services.runtime import Runtime
+from delfim.services.tables import Ftpd, FtpUser
 
 IDLE_S: Final = 300.0  # without a command of a client that is logged in
 HANDSHAKE_S: Final = 10.0  # of TLS
@@ -44,7 +45,7 @@ Words = Callable[[Any, str], Awaitable[bool]]
 class Users(aioftp.AbstractUserManager):
     """The users of the vehicle's file. An unknown name is refused as late as a wrong password."""
 
-    def __init__(self, users: dict[str, config.FtpUser], work: Callable[..., Awaitable[Any]]) -> None:
+    def __init__(self, users: dict[str, FtpUser], work: Callable[..., Awaitable[Any]]) -> None:
         super().__init__()
         self._users, self._work = users, work
         self._known = {name: aioftp.User(name, base_path="/") for name in users}
@@ -63,7 +64,7 @@ class FtpServer(aioftp.Server):
     """One instance, all connections. The first words of a method are those of the RFC; each answers with a reply code."""
 
     def __init__(self, settings: config.Vehicle, clock: Clock) -> None:
-        table = settings.ftpd
+        table = settings.of(Ftpd)
         self._table, self._clock = table, clock
         self._workers = ThreadPoolExecutor(2, "ftpd")
         self._users = Users(table.users, self._work)

@@ -17,6 +17,7 @@ from delfim.base.errors import DelfimError
 from delfim.services.files.ftpdata import BLOCK_BYTES, carried
 from delfim.services.files.jail import Jail
 from delfim.services.files.uploads import PART, Uploads
+from delfim.services.tables import Ftpd
 
 ENTRIES_MAX: Final = 20_000  # of a directory
 MONTHS: Final = ("Jan", "Feb", "Mar", "Apr", "May", "Jun", "Jul", "Aug", "Sep", "Oct", "Nov", "Dec")
@@ -29,10 +30,10 @@ class FtpFiles:
     """Inside of a jail, for all connections. `work` runs blocking calls in a worker. Raises DelfimError, OSError."""
 
     def __init__(self, settings: config.Vehicle, clock: Clock, work: Callable[..., Awaitable[Any]]) -> None:
-        self.uploads = Uploads(settings.ftpd.root, settings.log)
+        self.uploads = Uploads(settings.of(Ftpd).root, settings.log)
         self.sent_bytes = self.received_bytes = 0
-        self._boat, self._users, self._clock, self._work = settings.boat.name, settings.ftpd.users, clock, work
-        self._jail = Jail(settings.ftpd.root)
+        self._boat, self._users, self._clock, self._work = settings.boat.name, settings.of(Ftpd).users, clock, work
+        self._jail = Jail(settings.of(Ftpd).root)
         self.commands = {
             "appe": self.appe, "cdup": self.cdup, "cwd": self.cwd, "dele": self.dele, "list": self.ls, "mdtm": self.mdtm,
             "mkd": self.mkd, "mlsd": self.mlsd, "mlst": self.mlst, "nlst": self.nlst, "retr": self.retr, "rmd": self.rmd,

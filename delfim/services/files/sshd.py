@@ -29,6 +29,7 @@ from delfim.services.files.sshprograms import Programs, SshProcess
 from delfim.services.files.uploads import Uploads
 from delfim.services.runtime import Runtime
 from delfim.services.supervision.nocan import forbid_can
+from delfim.services.tables import Sshd
 
 KEX: Final = ("mlkem768x25519-sha256", "curve25519-sha256", "curve25519-sha256@libssh.org", "ecdh-sha2-nistp256")
 LOGIN_S: Final = 30.0  # from the connection to the login
@@ -45,7 +46,7 @@ class Daemon:
     """The data that all connections share."""
 
     def __init__(self, settings: config.Vehicle, clock: Clock) -> None:
-        table = settings.sshd
+        table = settings.of(Sshd)
         self.table, self.clock_s = table, clock.monotonic_s
         self.keys = {name: _public(name, user.keys) for name, user in table.users.items()}
         self.jail, self.uploads = Jail(table.root), Uploads(table.root, settings.log)
@@ -174,7 +175,7 @@ async def serve(runtime: Runtime) -> None:
     """The service."""
     settings = runtime.config
     status = runtime.status.get("sshd")
-    if settings.sshd.user and status is not None and status.place == "runtime":
+    if settings.of(Sshd).user and status is not None and status.place == "runtime":
         raise PermanentFailure("sshd.user: the vehicle cannot become another user; write services.sshd.place = 'process'")
     daemon = Daemon(settings, runtime.clock)
     acceptor = await daemon.listen()

@@ -17,8 +17,8 @@ from typing import Any, Final
 
 import asyncssh
 
-from delfim import config
 from delfim.services.supervision import processes
+from delfim.services.tables import Sshd
 
 HANG_UP_S: Final = 2.0  # for programs to end after their client left or the first of them ended
 LEAVE_S: Final = 2.0  # before SIGHUP: `setsid program &` on a slow computer has not left the session when its shell ends
@@ -91,7 +91,7 @@ class _Pipe:
 class Programs:
     """All programs that run for clients."""
 
-    def __init__(self, table: config.Sshd) -> None:
+    def __init__(self, table: Sshd) -> None:
         self.sessions = self.commands = 0  # that run now; that were started
         self._table = table
         self._children: set[asyncio.subprocess.Process] = set()

@@ -18,7 +18,6 @@ from typing import Final, Literal
 
 import msgspec
 
-from delfim import config
 from delfim.base.errors import FormatError, Refused
 from delfim.base.outside import read_file
 from delfim.logging.filelog import sync_directory
@@ -32,6 +31,7 @@ from delfim.services.image.imagefile import (
     parse_manifest,
     verify,
 )
+from delfim.services.tables import Image
 
 SLOTS: Final = ("a", "b")
 ENVIRONMENT_BYTES: Final = 1024  # of GRUB's environment block, always
@@ -53,7 +53,7 @@ class Environment(msgspec.Struct, frozen=True):
 
 
 @contextlib.contextmanager
-def boot_partition(table: config.Image, *, write: bool) -> Iterator["Slots"]:
+def boot_partition(table: Image, *, write: bool) -> Iterator["Slots"]:
     """The slots, while the partition is mounted and nobody else writes. Raises Refused in words, OSError."""
     directory = Path(table.directory)
     if table.partition:

@@ -14,6 +14,7 @@ from delfim.services.access.door import Door
 from delfim.services.page import page
 from delfim.services.page.api import Computer, Report, Server, Service, State
 from delfim.services.runtime import Runtime
+from delfim.services.tables import Httpd
 
 ANSWER_S: Final = 2.0  # for the vehicle's answer
 FRESH_S: Final = 0.9  # a younger answer is used again
@@ -83,7 +84,7 @@ class Lookout(asyncio.SubprocessProtocol):
     """The child that samples the computer, and its last sample."""
 
     def __init__(self, settings: config.Vehicle, clock_s: Callable[[], float]) -> None:
-        words = (settings.log.directory, settings.log.free_bytes_min, settings.runtime.run_directory, settings.httpd.scan_s)
+        words = (settings.log.directory, settings.log.free_bytes_min, settings.runtime.run_directory, settings.of(Httpd).scan_s)
         self._command = (sys.executable, "-m", "delfim.services.computer", *map(str, words))
         self._clock_s = clock_s
         self._buffer = bytearray()

@@ -33,6 +33,7 @@ from delfim.services.page import api, document, files, metrics, saidlines
 from delfim.services.page.board import Board, Lookout
 from delfim.services.page.subpages import checks_page, listing, system_page
 from delfim.services.runtime import Runtime
+from delfim.services.tables import Httpd
 
 EVERY_S: Final = (1.0, 60.0)  # between two events of a page
 IDLE_S: Final = 15.0  # for a request to arrive, and between two of them
@@ -112,7 +113,7 @@ class Site:
     """The answers. One method a place."""
 
     def __init__(self, settings: config.Vehicle, board: Board) -> None:
-        self._board, self._console = board, settings.httpd.console
+        self._board, self._console = board, settings.of(Httpd).console
         self._jail, self._run_directory = Jail(settings.log.directory), settings.runtime.run_directory
         self._workers = ThreadPoolExecutor(2, "httpd")
         self._places: dict[str, Callable[[web.BaseRequest], Awaitable[web.StreamResponse]]] = {
@@ -259,7 +260,7 @@ class Site:
 async def serve(runtime: Runtime) -> None:
     """The service."""
     settings, loop = runtime.config, asyncio.get_running_loop()
-    door = Door(settings.httpd.connections, settings.httpd.connections_per_address)
+    door = Door(settings.of(Httpd).connections, settings.of(Httpd).connections_per_address)
     look = Lookout(settings, runtime.clock.monotonic_s)
     board = Board(runtime, look, door)
     site = Site(settings, board)
@@ -269,7 +270,7 @@ async def serve(runtime: Runtime) -> None:
         links.push_async_callback(look.close)
         links.callback(board.feed.close)
         links.callback(_hang_up, server)
-        place = address(settings.httpd.listen)
+        place = address(settings.of(Httpd).listen)
         listener = await loop.create_server(lambda: HttpConnection(server, door), *place, backlog=BACKLOG)
         links.callback(listener.close)
         url = "http://{}:{}/".format(*listener.sockets[0].getsockname()[:2])

@@ -12,6 +12,7 @@ from delfim.base.errors import ConfigError
 from delfim.services.radio import slipd
 from delfim.services.radio.polling import PollingShore
 from delfim.services.runtime import LoadedService, Runtime
+from delfim.services.tables import Slipd
 
 COMMAND: Final = "delfim shore"
 TURNAROUND_S, AIRTIME_S = (0.005, 5.0), (0.01, 5.0)  # ranges
@@ -51,7 +52,7 @@ def run(
     settings = config.read({"boat": {"name": "shore"}, "slipd": {**table, **ends}}, COMMAND)
 
     async def serve(runtime: Runtime) -> None:
-        line, loop = settings.slipd, asyncio.get_running_loop()
+        line, loop = settings.of(Slipd), asyncio.get_running_loop()
         bytes_per_s = (line.radio_bps or line.baud) / 10.0  # a byte has 10 bits: 8N1
         known = {address.packed: station for address, station in boats.items()}
 

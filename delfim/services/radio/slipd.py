@@ -20,7 +20,6 @@ from ipaddress import IPv4Address
 from pathlib import Path
 from typing import Final, Protocol
 
-from delfim import config
 from delfim.base.clock import Clock
 from delfim.base.errors import DelfimError, PermanentFailure
 from delfim.canproxy.canudp import open_tun
@@ -32,6 +31,7 @@ from delfim.services.radio.slip import Deframer, framed
 from delfim.services.radio.tunport import TunPort
 from delfim.services.radio.vj import Compressor, Decompressor
 from delfim.services.runtime import Runtime
+from delfim.services.tables import Slipd
 
 LOOK_S: Final = 0.25  # how often carrier and interface are looked at
 RETRY_MAX_S: Final = 2.0
@@ -73,7 +73,7 @@ def carrier_source(text: str) -> Carrier:
 class SerialRadio:
     """The link, reopened when it is lost. `open_line` attaches an interface to an open port."""
 
-    def __init__(self, settings: config.Slipd, clock: Clock, open_line: Callable[[int], RadioLine]) -> None:
+    def __init__(self, settings: Slipd, clock: Clock, open_line: Callable[[int], RadioLine]) -> None:
         self._settings, self._clock, self._open_line = settings, clock, open_line
         self._carrier = carrier_source(settings.carrier)
         self._port = -1
@@ -168,7 +168,7 @@ class SerialRadio:
 class KernelLine:
     """The kernel's SLIP on a port. Raises OSError with the kernel's refusal."""
 
-    def __init__(self, port: int, settings: config.Slipd) -> None:
+    def __init__(self, port: int, settings: Slipd) -> None:
         self._port = port
         with contextlib.suppress(OSError):  # the queue that serves IPTOS_LOWDELAY first
             _DEFAULT_QDISC.write_text("pfifo_fast")
@@ -194,7 +194,7 @@ class TunLine:
     """SLIP in this program: packets of a TUN device to the port and back. Interactive packets overtake the others; a full queue
     takes no more."""
 
-    def __init__(self, port: int, settings: config.Slipd, runtime: Runtime, loop: asyncio.AbstractEventLoop) -> None:
+    def __init__(self, port: int, settings: Slipd, runtime: Runtime, loop: asyncio.AbstractEventLoop) -> None:
         self.name, self._loop = settings.interface, loop
         self._bytes_per_s, self._free_s = (settings.radio_bps or settings.baud) / 10.0, 0.0  # a byte has 10 bits: 8N1
         self._outbox = PacketQueue()
@@ -256,7 +256,7 @@ class TunLine:
         return data
 
 
-def address_interface(name: str, settings: config.Slipd) -> None:
+def address_interface(name: str, settings: Slipd) -> None:
     """Address, peer, MTU, and up (netdevice(7)). Raises OSError."""
     device = name.encode()
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as inet:
@@ -278,7 +278,7 @@ def _counters(name: str) -> dict[str, object]:
 
 async def serve(runtime: Runtime) -> None:
     """The service: until it is cancelled. Raises PermanentFailure without a device."""
-    settings, loop = runtime.config.slipd, asyncio.get_running_loop()
+    settings, loop = runtime.config.of(Slipd), asyncio.get_running_loop()
     if not settings.device:
         raise PermanentFailure("slipd.device is not set")
 
@@ -298,7 +298,7 @@ async def serve(runtime: Runtime) -> None:
 
 
 def polled(
-    port: int, settings: config.Slipd, talker: Talker, runtime: Runtime, loop: asyncio.AbstractEventLoop, network: str = ""
+    port: int, settings: Slipd, talker: Talker, runtime: Runtime, loop: asyncio.AbstractEventLoop, network: str = ""
 ) -> PolledLine:
     """A line of several boats on an open port. `network`: address and prefix of the shore, for a boat has one peer only."""
     tun = open_tun(settings.interface, network, settings.mtu)
@@ -311,7 +311,7 @@ def polled(
     return PolledLine(settings.interface, port, tun, talker, runtime, loop)
 
 
-async def keep_up(runtime: Runtime, settings: config.Slipd, open_line: Callable[[int], RadioLine]) -> None:
+async def keep_up(runtime: Runtime, settings: Slipd, open_line: Callable[[int], RadioLine]) -> None:
     """The radio's interface, for as long as there is a radio, until it is cancelled."""
     if settings.encapsulation == "cslip":
         with contextlib.suppress(OSError):  # a header whose options change is not compressed (RFC 1144, 3.2.3)

@@ -13,6 +13,7 @@ from delfim.simulator.invariants.cycle import CycleSeen
 from delfim.simulator.lockstep import Lockstep
 from delfim.simulator.model import WATER, Hull
 from delfim.simulator.propulsor import VOLTAGE_V
+from delfim.simulator.tables import Simulation
 from delfim.vehicle import snapshot
 from delfim.vehicle.control.hull import full_mps
 from delfim.vehicle.failsafe.troubles import NUMBERS
@@ -45,7 +46,7 @@ class Plausible:
 
     def __init__(self, run: Lockstep) -> None:
         settings = run.settings
-        sea, there = settings.simulation.sea, settings.simulation
+        sea, there = settings.of(Simulation).sea, settings.of(Simulation)
         noise_m, noise_mps = (there.position_noise_m, there.speed_noise_mps) if there.noise else (0.0, 0.0)
         self._most_mps = SWIFTER * full_mps(settings.boat) + sea.current_mps + LEEWAY * sea.wind_mps * (1.0 + 4.0 * sea.gusts)
         self._most_mps += SIGMAS * noise_mps
@@ -181,7 +182,7 @@ class Reported:
     where nothing deceives it."""
 
     def __init__(self, run: Lockstep) -> None:
-        there = run.settings.simulation
+        there = run.settings.of(Simulation)
         noise = (there.position_noise_m, there.heading_noise_deg, there.speed_noise_mps) if there.noise else (0.0, 0.0, 0.0)
         self._position_m = SIGMAS * math.sqrt(2.0) * noise[0] + ROUNDING_M
         self._heading_rad = SIGMAS * math.radians(noise[1]) + math.radians(0.02)

@@ -20,6 +20,7 @@ from delfim.simulator.nodes.devices import Devices
 from delfim.simulator.nodes.navigation import NavigationNode
 from delfim.simulator.nodes.shipping import Shipping
 from delfim.simulator.nodes.talkers import SimulatedInstruments, instruments_of
+from delfim.simulator.tables import Simulation
 
 NODES: Final = ("gps", "navigation", "propeller", "batteries")  # files of this folder, with `nodes` in each
 OTHER_BUSES: Final = ("devices", "cansensors", "sounders", "shipping")  # files for other buses, with `devices_of` in each
@@ -110,7 +111,7 @@ class Nodes:
 
 def nodes_of(settings: config.Vehicle, seed: int, model: Model | None = None) -> Nodes:
     """The nodes that a vehicle's file describes, around its model or another one."""
-    there = settings.simulation
+    there = settings.of(Simulation)
     if model is None:
         start = math.radians(there.latitude_deg), math.radians(there.longitude_deg)
         model = Model(hull_of(settings), there.sea, seed, *start, math.radians(there.heading_deg), settings.thrusters)

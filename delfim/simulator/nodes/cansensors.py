@@ -25,6 +25,7 @@ from delfim.simulator.model import Model
 from delfim.simulator.nodes.measuring import AntennaMotion, Compass, GnssReceiver, Turn
 from delfim.simulator.nodes.navigation import HDOP
 from delfim.simulator.nodes.period import Period
+from delfim.simulator.tables import Simulation
 
 Vector = tuple[float, float, float]
 FIRST_NODE: Final = 40
@@ -58,9 +59,9 @@ class CanSensors:
         self._own_ga = [each * GAUSS_PER_UT for each in table.hard_iron_ut]
         self._navigates = "dronecan" in settings.navigation.sources
         self._drives = [*model.drives.values()][:2] if "dronecan" in settings.sensors.names else []
-        self.receiver = GnssReceiver(model, settings.simulation, seed, "receiver dronecan")
-        self.compass = Compass(model, settings.simulation, seed, "compass dronecan")
-        self._has_gyro = settings.simulation.gyro
+        self.receiver = GnssReceiver(model, settings.of(Simulation), seed, "receiver dronecan")
+        self.compass = Compass(model, settings.of(Simulation), seed, "compass dronecan")
+        self._has_gyro = settings.of(Simulation).gyro
         self._gnss, self._heading, self._battery = [each for each in range(FIRST_NODE, NODE_MAX) if each != table.node][:3]
         self._publishers = dict[tuple[int, int], Publisher]()
         self._words = Period(WORD_S)

@@ -24,6 +24,7 @@ from delfim.simulator.model import Model
 from delfim.simulator.nodes.measuring import AntennaMotion, Compass, GnssReceiver, Turn
 from delfim.simulator.nodes.navigation import HDOP
 from delfim.simulator.nodes.period import Period
+from delfim.simulator.tables import Simulation
 
 RECEIVER, COMPASS = 43, 204  # their addresses, as on a boat in docs/nmea2000.md
 NAMES: Final = {RECEIVER: "c07891002fb34d62", COMPASS: "c050a0002fb30d62"}  # as on another boat there
@@ -38,9 +39,9 @@ class Devices:
 
     def __init__(self, settings: config.Vehicle, model: Model, seed: int) -> None:
         self.interface, self._must_claim = settings.table("nmea2000").interface, True
-        self.receiver = GnssReceiver(model, settings.simulation, seed)
-        self.compass = Compass(model, settings.simulation, seed)
-        self.has_gyro = settings.simulation.gyro
+        self.receiver = GnssReceiver(model, settings.of(Simulation), seed)
+        self.compass = Compass(model, settings.of(Simulation), seed)
+        self.has_gyro = settings.of(Simulation).gyro
         self._quality, self._number = Period(QUALITY_S), 0
 
     @property

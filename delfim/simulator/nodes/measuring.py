@@ -7,11 +7,11 @@ import math
 from random import Random
 from typing import Final, NamedTuple
 
-from delfim import config
 from delfim.base.geodesy import from_plane
 from delfim.simulator.model import Model
 from delfim.simulator.nodes.navigation import POSITION_ERROR_S, SATELLITES, YAW_RATE_NOISE_RADPS
 from delfim.simulator.nodes.period import Period
+from delfim.simulator.tables import Simulation
 
 LEAST_HZ: Final = 1.0  # of a sensor that is not there, and says nothing
 CORRECTED_S: Final = 1.0  # age of the corrections of a receiver that gets them
@@ -45,7 +45,7 @@ class ApparentWind(NamedTuple):
 class GnssReceiver:
     """Position and velocity of an antenna at the boat's centre."""
 
-    def __init__(self, model: Model, here: config.Simulation, seed: int, name: str = "receiver") -> None:
+    def __init__(self, model: Model, here: Simulation, seed: int, name: str = "receiver") -> None:
         self._model, self._random = model, Random(f"{name} {seed}")
         self.position_m, self._speed_mps = (here.position_noise_m, here.speed_noise_mps) if here.noise else (0.0, 0.0)
         rate_hz = here.receiver_hz or LEAST_HZ
@@ -86,7 +86,7 @@ class GnssReceiver:
 class Compass:
     """Heading, and the rate of turn of a gyro in the same box."""
 
-    def __init__(self, model: Model, here: config.Simulation, seed: int, name: str = "compass") -> None:
+    def __init__(self, model: Model, here: Simulation, seed: int, name: str = "compass") -> None:
         self._model, self._random = model, Random(f"{name} {seed}")
         self._heading_rad, self._rate_radps = (
             (math.radians(here.heading_noise_deg), YAW_RATE_NOISE_RADPS) if here.noise else (0.0, 0.0)
@@ -119,7 +119,7 @@ class Compass:
 class Sounder:
     """Depth below the transducer, which is at the water line."""
 
-    def __init__(self, model: Model, here: config.Simulation, seed: int) -> None:
+    def __init__(self, model: Model, here: Simulation, seed: int) -> None:
         self._model, self._random = model, Random(f"sounder {seed}")
         self._noise, self._due = DEPTH_NOISE if here.noise else 0.0, Period(1.0 / here.sounder_hz)
         self.silent = False
@@ -137,7 +137,7 @@ class Sounder:
 class Vane:
     """Apparent wind, as a vane and a cup wheel on the mast have it."""
 
-    def __init__(self, model: Model, here: config.Simulation, seed: int) -> None:
+    def __init__(self, model: Model, here: Simulation, seed: int) -> None:
         self._model, self._random = model, Random(f"vane {seed}")
         self._noise_mps, self._due = WIND_NOISE_MPS if here.noise else 0.0, Period(1.0 / here.wind_hz)
         self.silent = False

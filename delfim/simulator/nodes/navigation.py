@@ -12,6 +12,7 @@ from delfim.canproxy.dsor.protocol import Message, message_filter, segments
 from delfim.canproxy.socket import CanAddress
 from delfim.simulator.model import Model
 from delfim.simulator.nodes.period import Period
+from delfim.simulator.tables import Simulation
 
 POSITION_ERROR_S: Final = 60.0  # correlation time of a satellite receiver's error
 YAW_RATE_NOISE_RADPS: Final = math.radians(0.2)
@@ -111,7 +112,7 @@ class NavigationNode:
 
 
 def nodes(settings: config.Vehicle, model: Model, seed: int) -> dict[str, NavigationNode]:
-    there = settings.simulation
+    there = settings.of(Simulation)
     noise = Noise(0.0, 0.0, 0.0, 0.0)
     if there.noise:
         noise = Noise(there.position_noise_m, math.radians(there.heading_noise_deg), there.speed_noise_mps)

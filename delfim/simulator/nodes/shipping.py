@@ -20,6 +20,7 @@ from delfim.simulator.nodes.aisframes import facts, framed, position
 from delfim.simulator.nodes.aivdm import facts_said, position_said
 from delfim.simulator.nodes.period import TOLERANCE_S, Period
 from delfim.simulator.nodes.talkers import placed
+from delfim.simulator.tables import SimulatedVessel, Simulation
 
 FIRST_MMSI: Final = 235_000_000
 KNOT_MPS: Final = 1852.0 / 3600.0
@@ -61,7 +62,7 @@ def within(north_m: float, east_m: float, c: float, s: float, axes: tuple[float,
 class Vessel:
     """One of them: its true motion, and the nearest that the boat came to it."""
 
-    def __init__(self, row: config.SimulatedVessel, mmsi: int, model: Model, random: Random, manner: str) -> None:
+    def __init__(self, row: SimulatedVessel, mmsi: int, model: Model, random: Random, manner: str) -> None:
         self.row, self.mmsi, self._model = row, mmsi, model
         self.north_m, self.east_m = row.north_m, row.east_m
         if row.latitude_deg is not None and row.longitude_deg is not None:
@@ -224,7 +225,7 @@ class Shipping:
     hears: tuple[CanAddress, ...] = ()
 
     def __init__(self, settings: config.Vehicle, model: Model, seed: int) -> None:
-        here = settings.simulation.traffic
+        here = settings.of(Simulation).traffic
         self.interface, self._period, self._began_s = settings.table("nmea2000").interface, Period(PERFECT_S / 5.0), math.nan
         self._sequence = dict[int, int]()
         self._late = deque[tuple[float, Spoken]](maxlen=LATE_MAX)  # when due
@@ -241,7 +242,7 @@ class Shipping:
             vessel = Vessel(row, row.mmsi or FIRST_MMSI + number, model, random, here.manner)
             self.vessels.append(vessel)
             if row.transponder != "none":
-                self._transponders.append(Transponder(vessel, here.heard, here.lost, settings.simulation.noise, random))
+                self._transponders.append(Transponder(vessel, here.heard, here.lost, settings.of(Simulation).noise, random))
 
     @property
     def due_s(self) -> float:
@@ -290,7 +291,7 @@ class Shipping:
         return self._sequence[pgn]
 
 
-def silent_of(row: config.SimulatedVessel, manner: str) -> tuple[float, float]:
+def silent_of(row: SimulatedVessel, manner: str) -> tuple[float, float]:
     """From when to when a vessel's AIS says nothing, s."""
     if row.meets_s is not None and manner == "silent":
         return row.meets_s - SILENT_S, math.inf
@@ -300,7 +301,7 @@ def silent_of(row: config.SimulatedVessel, manner: str) -> tuple[float, float]:
     return math.inf if begin_s is None else begin_s, math.inf if end_s is None else end_s
 
 
-def turns_of(row: config.SimulatedVessel, manner: str, random: Random) -> list[tuple[float, float]]:
+def turns_of(row: SimulatedVessel, manner: str, random: Random) -> list[tuple[float, float]]:
     """When a vessel turns, s, and to which course, deg."""
     turns = [(turn.at_s, turn.course_deg) for turn in row.turns]
     if row.meets_s is None:
@@ -314,4 +315,4 @@ def turns_of(row: config.SimulatedVessel, manner: str, random: Random) -> list[t
 
 
 def devices_of(settings: config.Vehicle, model: Model, seed: int) -> Shipping | None:
-    return Shipping(settings, model, seed) if settings.simulation.traffic.vessel else None
+    return Shipping(settings, model, seed) if settings.of(Simulation).traffic.vessel else None

@@ -28,6 +28,7 @@ from delfim.simulator.nodes.measuring import (
 )
 from delfim.simulator.nodes.navigation import FIX, HDOP
 from delfim.simulator.nodes.period import Period
+from delfim.simulator.tables import INSTRUMENTS, Simulation
 
 AIS_S: Final = 0.2  # between two looks at what was heard
 BOARD: Final = "mavlink_front_seat"  # a port of its own
@@ -74,7 +75,7 @@ class SimulatedInstruments:
     """All of them. `receivers` and `compasses` are those that faults break. `ais` are the sentences of a receiver of AIS."""
 
     def __init__(self, settings: config.Vehicle, model: Model, seed: int, ais: deque[bytes] | None) -> None:
-        self._here, self._model, self._seed, self._ais = settings.simulation, model, seed, ais
+        self._here, self._model, self._seed, self._ais = settings.of(Simulation), model, seed, ais
         self._corrected = settings.failsafe.gnss_poor.corrections_s > 0.0  # a boat that asks for corrections gets them
         self._variation_rad = math.radians(settings.table("nmea0183").variation_deg)
         self.receivers, self.compasses = list[GnssReceiver](), list[Compass]()
@@ -163,7 +164,7 @@ def placed(settings: config.Vehicle) -> tuple[str, ...]:
     if "nmea0183" not in (*settings.navigation.sources, *settings.sensors.names):
         return ()
     first = next(iter(settings.table("nmea0183").ports))
-    return settings.simulation.instruments or tuple(f"{first}:{kind}" for kind in config.INSTRUMENTS)
+    return settings.of(Simulation).instruments or tuple(f"{first}:{kind}" for kind in INSTRUMENTS)
 
 
 def port_devices(settings: config.Vehicle) -> dict[str, str]:

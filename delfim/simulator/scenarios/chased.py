@@ -11,6 +11,7 @@ from typing import Any, Final
 from delfim import config
 from delfim.simulator.scenarios.mixed import place_of
 from delfim.simulator.scenarios.scenario import Scenario
+from delfim.simulator.tables import Simulation
 
 CHASED: Final = "chased"
 FLEET: Final = 10
@@ -18,7 +19,7 @@ FLEET: Final = 10
 
 def chased(seed: int, vehicle: config.Vehicle) -> Scenario:
     """The run of a seed."""
-    random, here = Random(f"chased {seed}"), vehicle.simulation
+    random, here = Random(f"chased {seed}"), vehicle.of(Simulation)
     place, seconds = partial(place_of, here), random.uniform(180.0, 480.0)
     sea = {
         "current_mps": random.uniform(0.0, 0.4),

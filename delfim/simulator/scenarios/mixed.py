@@ -18,6 +18,7 @@ from delfim.simulator.faults import KINDS, OF_AIS, OF_COMPASS, OF_PULSES, OF_THR
 from delfim.simulator.nodes import nodes_of
 from delfim.simulator.scenarios.scenario import FaultAt, Scenario, ScenarioGuest, settings_of
 from delfim.simulator.scenarios.trial import Result, sail
+from delfim.simulator.tables import Simulation
 from delfim.vehicle.log.logbook import Logbook
 
 MIXED: Final = "mixed"
@@ -32,7 +33,7 @@ HALF_M: Final = 65.0  # distance of the fence's sides from the start
 
 def mixed(seed: int, vehicle: config.Vehicle) -> Scenario:
     """The run of a seed. What this boat does not have does not break."""
-    random, here, nodes = Random(f"mixed {seed}"), vehicle.simulation, nodes_of(vehicle, seed).sensors
+    random, here, nodes = Random(f"mixed {seed}"), vehicle.of(Simulation), nodes_of(vehicle, seed).sensors
     places = {kind: tuple(name for name in names if name in nodes) for kind, names in WHERE.items()}
     places |= dict.fromkeys(OF_THRUSTERS, tuple(row.name for row in vehicle.thrusters))
     seconds = random.uniform(60.0, 120.0)
@@ -61,13 +62,13 @@ def mixed(seed: int, vehicle: config.Vehicle) -> Scenario:
     )
 
 
-def place_of(here: config.Simulation, north_m: float, east_m: float) -> list[float]:
+def place_of(here: Simulation, north_m: float, east_m: float) -> list[float]:
     """[latitude_deg, longitude_deg] of a point at this distance from the start."""
     at = geodesy.origin(math.radians(here.latitude_deg), math.radians(here.longitude_deg))
     return [round(math.degrees(angle), 7) for angle in geodesy.from_plane(at, north_m, east_m)]
 
 
-def mixed_mission(here: config.Simulation) -> str:
+def mixed_mission(here: Simulation) -> str:
     """The text of its mission: once around, clear of the fence."""
     corners = [place_of(here, *corner) for corner in ((-40.0, -40.0), (-40.0, 40.0), (15.0, 40.0), (15.0, -40.0))]
     rows = [f"[[waypoint]]\nlatitude_deg = {latitude}\nlongitude_deg = {longitude}\n" for latitude, longitude in corners]
@@ -117,7 +118,7 @@ def sail_mixed(
     scenario = draw(seed, here)
     settings = settings_of(scenario, vehicle, overrides)
     log = partial(Logbook, settings) if logged else None
-    return sail(scenario, settings, seed, mixed_mission(here.simulation), log)
+    return sail(scenario, settings, seed, mixed_mission(here.of(Simulation)), log)
 
 
 def again(vehicle: str, scenario: str, seed: int, overrides: Sequence[str]) -> str:

@@ -24,6 +24,7 @@ from delfim.simulator.scenarios.ordering import DrawnOperator, Words
 from delfim.simulator.scenarios.pairs import PAIRS, kind_of
 from delfim.simulator.scenarios.scenario import FaultAt, Scenario, ScenarioGuest, laid_over
 from delfim.simulator.scenarios.searchparts import HANDSET, NODES, ON_A_BUS, ON_A_LINE, PLAINLY, SWIFT
+from delfim.simulator.tables import Simulation
 
 SEARCHING: Final = "searching"
 AT_S: Final = 4.0  # the boat is ready
@@ -49,7 +50,7 @@ class _Aimed:
 
     def __init__(self, random: Random, vehicle: config.Vehicle, aim: tuple[str, str]) -> None:
         self.random, self.vehicle, self.aim = random, vehicle, aim
-        self.place, self.thrusters = partial(place_of, vehicle.simulation), [row.name for row in vehicle.thrusters]
+        self.place, self.thrusters = partial(place_of, vehicle.of(Simulation)), [row.name for row in vehicle.thrusters]
         self.operator = DrawnOperator(random, self.place, self.thrusters[0])
         # Its parts may be others then.
         self.has_nodes = vehicle.navigation.sources == (OWN_NODES,) and not vehicle.driven("nodes", False)

@@ -8,7 +8,8 @@ from typing import Final
 
 import msgspec
 
-from delfim.config import BoatTable, Sea, ThrusterTable, Vehicle
+from delfim.config import BoatTable, ThrusterTable, Vehicle
+from delfim.simulator.tables import Sea
 from tests.vehicle.closed_loop import DELFIMX
 
 LENGTH_M, BEAM_M, PONTOON_M, PONTOON_BEAM_M = 2.0, 1.08, 0.395, 0.25
