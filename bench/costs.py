@@ -43,6 +43,7 @@ from delfim.vehicle.plans import fence, missionreader
 from delfim.vehicle.plans.mission import ROWS, Mission, PathPoint, Waypoint
 from delfim.vehicle.plans.track import Track
 from delfim.vehicle.plans.zones import Point, Zone, polygon
+from delfim.vehicle.snapshot import in_json
 from delfim.vehicle.state import Motion, NoLog, Setpoint
 from delfim.vehicle.state import Waypoint as To
 from delfim.vehicle.target import Target
@@ -189,7 +190,7 @@ def _vessels(settings: config.Vehicle) -> list[Row]:
             sea.clock.advance(0.1)
             sea.vehicle.on_watchdog()
         yield None
-        yield console.answer(None, sea.vehicle.snapshot({}))
+        yield console.answer(None, in_json(sea.vehicle.report()))
 
     def decided() -> Callbacks:
         random.seed(1)
@@ -384,7 +385,7 @@ def _voyage(boat: VehicleLoop, largest: console.Upload) -> list[Row]:
         Row("driven track and harbours", looked_back),
         Row("path entered", _once(entered)),
         Row("value set", _once(lambda: boat.on_command(console.Set("control.hold.radius_m", 6.0)))),
-        Row("state for a watcher", _once(lambda: console.answer(None, boat.snapshot({})))),
+        Row("state for a watcher", _once(lambda: console.answer(None, in_json(boat.report())))),
         Row("line after line of the guest", _once(lambda: boat.guest.data_received(b'{"heading_deg": 90}\n' * 3277))),
     ]
 

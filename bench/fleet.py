@@ -31,7 +31,7 @@ from delfim.parts.fleet.broker import STATE, UP, BrokerLine, BrokerPlace
 from delfim.parts.fleet.fleetd import told
 from delfim.parts.mavlink.codec import wire
 from delfim.parts.mavlink.codec.signing import EPOCH_NS, PER_S, Signing
-from delfim.services.page.api import State
+from delfim.vehicle.report import BoatReport
 
 SIZES: Final = 10, 200  # boats
 FLEET: Final = 199  # boats of one key at most: the numbers below those of consoles
@@ -99,7 +99,9 @@ async def _voyage(number: int, system: int, boats: int, line: BrokerLine, key: b
     """One boat: evenly among the others of its second."""
     dialect, clock, name = wire.dialect, SystemClock(), f"boat{number}"
     sender = wire.Sender(system, dialect.MAV_COMP_ID_AUTOPILOT1, key, Signing(key, clock).stamp)
-    state = State(mode="play", reason="operator", boat=name, latitude_deg=38.7, longitude_deg=-9.2, age_s={"navigation": 0.1})
+    state = BoatReport(
+        mode="play", reason="operator", boat=name, latitude_deg=38.7, longitude_deg=-9.2, age_s={"navigation": 0.1}
+    )
     await asyncio.sleep(number / boats)
     while True:
         beat = dialect.MAVLink_heartbeat_message(dialect.MAV_TYPE_SURFACE_BOAT, 0, 209, 4, dialect.MAV_STATE_ACTIVE, 3)

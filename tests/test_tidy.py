@@ -26,9 +26,7 @@ LINES_PER_FILE = 500
 FILES_PER_FOLDER = 15
 DECLARATIONS = {"config.py"}  # of nothing but tables, as long as what they declare
 BOTH_ENDS = {"Command", "Mission", "PathPoint", "Plan", "Profile", "Waypoint"}  # of a wire: the boat's, and the page's
-SCHEMA = {  # names that /api/schema publishes; most of them are the other end of what the vehicle says
-    *("Check", "Latency", "LogStatus", "Memory", "Node", "Notice", "Reference", "Service", "State"),
-}
+SCHEMA = {"Check", "Memory", "Service"}  # names that /api/schema publishes
 LOOKED_AT = (ast.stmt, ast.Attribute, ast.withitem)  # by the rules that walk through whole programs
 UNFINISHED = re.compile(r"\b(TO" r"DO|FIX" r"ME|X" r"XX|raise Not" r"Implemented\w*)\b")
 REGISTRIES = re.compile(
@@ -238,7 +236,6 @@ NAMED = {  # with the reason; a row that goes does not come back
     "config.py: handset",  # its device is one of the serial lines: it goes with its table
     "vehicle/grex.py: guest",  # who tells of other vessels
     "vehicle/loop.py: guest",
-    *(f"vehicle/snapshot.py: {name}" for name in ("sysstat", "handset", "guest")),  # of the report, which pages and tools read
 }
 
 

@@ -24,9 +24,10 @@ import msgspec
 from delfim.base.errors import FormatError
 from delfim.base.outside import parse_json
 from delfim.services.clock.kernelclock import KernelClock
-from delfim.services.page.api import Bus, Computer, Disk, Memory, Network, Process, Service, Time
+from delfim.services.page.api import Bus, Computer, Disk, Memory, Network, Process, Time
 from delfim.services.page.saidlines import last_lines
 from delfim.services.supervision.processes import PAGE_BYTES, TICKS_PER_S
+from delfim.vehicle.report import Service
 
 PROCESSES: Final = 15  # shown
 LINES: Final = 10  # of the system log

@@ -36,13 +36,13 @@ from delfim.canproxy.dsor.messages import (
 )
 from delfim.canproxy.opening import open_can
 from delfim.canproxy.socket import CanAddress
-from delfim.services.page.api import State
 from delfim.services.runtime import Runtime
 from delfim.services.supervision import shutdown
 from delfim.services.tables import PowerdTable
 from delfim.services.watching import watch
 from delfim.vehicle.failsafe.nodehealth import NAMES
 from delfim.vehicle.failsafe.troubles import DEAD_V
+from delfim.vehicle.report import BoatReport
 
 LOOK_S: Final = 0.25  # between two looks at button and batteries
 FRAMES_PER_READ: Final = 64
@@ -131,7 +131,7 @@ class Powerd:
         except FormatError:
             self.malformed += 1
 
-    def on_state(self, state: State) -> None:
+    def on_state(self, state: BoatReport) -> None:
         """Take the vehicle's state: batteries on any bus, the voltage at each thruster, and whether thrusters are to run."""
         self._told_s = now_s = self._clock.monotonic_s()
         self._silence = ""

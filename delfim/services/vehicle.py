@@ -35,6 +35,7 @@ from delfim.services.image import slots
 from delfim.services.runtime import Runtime
 from delfim.services.voyagekeeping import VoyageKeeping
 from delfim.simulator.tables import Simulation
+from delfim.vehicle import snapshot
 from delfim.vehicle.aboard import Hand
 from delfim.vehicle.build import build
 from delfim.vehicle.console import Commands, ShutDown
@@ -47,6 +48,7 @@ from delfim.vehicle.operator.command import CommandServer
 from delfim.vehicle.operator.reviews import Reviews
 from delfim.vehicle.orders.entrusting import payload_of
 from delfim.vehicle.rehearsal import Rehearsal
+from delfim.vehicle.report import LogFacts
 from delfim.vehicle.state import StartConditions, State, StateLog
 
 WATCHDOG_S = 0.1
@@ -177,6 +179,28 @@ async def _sail(runtime: Runtime, last: contextlib.AsyncExitStack) -> None:
         await _attend(runtime, boat, hands, log, keeping, opened, links, broken)
 
 
+class BoatReporting:
+    """The boat's report with the figures of the runtime and its services."""
+
+    def __init__(self, runtime: Runtime, boat: VehicleLoop, log: Logbook) -> None:
+        self._runtime, self._boat, self._log = runtime, boat, log
+        self._board = dict[str, object]()
+        self._figures: snapshot.Figures | None = None
+
+    def measure(self) -> None:
+        """Gather the figures. Not for each report, which would be a long callback."""
+        runtime = self._runtime
+        self._board |= {name: told() for name, told in runtime.board.items() if name not in runtime.status} | runtime.report()
+        self._figures = None
+
+    def report(self) -> bytes:
+        """The report now, in JSON."""
+        self._figures = figures = self._figures or snapshot.figures(self._board)  # for the first who asks, and those after
+        log = LogFacts(**self._log.status()._asdict())
+        told = self._boat.report(boat=self._runtime.config.boat.name, log=log, **figures.fields)
+        return snapshot.in_json(told, figures.others)
+
+
 async def _attend(
     runtime: Runtime,
     boat: VehicleLoop,
@@ -188,13 +212,7 @@ async def _attend(
     broken: Breakable | None,
 ) -> None:
     """Console and guest served, the watchdog stroked, until the service is cancelled."""
-    settings, figures = runtime.config, dict[str, object]()
-
-    def measure() -> None:  # not for each answer, which would be a long callback
-        figures.update({name: told() for name, told in runtime.board.items() if name not in runtime.status} | runtime.report())
-
-    def snapshot() -> dict[str, object]:
-        return boat.snapshot({"boat": settings.boat.name, "log": log.status()._asdict(), **figures})
+    settings, reporting = runtime.config, BoatReporting(runtime, boat, log)
 
     def obeyed(command: Commands, operator: str = LOCAL) -> str | None:
         deaf = broken.deaf if broken and operator not in aboard and not payload_of(operator) else None
@@ -208,11 +226,11 @@ async def _attend(
     mavlink = runtime.load("delfim.parts.mavlink.stationsocket") if settings.table("mavlink").enabled else None
     reviews, aboard = Reviews(boat, obeyed, asyncio.get_running_loop()), {hand.name for hand in hands}
     voyage.bring_back(obeyed, reviews)
-    commands = CommandServer(obeyed, reviews, snapshot, settings.console.clients)
+    commands = CommandServer(obeyed, reviews, reporting.report, settings.console.clients)
     await _serve_console(commands, settings.console.socket, links)
     await _serve_guest(boat, settings.guest, links)
     attend = _attended(runtime, boat, hands, obeyed, links)
-    measure()
+    reporting.measure()
     ticks, computer, keeping = 0, boat.state.computer, _clock_keeping(runtime, opened, log)
     while True:
         await asyncio.sleep(WATCHDOG_S)
@@ -231,7 +249,7 @@ async def _attend(
         commands.publish(everyone=ticks % PUBLISH_EVERY == 0)
         if ticks % MEASURE_EVERY == 1:
             await asyncio.sleep(0)
-            measure()
+            reporting.measure()
         if ticks % MAINTAIN_EVERY == 0:
             log.poll()
             image = slots.present_notice(settings.runtime.run_directory) if computer.image else ""  # until somebody confirms it

@@ -8,20 +8,13 @@ from typing import Final
 import msgspec
 
 from delfim.base.errors import in_words
-from delfim.services.page.api import State
+from delfim.vehicle.report import BoatReport, reported
 
 AGAIN_S: Final = 1.0  # before the vehicle is asked again
 ANSWER_BYTES: Final = 1 << 20  # of the vehicle, at most
 
 
-class _Published(msgspec.Struct):
-    state: State
-
-
-_published: Final = msgspec.json.Decoder(_Published).decode
-
-
-async def watch(path: str, heard: Callable[[State], None], failed: Callable[[str], None], quick: bool = False) -> None:
+async def watch(path: str, heard: Callable[[BoatReport], None], failed: Callable[[str], None], quick: bool = False) -> None:
     """Hand over what the vehicle publishes, about five times a second, or ten times if `quick`, until it is cancelled; `failed`
     gets words while it does not answer."""
     asked = b'{"command": "watch", "quick": true}\n' if quick else b'{"command": "watch"}\n'
@@ -31,7 +24,7 @@ async def watch(path: str, heard: Callable[[State], None], failed: Callable[[str
             with contextlib.closing(writer):
                 writer.write(asked)
                 while line := await reader.readline():
-                    heard(_published(line).state)
+                    heard(reported(line))
             failed("the vehicle closed the connection")
         except (OSError, ValueError, msgspec.DecodeError) as error:
             failed(f"the vehicle does not answer: {in_words(error)}")

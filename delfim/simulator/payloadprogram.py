@@ -11,14 +11,13 @@ import subprocess
 from collections.abc import Callable, Sequence
 from typing import Final, Self
 
-import msgspec
-
 from delfim.base.errors import DelfimError, FormatError, Refused
 from delfim.simulator.lockstep import Lockstep
 from delfim.vehicle import console
 from delfim.vehicle.orders.entrusting import PAYLOAD, within
-from delfim.vehicle.orders.payloadlines import OrderBudget, VoyageTold, answered, lines, ordered, word_of
-from delfim.vehicle.snapshot import snapshot
+from delfim.vehicle.orders.payloadlines import OrderBudget, answered, lines, ordered, word_of
+from delfim.vehicle.report import BoatReport
+from delfim.vehicle.snapshot import report
 
 PERIOD_S: Final = 0.2  # between two states that it is told, as at sea
 HANGS_S: Final = 20.0  # of the wall clock: a program that says nothing for so long has failed
@@ -32,7 +31,7 @@ class PayloadProgram(contextlib.AbstractContextManager["PayloadProgram"]):
 
     def __init__(self, name: str, words: Sequence[str], order: Order) -> None:
         self.name, self._order, self._budget = name, order, OrderBudget()
-        self._before: VoyageTold | None = None
+        self._before: BoatReport | None = None
         self._next_s, self._rest, self._turns = 0.0, b"", 0
         self.is_running = True
         try:
@@ -47,7 +46,7 @@ class PayloadProgram(contextlib.AbstractContextManager["PayloadProgram"]):
         if now_s + 1e-9 < self._next_s or not self.is_running or "guest_lost" in run.faults.on:
             return
         self._next_s = now_s + PERIOD_S
-        now = msgspec.convert(snapshot(run.state, now_s, {}), VoyageTold)
+        now = report(run.state, now_s)
         told, self._before = list(lines(now, self._before)), now
         self._tell(b"".join(told))
         if told and b'"utc_ns"' in told[-1]:

@@ -362,6 +362,6 @@ def _why(tree: Any, text: str) -> str:
     return text
 
 
-def answer(reason: str | None, snapshot: dict[str, Any]) -> bytes:
-    """The answer: whether the command was carried out, the reason if not, and the state now."""
-    return _encode({"ok": reason is None, "reason": reason or "", "state": snapshot}) + b"\n"
+def answer(reason: str | None, report: bytes) -> bytes:
+    """The answer: whether the command was carried out, the reason if not, and the boat's report now."""
+    return b'{"ok":%b,"reason":%b,"state":%b}\n' % (b"true" if reason is None else b"false", _encode(reason or ""), report)

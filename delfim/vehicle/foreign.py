@@ -29,7 +29,8 @@ from delfim.vehicle.failsafe.troubles import NUMBERS, PartTrigger
 from delfim.vehicle.links import LoopInput
 from delfim.vehicle.navigation.fixes import Fix, Source
 from delfim.vehicle.propulsion.actuators import Actuator
-from delfim.vehicle.state import Actuation, Motion, PartHealth, Reference, Setpoint, State, Wanted
+from delfim.vehicle.report import PartHealth
+from delfim.vehicle.state import Actuation, Motion, Reference, Setpoint, State, Wanted
 
 SLOW_S: Final = 0.002  # of one call: longer ones are counted
 BROKEN_S: Final = 0.1  # of one call: then it is broken off

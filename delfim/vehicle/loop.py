@@ -29,9 +29,9 @@ from delfim.vehicle.log.latency import Latency
 from delfim.vehicle.navigation.fixes import Fix, Source, take
 from delfim.vehicle.orders import entrusting
 from delfim.vehicle.orders.returning import RESTART, Returning
-from delfim.vehicle.propulsion import thrusters
 from delfim.vehicle.propulsion.actuators import Actuator
 from delfim.vehicle.propulsion.propulsion import Propulsion
+from delfim.vehicle.report import LocalReport
 from delfim.vehicle.state import HANDSET, Profile, StartConditions, State, StateLog
 
 REPEAT_S = 0.5  # a propeller without commands for PROPELLER_TIMEOUT_S stops itself, which would hide the cause
@@ -180,17 +180,14 @@ class VehicleLoop:
         if state.reference.done:
             self.helm.finish()
 
-    def snapshot(self, extra: dict[str, object]) -> dict[str, object]:
-        """The state for the console, JSON-ready."""
-        lines, now_s = [line._asdict() for line in self.helm.checks()], self.clock.monotonic_s()
-        return snapshot.snapshot(self.state, now_s, {
-            "checks": lines,
-            "latency": self.latency.summary(),
-            "thrusters": thrusters.told(self.helm.settings.thrusters, self.state, now_s),
-            "paused": paused.mode.name.lower() if (paused := self.helm.paused) else None,
-            **{key: value for watch in self._watches for key, value in watch.report(now_s).items()},
-            **extra,
-        })  # fmt: skip
+    def report(self, **more: object) -> LocalReport:
+        """The boat's report; `more`: the fields that its program alone knows."""
+        now_s, paused = self.clock.monotonic_s(), self.helm.paused
+        more |= {"checks": tuple(self.helm.checks()), "latency": self.latency.facts()}
+        more["paused"] = paused.mode.name.lower() if paused else None
+        for watch in self._watches:
+            more |= watch.report(now_s)
+        return snapshot.report(self.state, now_s, self.helm.settings.thrusters, **more)
 
     def follow(self, other: "VehicleLoop") -> None:
         """Copy another vehicle's mode, set points and memory, and compute with its own tables, which are immutable."""

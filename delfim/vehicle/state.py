@@ -9,6 +9,7 @@ from delfim.base.modes import Mode
 from delfim.base.vessels import Report
 from delfim.canproxy.dsor.messages import Navigation, SystemStatus
 from delfim.vehicle.inputhealth import InputHealth
+from delfim.vehicle.report import Announced, ClockStatus, HandsetReport, PartHealth
 from delfim.vehicle.target import Traffic
 
 
@@ -164,53 +165,12 @@ class Profile(NamedTuple):
     t5: int = 0  # guest and log served
 
 
-class ClockStatus(NamedTuple):
-    """Where the computer's clock has its time from."""
-
-    kept: str = ""  # who keeps it, or why nobody does, in words; empty: nobody has looked yet
-    source: str = ""  # whose time it has, or is compared with; empty: none was heard
-    off_s: float | None = None  # the clock minus that time; None: it is not heard now
-    fault: str = ""  # why a time is not taken, in words
-    is_right: bool = False  # it was set in this run, or found as a source tells it
-
-
-class Announced(NamedTuple):
-    """An action of the mission that the boat has come to (docs/missions.md)."""
-
-    number: int  # of all that were announced, from 1
-    command: int  # MAV_CMD
-    params: tuple[float | None, ...]  # seven; None: not given
-
-
 class Killed(NamedTuple):
     """A kill: the boat is in idle, and every mode is refused until an operator clears it."""
 
     reason: str = ""  # in words; empty: the boat is not killed
     by: str = ""  # the switch or operator that killed it
     held: tuple[str, ...] = ()  # switches that say kill now: they must be released first
-
-
-class HandsetReport(NamedTuple):
-    """The state of the hand-set. Sticks are -1 to 1, ahead and to starboard positive."""
-
-    heard_s: float  # monotonic time of the last positions that came from it
-    throttle: float
-    steer: float
-    takes: bool  # the switches
-    kills: bool
-    lost: str = ""  # why its radio is lost, in words; empty: it is not
-    quality_pct: int | None = None  # of its radio; None: the receiver does not tell
-
-
-@dataclass(slots=True)
-class PartHealth:
-    """How the loop's calls to a laboratory's part fare (`foreign.py`)."""
-
-    failed: int = 0  # calls that raised, took too long, or returned nonsense
-    slow: int = 0  # calls longer than the contract allows
-    worst_s: float = 0.0  # the longest
-    reason: str = ""  # of the last that failed, in words
-    off: str = ""  # why what part of it is switched off, in words; empty: it is not
 
 
 class StartConditions(NamedTuple):

@@ -245,7 +245,7 @@ def test_a_boat_without_another_use_for_the_bus_logs_and_tells_its_depth() -> No
     run = Lockstep(settings, 1, lambda clock: NoLog())
     run.cycle()
     assert run.state.measured["depth_m"] == (12.0, 0.0), "of the modelled sounder"
-    assert run.vehicle.snapshot({})["measured"] == {"depth_m": 12.0, "depth_offset_m": 0.0}
+    assert run.vehicle.report().measured == {"depth_m": 12.0, "depth_offset_m": 0.0}
     fields = record.of(settings)
     logged = dict(zip([f.name for f in fields.fields], record.values(fields, run.state, 0.0), strict=True))
     assert (logged["depth_m"], math.isnan(logged["water_c"])) == (12.0, True)  # type: ignore[arg-type]

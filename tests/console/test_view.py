@@ -9,6 +9,7 @@ from rich.console import Console
 from delfim.canproxy.dsor.messages import Fault, Status
 from delfim.console.terminal.view import HEIGHT, WIDTH, View, warnings
 from delfim.vehicle import console
+from delfim.vehicle.snapshot import in_json
 
 SQUARE = [(38.0, -9.0), (38.001, -9.0), (38.001, -8.999), (38.0, -9.0)]
 
@@ -19,7 +20,7 @@ def state(boat):
     boat.vehicle.on_command(console.Heading(90.0, 1.0))
     boat.pass_time(1.0)
     more = {"boat": "test", "log": {"reason": ""}, "services": {}}
-    return json.loads(console.answer(None, boat.vehicle.snapshot(more)))["state"]
+    return json.loads(console.answer(None, in_json(boat.vehicle.report(**more))))["state"]
 
 
 def shown(view: View, width: int = 130, height: int = 40) -> str:
@@ -74,14 +75,14 @@ def test_of_another_mission_than_its_own_it_draws_no_waypoints(state):
 
 def test_a_boat_that_never_had_a_position_can_be_shown(boat):
     view = View([], "")
-    view.feed(json.loads(console.answer(None, boat.vehicle.snapshot({})))["state"])
+    view.feed(json.loads(console.answer(None, in_json(boat.vehicle.report())))["state"])
     assert "never heard" in shown(view)
 
 
 def test_warnings_say_what_is_wrong(boat, state):
     boat.report(Status.BAD, Fault.OVERHEATED)
     boat.vehicle.on_watchdog()
-    bad = json.loads(console.answer(None, boat.vehicle.snapshot({})))["state"]
+    bad = json.loads(console.answer(None, in_json(boat.vehicle.report())))["state"]
     bad["services"] = {"canzlogd": {"state": "waiting", "reason": "no bus"}}
     bad["log"] = {"reason": "disk full"}
     bad["counts"] = {"navigation_jumps": 3}

@@ -16,7 +16,6 @@ from delfim.canproxy.dsor.messages import BatteriesStatus, Fault, GpsStatus, Nav
 from delfim.canproxy.nmea2000.device import FIRST
 from delfim.lines.nmea0183.speaking import SPEAKERS
 from delfim.lines.serialform import Form
-from delfim.logging.liblog import LogStatus
 from delfim.parts.mavlink.codec.wire import Address
 from delfim.parts.mavlink.station import Station
 from delfim.parts.mavlink.telemetry import PROFILES
@@ -31,20 +30,9 @@ from delfim.vehicle.build import build
 from delfim.vehicle.failsafe.nodehealth import NAMES
 from delfim.vehicle.links import Links
 from delfim.vehicle.loop import VehicleLoop
-from delfim.vehicle.state import (
-    Actuation,
-    Announced,
-    ClockStatus,
-    HandsetReport,
-    Motion,
-    NoLog,
-    Notice,
-    Profile,
-    Reference,
-    StartConditions,
-    State,
-    ThrusterReport,
-)
+from delfim.vehicle.report import Announced, BoatReport, ClockStatus, HandsetReport, LogFacts, Service
+from delfim.vehicle.snapshot import in_json
+from delfim.vehicle.state import Actuation, Motion, NoLog, Notice, Profile, Reference, StartConditions, State, ThrusterReport
 from delfim.vehicle.target import CourseOrder, Danger, Target, Traffic
 from tests.canproxy.pgn_of import pgn_of
 from tests.oracles.keeping import Lines
@@ -108,15 +96,15 @@ class FixedBoat:
     @property
     def snapshot(self) -> bytes:
         """As the local command socket tells it."""
-        log = LogStatus(True, "", "a log", 3061, 18, 2)
+        log = LogFacts(file="a log", bytes=3061, records=18, dropped=2)
         service = {"vehicle": {"state": "running", "place": "runtime", "for_s": 5.5, "busy_s": 0.25, "over_budget": 3}}
-        more = {"boat": self.settings.boat.name, "log": log._asdict(), "services": service}
-        return msgspec.json.encode(self.vehicle.snapshot(more))
+        more = msgspec.convert(service, dict[str, Service])
+        return in_json(self.vehicle.report(boat=self.settings.boat.name, log=log, services=more))
 
     @property
-    def told(self) -> api.State:
+    def told(self) -> BoatReport:
         """The same, as other programs read it."""
-        return msgspec.json.decode(self.snapshot, type=api.State)
+        return msgspec.json.decode(self.snapshot, type=BoatReport)
 
 
 def _fill(state: State) -> None:
@@ -210,7 +198,7 @@ _COMPUTER: Final = api.Computer(
     disk=api.Disk("a disk", 8_000_000, 6_000_000, 86_400.0),
     networks={"eth0": api.Network(True, ("10.0.0.2",), 1000, 2000, 10.5, 20.5, 1, 2)},
     buses={"can0": api.Bus("ERROR-ACTIVE", 1_000_000, 120.5, 0.0625, 5000, 1, 2, 3, 4, 5)},
-    supervisor={"runtime": api.Service("running", "process", 5.5, 1, "dead-man", 17)},
+    supervisor={"runtime": Service("running", "process", 5.5, 1, "dead-man", 17)},
 )
 
 

@@ -71,7 +71,7 @@ def vehicle_file(tmp_path: Path, **tables: Any) -> config.Vehicle:
 async def vehicle(settings: config.Vehicle, state: dict[str, Any]) -> AsyncIterator[CommandServer]:
     """The vehicle's command socket, saying `state`, which the test may change."""
     reviews = SimpleNamespace(cancel=lambda reason: None)
-    commands = CommandServer(lambda command, operator: None, reviews, lambda: json.loads(json.dumps(state)), 16)
+    commands = CommandServer(lambda command, operator: None, reviews, lambda: json.dumps(state).encode(), 16)
     server = await asyncio.get_running_loop().create_unix_server(commands.connection, settings.console.socket)
     try:
         yield commands

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from delfim.services import computer
 from delfim.services.computer import ComputerLook, can_bus, memory, networks, process, processors, program, programs, service
-from delfim.services.page.api import Service
+from delfim.vehicle.report import Service
 
 DEV = """Inter-|   Receive                                                |  Transmit
  face |bytes    packets errs drop fifo frame compressed multicast|bytes    packets errs drop fifo colls carrier compressed

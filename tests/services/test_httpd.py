@@ -26,6 +26,7 @@ from delfim.services.access import door
 from delfim.services.page import api, board, httpd, page
 from delfim.services.runtime import Runtime
 from delfim.services.tables import Httpd
+from delfim.vehicle.report import BoatReport
 from tests.services.boat import STATE, served, vehicle, vehicle_file
 from tests.services.browser import PROGRAM, tab
 
@@ -151,8 +152,8 @@ def test_the_page_says_without_a_script_what_a_person_must_know(tmp_path):
 def test_the_way_is_drawn_as_it_was_seen_and_stays_short(tmp_path):
     way = board.Trail()
     for n in range(1000):
-        way.add(api.State(mode="play", reason="", latitude_deg=38.0 + n / 1e5, longitude_deg=-9.0))
-    way.add(api.State(mode="play", reason=""))
+        way.add(BoatReport(mode="play", reason="", latitude_deg=38.0 + n / 1e5, longitude_deg=-9.0))
+    way.add(BoatReport(mode="play", reason=""))
     assert board.WAY_MAX / 2 <= len(way.points) < board.WAY_MAX
     assert way.points == sorted(way.points)
     assert (way.points[0][0], round(way.points[-1][0], 3)) == (38.0, 38.01)

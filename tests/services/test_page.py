@@ -13,10 +13,23 @@ from delfim.services.page import api, document, figures, page
 from delfim.services.page.metrics import metrics
 from delfim.services.page.page import SECTIONS, PageView, head, mood
 from delfim.services.page.wording import size, span
+from delfim.vehicle.report import (
+    BoatReport,
+    LatencyFacts,
+    LogFacts,
+    NodeFacts,
+    NoticeFacts,
+    OrderInForce,
+    ReferenceFacts,
+    Service,
+    ThrusterFacts,
+    TrafficSeen,
+    VesselSeen,
+)
 from tests.services.boat import STATE
 
 FILE = config.Vehicle(boat=config.BoatTable(name="Test"))
-VEHICLE = msgspec.convert(STATE, api.State)
+VEHICLE = msgspec.convert(STATE, BoatReport)
 words = st.text(st.characters(exclude_categories=("Cs", "Cc"), exclude_characters="\ufffe\uffff"), max_size=12)
 numbers = st.one_of(st.none(), st.floats(-1e9, 1e9), st.floats(allow_nan=True, allow_infinity=True))
 
@@ -27,7 +40,7 @@ def rendered(report: api.Report) -> dict[str, ElementTree.Element]:
     return {name: ElementTree.fromstring(f"<div>{text.replace('&nbsp;', ' ')}</div>") for name, text in texts.items()}
 
 
-def report(vehicle: api.State | None, computer: api.Computer | None = None) -> api.Report:
+def report(vehicle: BoatReport | None, computer: api.Computer | None = None) -> api.Report:
     services = vehicle.services if vehicle else {}
     now_ns = 1_795_231_735_093_121_524
     return api.Report(utc_ns=now_ns, vehicle=vehicle, reason="", services=services, computer=computer, computer_age_s=None)
@@ -47,7 +60,7 @@ def test_other_vessels_are_told_those_first_that_are_met_first():
     targets = [vessel("PAST", -40.0), vessel("MARIA", 300.0, "near"), vessel("TEJO", 90.0, lost=True, size_known=True)]
     order = {"course_deg": 45.0, "speed_mps": 1.5, "words": "giving way to MARIA", "key": "MARIA", "age_s": 0.4}
     told = STATE | {"traffic": {"heard_s": 3.0, "targets": targets, "order": order, "guard": "on"}}
-    section = rendered(report(msgspec.convert(told, api.State)))["vessels"]
+    section = rendered(report(msgspec.convert(told, BoatReport)))["vessels"]
     text = "".join(section.itertext())
     assert "3 vessels, last report 3.0 s ago. Sees only who transmits." in text
     assert "giving way to MARIA" in text
@@ -69,12 +82,12 @@ computers = st.builds(
     processes=st.tuples(
         st.builds(api.Process, pid=st.just(1), name=words, nice=st.just(0), cpu=st.just(0.5), memory_bytes=st.just(9))
     ),
-    supervisor=st.dictionaries(words, st.builds(api.Service, state=words, reason=words), max_size=2),
+    supervisor=st.dictionaries(words, st.builds(Service, state=words, reason=words), max_size=2),
     deadman=words,
     disk=st.one_of(st.none(), st.builds(api.Disk, path=words)),
 )
 states = st.builds(
-    api.State,
+    BoatReport,
     mode=words,
     reason=words,
     boat=words,
@@ -84,27 +97,27 @@ states = st.builds(
     speed_mps=numbers,
     latitude_deg=numbers,
     thrusters=st.dictionaries(
-        words, st.builds(api.ThrusterFacts, thrust=st.floats(-1e6, 1e6), rpm=numbers, faults=st.tuples(words))
+        words, st.builds(ThrusterFacts, thrust=st.floats(-1e6, 1e6), rpm=numbers, faults=st.tuples(words))
     ),
-    reference=st.builds(api.Reference, heading_deg=numbers, speed_mps=numbers, distance_m=numbers, cross_track_m=numbers),
+    reference=st.builds(ReferenceFacts, heading_deg=numbers, speed_mps=numbers, distance_m=numbers, cross_track_m=numbers),
     age_s=st.dictionaries(words, numbers, max_size=3),
-    sysstat=st.dictionaries(words, st.builds(api.Node, status=words, faults=st.tuples(words), charge=numbers), max_size=2),
+    sysstat=st.dictionaries(words, st.builds(NodeFacts, status=words, faults=st.tuples(words), charge=numbers), max_size=2),
     measured=st.dictionaries(words, numbers, max_size=2),
     counts=st.dictionaries(words, st.integers(0, 9), max_size=2),
     services=st.dictionaries(
-        words, st.builds(api.Service, state=words, reason=words, figures=st.dictionaries(words, words, max_size=1)), max_size=2
+        words, st.builds(Service, state=words, reason=words, figures=st.dictionaries(words, words, max_size=1)), max_size=2
     ),
     traffic=st.one_of(
         st.none(),
         st.builds(
-            api.TrafficSeen,
-            targets=st.tuples(st.builds(api.VesselSeen, name=words, danger=words, cpa_m=numbers, tcpa_s=st.floats(-9, 9))),
-            order=st.one_of(st.none(), st.builds(api.OrderInForce, words=words)),
+            TrafficSeen,
+            targets=st.tuples(st.builds(VesselSeen, name=words, danger=words, cpa_m=numbers, tcpa_s=st.floats(-9, 9))),
+            order=st.one_of(st.none(), st.builds(OrderInForce, words=words)),
             guard=words,
         ),
     ),
-    notices=st.tuples(st.builds(api.Notice, name=words, reason=words, action=words)),
-    log=st.builds(api.LogStatus, writable=st.booleans(), reason=words),
+    notices=st.tuples(st.builds(NoticeFacts, name=words, reason=words, action=words)),
+    log=st.builds(LogFacts, writable=st.booleans(), reason=words),
 )
 
 
@@ -123,7 +136,7 @@ def test_without_vehicle_and_computer_the_page_says_so():
 
 def test_the_figures_of_a_service_are_tables():
     shown = {"frames_lost": 0, "buses": {"can<0>": {"received": 7, "failure": ""}, "b": {"received": 8}}, "clients": {}}
-    vehicle = msgspec.structs.replace(VEHICLE, services={"cantcpd": api.Service(state="running", figures=shown)})
+    vehicle = msgspec.structs.replace(VEHICLE, services={"cantcpd": Service(state="running", figures=shown)})
     section = rendered(report(vehicle))["services"]
     single, several = (
         [["".join(cell.itertext()) for cell in row] for row in table.iter("tr")] for table in section.iter("table")
@@ -152,7 +165,7 @@ def test_a_network_that_never_was_up_is_no_news():
 
 @pytest.mark.parametrize(("asked_mps", "words"), [(None, ""), (1.5, "asked for 1.5"), (0.0, "asked to lie still")])
 def test_the_speed_that_was_asked_for_is_said_in_words(asked_mps, words):
-    vehicle = msgspec.structs.replace(VEHICLE, reference=api.Reference(speed_mps=asked_mps))
+    vehicle = msgspec.structs.replace(VEHICLE, reference=ReferenceFacts(speed_mps=asked_mps))
     text = "".join(rendered(report(vehicle))["motion"].itertext())
     assert ("asked" in text) == bool(words)
     assert words in text
@@ -192,7 +205,7 @@ def test_the_map_has_a_scale():
     [
         ({"notices": ()}, "good"),
         ({}, "warn"),
-        ({"notices": (api.Notice(name="sensor_bad", reason="gps", action="stop"),)}, "bad"),
+        ({"notices": (NoticeFacts(name="sensor_bad", reason="gps", action="stop"),)}, "bad"),
         ({"mode": "idle", "notices": ()}, "calm"),
         ({"mode": "idle", "reason": "navigation silent for 1.2 s", "notices": ()}, "warn"),
     ],
@@ -208,7 +221,7 @@ bars = st.lists(st.tuples(st.floats(10, 1e7), st.integers(1, 10**7)), max_size=4
 
 @given(bars, st.floats(0, 1e7))
 def test_the_histogram_stays_in_its_frame(found, worst_us):
-    latency = api.Latency(n=sum(n for _, n in found), worst_us=worst_us, p50_us=worst_us / 2, histogram=found)
+    latency = LatencyFacts(n=sum(n for _, n in found), worst_us=worst_us, p50_us=worst_us / 2, histogram=found)
     drawing = figures.histogram(latency)
     ElementTree.fromstring(drawing)
     points = re.findall(r"[MVH](-?[0-9.]+)(?: (-?[0-9.]+))?", " ".join(re.findall(r' d="([^"]+)"', drawing)))
@@ -216,7 +229,7 @@ def test_the_histogram_stays_in_its_frame(found, worst_us):
 
 
 def test_higher_counts_are_higher_bars():
-    drawing = figures.histogram(api.Latency(n=111, histogram=((20.0, 1), (40.0, 10), (80.0, 100))))
+    drawing = figures.histogram(LatencyFacts(n=111, histogram=((20.0, 1), (40.0, 10), (80.0, 100))))
     path = re.search(r'class="bars" d="([^"]+)"', drawing)
     assert path is not None
     tops = [float(each) for each in re.findall(r"V([0-9.]+)H", path[1])]
@@ -250,6 +263,6 @@ def test_style_and_script_are_what_the_policy_lets_run():
 
 def test_the_troubles_of_a_services_parts_are_to_look_at() -> None:
     figures = {"troubles": {"sonar": "waiting: exit code 1: <no port>"}}
-    computer = api.Computer(supervisor={"payload": api.Service(state="running", figures=figures)})
+    computer = api.Computer(supervisor={"payload": Service(state="running", figures=figures)})
     shown = rendered(report(VEHICLE, computer))["warnings"]
     assert "payload sonar waiting: exit code 1: <no port>" in "".join(shown.itertext())

@@ -21,16 +21,16 @@ from delfim.canproxy.socket import ANYTHING, CanAddress, CanSocket
 from delfim.parts.frontseats.table import MavlinkFrontSeat
 from delfim.parts.nmea2000.table import Nmea2000
 from delfim.services import powerd
-from delfim.services.page.api import State as ToldState
 from delfim.services.powerd import FRESH_S, Powerd, is_told_by_vehicle
 from delfim.services.runtime import LoadedService, Runtime
 from delfim.services.supervision import shutdown
 from delfim.services.tables import PowerdTable
+from delfim.vehicle.console import answer
 from delfim.vehicle.links import Links
 from delfim.vehicle.operator.command import CommandServer
-from delfim.vehicle.propulsion import thrusters
 from delfim.vehicle.propulsion.actuators import open_actuator
-from delfim.vehicle.snapshot import snapshot
+from delfim.vehicle.report import reported
+from delfim.vehicle.snapshot import in_json, report
 from delfim.vehicle.state import Actuation, State
 from tests.canproxy.test_instruments import Bus
 from tests.parts.dronecan.test_dronecan_sensors import BATTERY, battery, heard
@@ -39,10 +39,6 @@ from tests.vehicle import test_drivers as drivers
 
 NO_REVIEWS = SimpleNamespace(cancel=lambda why: None)
 OFF, AHEAD = Actuation((0.0, 0.0), (0.0, 0.0), False), Actuation((0.5, 0.5), (0.0, 0.0), True)
-
-
-def as_told(settings: config.Vehicle, state: State, now_s: float) -> dict[str, object]:
-    return snapshot(state, now_s, {"thrusters": thrusters.told(settings.thrusters, state, now_s)})
 
 
 class Boat:
@@ -63,8 +59,8 @@ class Boat:
                 self.state.sysstat = {name: (told, now_s) for name, (told, _) in self.state.sysstat.items()}
                 self.state.thrusters = {name: told._replace(heard_s=now_s) for name, told in self.state.thrusters.items()}
             if tells:
-                told = as_told(self.settings, self.state, now_s)
-                self.powerd.on_state(msgspec.json.decode(msgspec.json.encode(told), type=ToldState))
+                told = in_json(report(self.state, now_s, self.settings.thrusters))
+                self.powerd.on_state(reported(answer(None, told)))
             self.powerd.look()
         return self.powerd.reason
 
@@ -195,10 +191,10 @@ def test_the_service_asks_the_supervisor_when_the_vehicle_tells_of_an_empty_batt
     runtime, state = Runtime(settings, SystemClock(), alone=True), State()
     power = BatteriesStatus(Status.GOOD, Fault(0), 39.5, None, None, None)
 
-    def told_now() -> dict[str, object]:
+    def told_now() -> bytes:
         now_s = runtime.clock.monotonic_s()
         state.sysstat["batteries_starboard"] = power, now_s
-        return as_told(settings, state, now_s)
+        return in_json(report(state, now_s, settings.thrusters))
 
     async def vehicle(runtime: Runtime) -> None:
         commands = CommandServer(lambda command, operator: None, NO_REVIEWS, told_now, 1)

@@ -48,9 +48,11 @@ class Sailing:
 
     def away_m(self) -> float:
         """From the peak."""
-        told = self.run.vehicle.snapshot({})
-        north_m = (told["latitude_deg"] - PEAK[0]) * 111_120.0
-        return math.hypot(north_m, (told["longitude_deg"] - PEAK[1]) * 111_120.0 * math.cos(math.radians(PEAK[0])))
+        told = self.run.vehicle.report()
+        assert told.latitude_deg is not None
+        assert told.longitude_deg is not None
+        north_m = (told.latitude_deg - PEAK[0]) * 111_120.0
+        return math.hypot(north_m, (told.longitude_deg - PEAK[1]) * 111_120.0 * math.cos(math.radians(PEAK[0])))
 
 
 def test_the_example_climbs_to_the_warmest_water_and_its_voyage_is_replayed_bit_by_bit(tmp_path: Path) -> None:

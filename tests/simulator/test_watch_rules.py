@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from msgspec.structs import replace
 
 from delfim import config
 from delfim.base.modes import Mode
@@ -209,13 +210,13 @@ BREAKS: dict[str, tuple[Any, str, Any, tuple[dict[str, Any], ...], FaultAt | Non
         *(failsafe, "news", but(failsafe.news, lambda lines: [*lines, "shallow: over"])),
         *((EAST,), DARK, "told, and not so"),
     ),
-    "page": (snapshot, "snapshot", but(snapshot.snapshot, lambda r: r | {"mode": "idle"}), (EAST,), None, "reported is mode"),
+    "page": (snapshot, "report", but(snapshot.report, lambda r: replace(r, mode="idle")), (EAST,), None, "reported is mode"),
     "heading": (
-        *(snapshot, "snapshot", but(snapshot.snapshot, lambda r: r | {"heading_deg": (r["heading_deg"] or 0.0) + 9.0})),
+        *(snapshot, "report", but(snapshot.report, lambda r: replace(r, heading_deg=(r.heading_deg or 0.0) + 9.0))),
         *((EAST,), None, "the reported heading"),
     ),
     "elsewhere": (
-        *(snapshot, "snapshot", but(snapshot.snapshot, lambda r: r | {"latitude_deg": (r["latitude_deg"] or 0.0) + 1e-4})),
+        *(snapshot, "report", but(snapshot.report, lambda r: replace(r, latitude_deg=(r.latitude_deg or 0.0) + 1e-4))),
         *((EAST,), None, "the reported position"),
     ),
     "record": (record, "values", but(record.values, lambda v: (*v[:9], 99, *v[10:])), (EAST,), None, "logged is mode"),

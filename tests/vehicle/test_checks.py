@@ -4,6 +4,7 @@ import math
 
 import msgspec
 import pytest
+from msgspec.structs import replace
 
 from delfim import config
 from delfim.base.frames import Frame
@@ -11,12 +12,13 @@ from delfim.base.modes import Mode
 from delfim.canproxy.dsor import messages
 from delfim.canproxy.dsor.messages import BatteriesStatus, Fault, Node, Status
 from delfim.vehicle import console
-from delfim.vehicle.failsafe.checks import Check, checks, refusal
+from delfim.vehicle.failsafe.checks import checks, refusal
 from delfim.vehicle.failsafe.failsafe import Rules
 from delfim.vehicle.failsafe.troubles import Inputs
 from delfim.vehicle.inputhealth import InputHealth
 from delfim.vehicle.plans.fence import Fence
-from delfim.vehicle.state import HANDSET, ClockStatus, HandsetReport, StartConditions, State, ThrusterReport
+from delfim.vehicle.report import Check, ClockStatus, HandsetReport
+from delfim.vehicle.state import HANDSET, StartConditions, State, ThrusterReport
 from tests.vehicle.test_pause import MISSION
 
 AROUND = config.FenceTable(
@@ -87,7 +89,7 @@ def test_the_line_says_who_keeps_the_clock_and_why_a_time_is_not_taken(boat):
     boat.state.computer = StartConditions(clock=kept)
     words = "the computer's clock is +0.0 s off navigation's; kept by this program, compared with the time frame"
     assert lines(boat)["clock"] == (True, words)
-    boat.state.computer = StartConditions(clock=kept._replace(fault="the time frame jumps by +1.4 s: it is not taken"))
+    boat.state.computer = StartConditions(clock=replace(kept, fault="the time frame jumps by +1.4 s: it is not taken"))
     assert lines(boat)["clock"] == (False, f"{words}; the time frame jumps by +1.4 s: it is not taken")
     boat.clock.step(-40 * 365 * 86_400.0)
     boat.state.computer = StartConditions(clock=ClockStatus("kept by chronyd"))
@@ -167,11 +169,11 @@ def test_the_state_for_the_console_has_the_lines_and_the_present_troubles(boat):
     boat.log.why = "disk full"
     boat.ready()
     boat.pass_time(6.0)
-    state = boat.vehicle.snapshot({})
-    assert {"name": "log", "ok": False, "reason": "no log, no start: disk full"} in state["checks"]
-    notice = next(each for each in state["notices"] if each["name"] == "log")
-    assert (notice["reason"], notice["action"]) == ("log not written: disk full", "warn")
-    assert notice["age_s"] == pytest.approx(5.9, abs=0.2)
+    told = boat.vehicle.report()
+    assert Check("log", False, "no log, no start: disk full") in told.checks
+    notice = next(each for each in told.notices if each.name == "log")
+    assert (notice.reason, notice.action) == ("log not written: disk full", "warn")
+    assert notice.age_s == pytest.approx(5.9, abs=0.2)
 
 
 @pytest.mark.parametrize(
@@ -257,7 +259,12 @@ def allowed(line: str, at_sea: bool = False, vehicle: config.Vehicle = PLAIN, **
 
 def test_a_line_that_is_only_told_forbids_nothing_and_the_first_of_the_others_is_the_reason():
     assert {line for line in LINES if allowed(line) == set(Mode)} == TOLD | {"gnss", "hand-set"}
-    both = [Check("link", False, "a"), Check("kill", True, "b"), Check("computer", False, "c"), Check("sensors", False, "d")]
+    both = [
+        Check("link", False, "a"),
+        Check("kill", True, "b"),
+        Check("computer", False, "c"),
+        Check("sensors", False, "d"),
+    ]
     assert refusal(Rules(PLAIN), Mode.HEADING, both, False) == "c"
     assert refusal(Rules(PLAIN), Mode.HEADING, [], False) is None
 
@@ -320,7 +327,9 @@ def test_the_line_of_the_fence_says_what_it_waits_for(make_boat):
     boat.state.fence_lost, helm = "", boat.vehicle.helm
     unlaid = Inputs("", Fence((), AROUND, is_laid=False))
     told = checks(helm.rules, boat.state, unlaid, boat.clock.monotonic_s(), boat.clock.time_ns())
-    assert [line[1:] for line in told if line.name == "fence"] == [(False, "its zones are still being prepared: wait a moment")]
+    assert [(line.ok, line.reason) for line in told if line.name == "fence"] == [
+        (False, "its zones are still being prepared: wait a moment")
+    ]
 
 
 @pytest.mark.parametrize(
@@ -334,7 +343,7 @@ def test_the_line_of_the_outlet_is_there_for_motors_that_pulses_turn(reports, to
     bow = config.ThrusterTable(name="bow", driver="pwm", address=3, thrust_n=(-10.0, 10.0))
     rules = Rules(msgspec.structs.replace(PLAIN, thrusters=(*config.DELFIMX, bow)))
     found = checks(rules, State(thrusters=reports), WELL, 100.0, 0)
-    assert [line[1:] for line in found if line.name == "outlet"] == [told]
+    assert [(line.ok, line.reason) for line in found if line.name == "outlet"] == [told]
 
 
 def test_the_line_of_navigation_is_right_up_to_its_age(boat):
@@ -377,10 +386,10 @@ def test_the_hand_set_says_whether_it_has_the_boat_and_how_good_its_radio_is(mak
     report = HandsetReport(boat.clock.monotonic_s(), 0.0, 0.0, takes=False, kills=False)
     boat.state.handset = report
     assert lines(boat)["hand-set"] == (True, "heard")
-    boat.state.handset, boat.state.operator = report._replace(quality_pct=0), HANDSET
+    boat.state.handset, boat.state.operator = replace(report, quality_pct=0), HANDSET
     assert lines(boat)["hand-set"] == (True, "has the boat, radio 0%")
     for age_s, told in ((0.5, (True, "has the boat, radio 0%")), (0.6, (False, "hand-set silent for 0.6 s"))):
-        boat.state.handset = boat.state.handset._replace(heard_s=boat.clock.monotonic_s() - age_s)
+        boat.state.handset = replace(boat.state.handset, heard_s=boat.clock.monotonic_s() - age_s)
         assert lines(boat)["hand-set"] == told
     without = make_boat()
     without.state.handset = report

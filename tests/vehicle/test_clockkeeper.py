@@ -20,6 +20,7 @@ from delfim.services.clock.clockkeeper import (
     ClockKeeper,
     Correction,
 )
+from delfim.vehicle.report import ClockStatus
 
 NAVIGATION = "navigation (dsor)"
 SAILED_NS = MADE_NS + 200 * 86_400_000_000_000  # UTC when the computer started
@@ -61,7 +62,7 @@ def test_a_clock_of_1970_is_stepped_once_when_its_source_was_steady():
     assert desk.seconds(ENOUGH - 1) == []
     assert desk.second() == Correction("step", pytest.approx(YEARS_S), TIME_FRAME)
     assert desk.off_s == pytest.approx(0.0, abs=1e-6)
-    assert desk.keeper.status == ("kept by this program", TIME_FRAME, 0.0, "", True)
+    assert desk.keeper.status == ClockStatus("kept by this program", TIME_FRAME, 0.0, "", True)
     assert desk.seconds(60) == ["slew"] * 8
 
 

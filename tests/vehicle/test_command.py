@@ -19,6 +19,7 @@ from delfim.vehicle import console
 from delfim.vehicle.operator.command import LINE_BYTES, CommandServer
 from delfim.vehicle.operator.link import Link
 from delfim.vehicle.operator.reviews import Reviews
+from delfim.vehicle.snapshot import in_json
 
 
 def served(boat, tmp_path, talk: Callable[[str], object], clients_max: int = 4) -> object:
@@ -26,7 +27,7 @@ def served(boat, tmp_path, talk: Callable[[str], object], clients_max: int = 4) 
 
     async def both() -> object:
         reviews = Reviews(boat.vehicle, boat.vehicle.on_command, asyncio.get_running_loop())
-        server = CommandServer(boat.vehicle.on_command, reviews, lambda: boat.vehicle.snapshot({}), clients_max)
+        server = CommandServer(boat.vehicle.on_command, reviews, lambda: in_json(boat.vehicle.report()), clients_max)
         path = str(tmp_path / "command")
         listening = await asyncio.get_running_loop().create_unix_server(server.connection, path)
         boat.server = server

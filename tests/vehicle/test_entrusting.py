@@ -77,8 +77,8 @@ def test_the_boat_holds_for_the_program_that_it_was_given_to_and_does_what_that_
     assert says(boat, console.Continue()) is None
     assert (state.mode, state.reason) == (Mode.PLAY, "payload gradient continues")
     assert (state.operator, state.console_s) == (operator, console_s), "no program is an operator, or speaks for one"
-    report = boat.vehicle.snapshot({})
-    assert (report["mode"], report["helmsman"], report["age_s"]["payload gradient"]) == ("play", "gradient", 0.0)
+    report = boat.vehicle.report()
+    assert (report.mode, report.helmsman, report.age_s["payload gradient"]) == ("play", "gradient", 0.0)
 
 
 @pytest.mark.parametrize(
@@ -294,7 +294,7 @@ def test_over_the_socket_its_answer_is_brief(boat) -> None:
     given(boat)
     wrote: list[bytes] = []
     loop = SimpleNamespace(call_soon=lambda call: None)
-    server = CommandServer(boat.vehicle.on_command, Reviews(boat.vehicle, boat.vehicle.on_command, loop), dict, 1)
+    server = CommandServer(boat.vehicle.on_command, Reviews(boat.vehicle, boat.vehicle.on_command, loop), lambda: b"{}", 1)
     link = SimpleNamespace(write=wrote.append, get_write_buffer_size=lambda: 0, resume_reading=lambda: None)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("asyncio.get_running_loop", lambda: loop)

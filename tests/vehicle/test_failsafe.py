@@ -27,17 +27,8 @@ from delfim.vehicle.failsafe.failsafe import (
 from delfim.vehicle.failsafe.failsafe import failsafe as look
 from delfim.vehicle.failsafe.troubles import Inputs, Trigger, astray
 from delfim.vehicle.plans.fence import Fence, polygon
-from delfim.vehicle.state import (
-    Actuation,
-    HandsetReport,
-    Killed,
-    Motion,
-    Notice,
-    Reference,
-    Setpoint,
-    State,
-    ThrusterReport,
-)
+from delfim.vehicle.report import HandsetReport
+from delfim.vehicle.state import Actuation, Killed, Motion, Notice, Reference, Setpoint, State, ThrusterReport
 from delfim.vehicle.target import Danger, Traffic
 
 ALL = frozenset({"position", "heading", "velocity"})

@@ -31,7 +31,8 @@ from delfim.vehicle.navigation.fixes import Fix
 from delfim.vehicle.plans import fence
 from delfim.vehicle.propulsion.actuators import Actuator
 from delfim.vehicle.propulsion.propulsion import Propulsion
-from delfim.vehicle.state import Actuation, HandsetReport, Line, NoLog, Plan, State, ThrusterReport, Waypoint
+from delfim.vehicle.report import HandsetReport
+from delfim.vehicle.state import Actuation, Line, NoLog, Plan, State, ThrusterReport, Waypoint
 from delfim.vehicle.target import Danger, Traffic
 
 SECONDS, NAVIGATION_S = 1.6, 0.2

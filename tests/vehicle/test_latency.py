@@ -37,7 +37,7 @@ def test_a_stepped_clock_is_not_a_latency():
     set_ns = 1_770_000_000_000_000_000
     latency.add(Profile(100_000_000_000, set_ns, set_ns, set_ns, set_ns, set_ns))  # the frame came in 1970
     assert latency.n == 0
-    assert latency.summary()["p99_us"] == 0
+    assert latency.facts().p99_us == 0
 
 
 def test_the_first_cycles_of_a_program_that_comes_up_spoil_no_figure():
@@ -53,7 +53,7 @@ def test_edges_rise():
 
 @given(st.lists(st.floats(0.001, 1e6), min_size=1))
 def test_every_cycle_is_in_the_bar_that_its_path_belongs_to(paths):
-    bars = added(paths).summary()["histogram"]
+    bars = added(paths).facts().histogram
     assert sum(n for _, n in bars) == len(paths)
     assert bars == sorted(bars)
     for edge, _ in bars:

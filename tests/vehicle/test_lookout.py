@@ -24,6 +24,7 @@ from delfim.parts.traffic.watchkeeper import LATE_S
 from delfim.simulator.lockstep import Lockstep
 from delfim.simulator.lockstepbus import LockstepBus
 from delfim.vehicle import console
+from delfim.vehicle.snapshot import in_json
 from delfim.vehicle.state import HEARD_MAX, Motion, NoLog, State
 from tests.canproxy.test_recordings import BUSY, RAYMARINE, recording
 
@@ -152,7 +153,7 @@ def test_a_boat_among_others_sails_whatever_its_receiver_does(trouble: str) -> N
     assert state.traffic.at_s > 85.0
     assert all(math.isfinite(each.north_m) and math.isfinite(each.margin_m) for each in targets)
     assert all(each.is_lost for each in targets) == (trouble in ("silent", "frozen", "wrong"))
-    told_state = msgspec.json.decode(msgspec.json.encode(boat.vehicle.snapshot({})))["traffic"]
+    told_state = msgspec.json.decode(in_json(boat.vehicle.report()))["traffic"]
     assert len(told_state["targets"]) == len(targets)
 
 

@@ -13,6 +13,7 @@ from delfim.vehicle.operator.link import Link
 from delfim.vehicle.operator.reviews import Reviews
 from delfim.vehicle.plans.mission import canonical, load_mission
 from delfim.vehicle.plans.missionreader import ZONE, Reading, gathered, written
+from delfim.vehicle.snapshot import in_json
 from tests.vehicle.test_reviews import mission, zones
 
 FILES = sorted((Path(__file__).parents[2] / "etc/missions").glob("*.toml"))
@@ -57,7 +58,7 @@ def test_a_stop_ends_the_reading(boat, tmp_path):
             return boat.vehicle.on_command(command, operator)
 
         reviews = Reviews(boat.vehicle, obey, asyncio.get_running_loop())
-        server = CommandServer(obey, reviews, lambda: boat.vehicle.snapshot({}), 4)
+        server = CommandServer(obey, reviews, lambda: in_json(boat.vehicle.report()), 4)
         listening = await asyncio.get_running_loop().create_unix_server(server.connection, str(tmp_path / "command"))
         await asyncio.to_thread(talk)
         server.close()

@@ -33,7 +33,7 @@ def test_play_goes_on_along_the_line_on_which_it_was_at_the_speed_it_had(boat, w
     before = helm.memory
     assert boat.vehicle.on_command(console.Pause()) is None
     assert (boat.state.mode, boat.state.reason) == (Mode.HOLD, "operator paused play on leg 2")
-    assert boat.vehicle.snapshot({})["paused"] == "play"
+    assert boat.vehicle.report().paused == "play"
     boat.pass_time(1.0, navigation=False)
     boat.navigate(**ASIDE)
     assert boat.vehicle.on_command(word) is None
@@ -41,7 +41,7 @@ def test_play_goes_on_along_the_line_on_which_it_was_at_the_speed_it_had(boat, w
     assert (helm.memory.leg, helm.memory.north_m, helm.memory.east_m) == (1, before.north_m, before.east_m)
     assert boat.state.setpoint.override_mps == 0.7
     assert abs(boat.state.reference.cross_track_m) > 3.0, "off the line of the mission, not on one of its own"
-    assert boat.vehicle.snapshot({})["paused"] is None
+    assert boat.vehicle.report().paused is None
 
 
 def test_what_a_failsafe_interrupted_goes_on_when_the_operator_says_so(make_boat):
@@ -99,7 +99,7 @@ def test_a_boat_that_is_unfit_does_not_go_on(boat):
     boat.vehicle.on_command(console.Pause())
     boat.state.computer = StartConditions(is_starting=True)
     assert (boat.vehicle.on_command(console.Continue()) or "").startswith("play refused: the program is still starting")
-    assert boat.vehicle.snapshot({})["paused"] == "play", "it may be asked again"
+    assert boat.vehicle.report().paused == "play", "it may be asked again"
 
 
 def test_a_boat_that_cannot_hold_is_stopped_by_a_pause(boat):

@@ -25,6 +25,7 @@ from delfim.vehicle.operator.reviews import Reviews
 from delfim.vehicle.plans import fence
 from delfim.vehicle.plans.mission import Mission, PathPoint, Waypoint, canonical
 from delfim.vehicle.plans.zones import circle, polygon
+from delfim.vehicle.snapshot import in_json
 from tests.parts.mavlink.mavlink_console import Console, Radio, newest, texts
 from tests.parts.mavlink.test_mavlink_missions import fields
 from tests.vehicle_fixtures import MOST_AT_ONCE
@@ -243,7 +244,7 @@ def test_over_the_command_socket_a_long_text_comes_in_parts(boat, tmp_path, coun
 
     async def both() -> None:
         reviews = Reviews(boat.vehicle, boat.vehicle.on_command, asyncio.get_running_loop())
-        server = CommandServer(boat.vehicle.on_command, reviews, lambda: boat.vehicle.snapshot({}), 4)
+        server = CommandServer(boat.vehicle.on_command, reviews, lambda: in_json(boat.vehicle.report()), 4)
         listening = await asyncio.get_running_loop().create_unix_server(server.connection, str(tmp_path / "command"))
         await asyncio.to_thread(talk)
         server.close()
@@ -274,7 +275,7 @@ def test_a_stop_behind_a_plan_does_not_wait_for_it(boat, tmp_path):
     async def both() -> None:
         reviews = Reviews(boat.vehicle, obey, asyncio.get_running_loop())
         listening = await asyncio.get_running_loop().create_unix_server(
-            CommandServer(obey, reviews, lambda: boat.vehicle.snapshot({}), 4).connection, str(tmp_path / "command")
+            CommandServer(obey, reviews, lambda: in_json(boat.vehicle.report()), 4).connection, str(tmp_path / "command")
         )
         await asyncio.to_thread(talk)
         listening.close()

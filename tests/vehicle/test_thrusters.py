@@ -13,6 +13,7 @@ from delfim.parts.dsor.driver import Propellers
 from delfim.parts.dsor.table import Dsor
 from delfim.vehicle.failsafe.troubles import astray, unstopped
 from delfim.vehicle.propulsion import thrusters
+from delfim.vehicle.report import ThrusterFacts
 from delfim.vehicle.state import Actuation, State, ThrusterReport
 
 BOAT = config.BoatTable(name="test")
@@ -84,20 +85,20 @@ def test_the_sides_are_what_pushes_ahead_and_the_middle_belongs_to_both():
 
 def test_what_is_told_of_a_thruster_is_its_command_and_its_report():
     report = ThrusterReport(9.5, 900.0, 4.0, 12.5, 30.0, math.radians(20.0), ("hot",))
-    told = thrusters.told(ROWS, State(actuation=SENT, thrusters={"rudder": report}), 10.0)
+    told = thrusters.facts(ROWS, State(actuation=SENT, thrusters={"rudder": report}), 10.0)
     assert list(told) == ["port", "starboard", "bow", "rudder"]
-    assert told["bow"] == {"thrust": -0.5, "angle_deg": None}
-    assert told["rudder"] == {
-        "thrust": 1.0,
-        "angle_deg": 28.6,
-        "rpm": 900.0,
-        "current_a": 4.0,
-        "voltage_v": 12.5,
-        "temperature_c": 30.0,
-        "turned_deg": 20.0,
-        "faults": ("hot",),
-        "age_s": 0.5,
-    }
+    assert told["bow"] == ThrusterFacts(thrust=-0.5)
+    assert told["rudder"] == ThrusterFacts(
+        thrust=1.0,
+        angle_deg=28.6,
+        rpm=900.0,
+        current_a=4.0,
+        voltage_v=12.5,
+        temperature_c=30.0,
+        turned_deg=20.0,
+        faults=("hot",),
+        age_s=0.5,
+    )
 
 
 def test_a_propeller_of_delfimx_may_be_mounted_the_other_way(make_boat):

@@ -27,7 +27,8 @@ from delfim.vehicle.failsafe.troubles import (
     voltage,
 )
 from delfim.vehicle.inputhealth import KINDS, InputHealth
-from delfim.vehicle.state import Actuation, HandsetReport, Killed, Reference, State, ThrusterReport
+from delfim.vehicle.report import HandsetReport
+from delfim.vehicle.state import Actuation, Killed, Reference, State, ThrusterReport
 from delfim.vehicle.target import CourseOrder, Danger, Traffic
 from tests.vehicle.test_failsafe import FENCE, OF_PARTS, OUTWARDS, RULES, TRIGGERS, WELL, state
 

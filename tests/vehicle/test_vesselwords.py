@@ -80,5 +80,5 @@ def test_the_words_are_encoded_once_and_not_for_each_who_watches() -> None:
     words = Sliced(making(crowd, AT)).finish()
     tree = traffic_told(crowd._replace(told=words), 1.0)
     assert tree is not None
-    assert tree["targets"] == list(words)
+    assert list(tree.targets) == list(words)
     assert [msgspec.json.decode(each)["key"] for each in words] == [str(i) for i in range(200)]

@@ -18,6 +18,7 @@ from delfim.simulator.lockstep import Lockstep
 from delfim.vehicle import console
 from delfim.vehicle.control.control import control
 from delfim.vehicle.control.memory import Memory
+from delfim.vehicle.snapshot import in_json
 from delfim.vehicle.state import Motion, NoLog, Setpoint, State, Waypoint
 from delfim.vehicle.target import Traffic
 from tests.vehicle.encounters import Ship, place, target
@@ -246,7 +247,7 @@ def test_the_state_tells_the_order_and_how_near_each_vessel_comes() -> None:
     voyage.meet(140.0, 180.0)
     for _ in voyage.sail(20.0):
         pass
-    tree = msgspec.json.decode(msgspec.json.encode(voyage.run.vehicle.snapshot({})))["traffic"]
+    tree = msgspec.json.decode(in_json(voyage.run.vehicle.report()))["traffic"]
     assert tree["guard"] == "on"
     assert tree["order"]["words"].startswith("giving way to SHIP 0, head-on")
     assert 29.0 < tree["order"]["course_deg"] < 91.0

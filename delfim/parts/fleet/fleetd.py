@@ -19,9 +19,9 @@ from delfim.base.ranges import address
 from delfim.parts.fleet.broker import DOWN, STATE, UP, BrokerLine, BrokerPlace
 from delfim.parts.fleet.table import FleetTable
 from delfim.parts.mavlink.table import Mavlink
-from delfim.services.page.api import State
 from delfim.services.runtime import Runtime
 from delfim.services.watching import watch
+from delfim.vehicle.report import BoatReport
 
 DATAGRAMS: Final = 16  # in one call
 DATAGRAM_BYTES: Final = 2048
@@ -62,7 +62,7 @@ class FleetMember:
         except OSError:  # a full queue, no vehicle: the console asks again
             self._unheard += 1
 
-    def heard(self, state: State) -> None:
+    def heard(self, state: BoatReport) -> None:
         """A state of the vehicle, just published."""
         self._silence, now_s = "", self._clock.monotonic_s()
         if now_s >= self._due_s:
@@ -82,7 +82,7 @@ class FleetMember:
         }
 
 
-def told(state: State, utc_ns: int) -> dict[str, Any]:
+def told(state: BoatReport, utc_ns: int) -> dict[str, Any]:
     """The retained state. Null is unknown; `utc_s` is when it was said, by the boat's computer."""
     navigation_s = state.age_s.get("navigation")
     return {

@@ -28,8 +28,8 @@ from delfim.parts.gnss.ntrip import Caster, CasterRefusal, CasterStream, open_st
 from delfim.parts.gnss.receiverport import ReceiverPort
 from delfim.parts.gnss.table import Corrections
 from delfim.parts.nmea0183.table import Nmea0183
-from delfim.services.page.api import State
 from delfim.services.runtime import Runtime
+from delfim.vehicle.report import reported
 
 LOOK_S: Final = 1.0
 ANSWER_S: Final = 10.0  # for a connection, and for the caster's answer
@@ -43,13 +43,6 @@ NEVER_S: Final = -1e9
 Way = Literal["caster", "radio"]
 
 log = logging.getLogger(__name__)
-
-
-class _StateAnswer(msgspec.Struct):
-    state: State
-
-
-_answer: Final = msgspec.json.Decoder(_StateAnswer).decode
 
 
 class CorrectionFeed:
@@ -150,7 +143,7 @@ class CorrectionFeed:
         reader, writer = await asyncio.open_unix_connection(self._command, limit=ANSWER_BYTES)
         with contextlib.closing(writer):
             writer.write(b'{"command": "state"}\n')
-            state = _answer(await reader.readline()).state
+            state = reported(await reader.readline())
         age_s = state.age_s.get("navigation")
         if state.latitude_deg is None or state.longitude_deg is None or age_s is None or age_s > OLD_S:
             return b""

@@ -15,7 +15,8 @@ from delfim.lines.radiocontrol.channels import Decoder, Pulses
 from delfim.parts.handset.killswitch import change
 from delfim.vehicle import console
 from delfim.vehicle.links import Links, Readable, ReadableLine
-from delfim.vehicle.state import HANDSET, HandsetReport, State
+from delfim.vehicle.report import HandsetReport
+from delfim.vehicle.state import HANDSET, State
 
 ALIKE: Final = 3  # readings in a row before a switch counts
 HIGH_US, LOW_US = 1700.0, 1300.0  # a switch between these is on its way, or a third position: it stays as it was

@@ -77,11 +77,11 @@ class News:
 
     def _tell_actions(self) -> None:
         """Items for payloads that the boat has come to."""
-        for number, command, params in self._boat.state.announced:
-            if number > self._announced:
-                self._announced = number
-                words = " ".join("-" if each is None else f"{each:g}" for each in params)
-                self._peers.say(dialect.MAV_SEVERITY_INFO, f"{command_name(command)}: {words}")
+        for action in self._boat.state.announced:
+            if action.number > self._announced:
+                self._announced = action.number
+                words = " ".join("-" if each is None else f"{each:g}" for each in action.params)
+                self._peers.say(dialect.MAV_SEVERITY_INFO, f"{command_name(action.command)}: {words}")
 
     def _tell_reached(self) -> None:
         """The boat reached a waypoint of the mission: tell its item to everybody."""

@@ -23,9 +23,9 @@ from delfim.canproxy.opening import open_bound
 from delfim.canproxy.socket import CanAddress, CanSocket
 from delfim.parts.nmea2000.nmea2000rows import TOLD, Alerts, Telling, pgns_of
 from delfim.parts.nmea2000.table import Nmea2000
-from delfim.services.page.api import State
 from delfim.services.runtime import Runtime
 from delfim.services.watching import watch
+from delfim.vehicle.report import BoatReport
 
 TICK_S: Final = 0.02
 REBIND_TICKS: Final = 50
@@ -138,7 +138,7 @@ class BoatDevice:
         """Whether any message is due more often than states come five times a second."""
         return any(row.period_s < 0.2 for row in self._rows)
 
-    def heard(self, state: State) -> None:
+    def heard(self, state: BoatReport) -> None:
         """A state of the vehicle, just published."""
         self._silence = ""
         now_s, device = self._clock.monotonic_s(), self.device

@@ -8,8 +8,8 @@ from delfim import config
 from delfim.base.geodesy import origin, to_plane
 from delfim.base.parts import Part
 from delfim.canproxy.nmea2000 import ownpgns, parcels, pgns
-from delfim.services.page.api import State, ThrusterFacts
 from delfim.vehicle.failsafe.troubles import NUMBERS
+from delfim.vehicle.report import BoatReport, ThrusterFacts
 
 COURSE_MPS: Final = 0.1  # a slower boat has no course over ground
 _METHODS: Final = {2: 1, 3: 1, 4: 2, 5: 4, 6: 5}  # of PGN 129029, by `Navigation.fix`
@@ -18,7 +18,7 @@ _METHODS: Final = {2: 1, 3: 1, 4: 2, 5: 4, 6: 5}  # of PGN 129029, by `Navigatio
 class Telling(NamedTuple):
     """A state, and what else its messages need."""
 
-    state: State
+    state: BoatReport
     settings: config.Vehicle
     alerts: "Alerts"
 
@@ -164,7 +164,7 @@ class Alerts:
         self._present: dict[str, int] = {}  # kind of each
         self._occurrences: dict[str, int] = {}
 
-    def told(self, state: State) -> Iterable[tuple[int, bytes]]:
+    def told(self, state: BoatReport) -> Iterable[tuple[int, bytes]]:
         """PGN and data of those that are present, with their words, and of those that have ended."""
         now = {each.name: each for each in state.notices if each.name in self._numbers}
         for name in self._present.keys() - now.keys():

@@ -16,8 +16,6 @@ import sys
 from functools import partial
 from typing import Any, Final, cast
 
-import msgspec
-
 from delfim import config
 from delfim.base.clock import Clock
 from delfim.base.errors import FormatError, PermanentFailure, in_words, one_line
@@ -26,7 +24,6 @@ from delfim.logging.nodelog import line as log_line
 from delfim.logging.openlog import open_log
 from delfim.parts.payload.payloadorders import OrderLine
 from delfim.parts.payload.table import PayloadTable
-from delfim.services.page.api import State
 from delfim.services.runtime import Runtime
 from delfim.services.supervision import processes
 from delfim.services.supervision.cgroup import ROOT, Limits
@@ -41,13 +38,13 @@ from delfim.vehicle.orders.payloadlines import (
     BoundedLines,
     OrderBudget,
     Value,
-    VoyageTold,
     answered,
     lines,
     ordered,
     values,
     word_of,
 )
+from delfim.vehicle.report import BoatReport
 
 LOOK_S: Final = 2.0  # between two looks at the programs' processes
 END_S: Final = 0.3  # from SIGTERM to SIGKILL, and for its last words; the runtime waits a second for a service
@@ -286,7 +283,7 @@ class Payloads:
         self.programs = [
             Payload(name, table, settings, self._clock, self.orders) for name, table in settings.table("payload").items()
         ]
-        self._before: VoyageTold | None = None
+        self._before: BoatReport | None = None
         self._trouble = "the vehicle has not answered yet"
 
     async def watch(self) -> None:
@@ -296,8 +293,8 @@ class Payloads:
     def _failed(self, why: str) -> None:
         self._trouble = why
 
-    def _heard(self, state: State) -> None:
-        self._trouble, now = "", msgspec.convert(state, VoyageTold, from_attributes=True)
+    def _heard(self, now: BoatReport) -> None:
+        self._trouble = ""
         for line in lines(now, self._before):
             for program in self.programs:
                 program.tell(line)

@@ -20,9 +20,9 @@ from delfim.parts.ros import rosmessages as messages
 from delfim.parts.ros.roskeys import RosNode, RosType, attachment
 from delfim.parts.ros.rossteering import GuestLine, Steering
 from delfim.parts.ros.table import RosTable
-from delfim.services.page.api import State
 from delfim.services.runtime import Runtime
 from delfim.services.watching import watch
+from delfim.vehicle.report import BoatReport
 
 TICK_S: Final = 0.1
 SLOW_S: Final = 1.0  # between two reports of batteries and troubles
@@ -42,7 +42,7 @@ class RosBoat:
         self._tokens = [session.liveliness().declare_token(self._node.token())]
         self._at: geodesy.Origin | None = None
         self._cycle, self._slow_s, self._heard_s = -1, -math.inf, -math.inf
-        self._state: State | None = None
+        self._state: BoatReport | None = None
         self.sent, self.counts = Counter[str](), Counter[str]()
         space = self.namespace
         self._fix = self._publisher(f"{space}/fix", messages.FIX)
@@ -82,7 +82,7 @@ class RosBoat:
     def _on_goal(self, data: bytes) -> None:
         self._steering.on_goal(*messages.geo_pose(data), self._clock.monotonic_s())
 
-    def heard(self, state: State) -> None:
+    def heard(self, state: BoatReport) -> None:
         """A state of the vehicle, just published. Navigation is told once, and not when it is old."""
         self._state, self._heard_s = state, self._clock.monotonic_s()
         age_s = state.age_s.get("navigation")
@@ -118,7 +118,7 @@ class RosBoat:
         except FormatError:
             self.counts["refused"] += 1
 
-    def _tell_slowly(self, state: State | None) -> None:
+    def _tell_slowly(self, state: BoatReport | None) -> None:
         utc_ns, name = self._clock.time_ns(), self._settings.boat.name
         if state is None:
             rows = [messages.Diagnosis(messages.STALE, "vehicle", "the vehicle does not answer")]

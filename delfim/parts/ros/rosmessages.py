@@ -11,7 +11,7 @@ from typing import Final, NamedTuple
 from delfim.base.geodesy import Origin, to_plane
 from delfim.parts.ros.cdr import CdrReader, CdrWriter
 from delfim.parts.ros.roskeys import RosType
-from delfim.services.page.api import Node, State
+from delfim.vehicle.report import BoatReport, NodeFacts
 
 FIX: Final = RosType("sensor_msgs/msg/NavSatFix", "RIHS01_62223ab3fe210a15976021da7afddc9e200dc9ec75231c1b6a557fc598a65404")
 ODOMETRY: Final = RosType("nav_msgs/msg/Odometry", "RIHS01_3cc97dc7fb7502f8714462c526d369e35b603cfc34d946e3f2eda2766dfec6e0")
@@ -33,7 +33,7 @@ _UNKNOWN: Final = -1.0  # first element of a covariance: there is no such value
 NAN: Final = math.nan
 
 
-def fix(state: State, utc_ns: int) -> bytes | None:
+def fix(state: BoatReport, utc_ns: int) -> bytes | None:
     if state.latitude_deg is None or state.longitude_deg is None:
         return None
     variance_m2 = (state.accuracy_m or 0.0) ** 2
@@ -43,7 +43,7 @@ def fix(state: State, utc_ns: int) -> bytes | None:
     return bytes(writer.put("B", APPROXIMATED if state.accuracy_m else 0).data)
 
 
-def odometry(state: State, utc_ns: int, at: Origin) -> bytes | None:
+def odometry(state: BoatReport, utc_ns: int, at: Origin) -> bytes | None:
     """Pose in the plane of the first position, speed as the boat sees it."""
     heading_deg, course_deg = state.heading_deg, state.course_deg
     if state.latitude_deg is None or state.longitude_deg is None or heading_deg is None or state.speed_mps is None:
@@ -58,7 +58,7 @@ def odometry(state: State, utc_ns: int, at: Origin) -> bytes | None:
     return bytes(writer.put("d", *_diagonal(6)).data)
 
 
-def imu(state: State, utc_ns: int) -> bytes | None:
+def imu(state: BoatReport, utc_ns: int) -> bytes | None:
     if state.heading_deg is None:
         return None
     writer = _stamped(utc_ns, BODY).put("d", *attitude(state, state.heading_deg)).put("d", *_diagonal(3))
@@ -67,14 +67,14 @@ def imu(state: State, utc_ns: int) -> bytes | None:
     return bytes(writer.put("d", 0.0, 0.0, 0.0).put("d", *_diagonal(3, _UNKNOWN)).data)
 
 
-def batteries(state: State, utc_ns: int) -> Iterator[bytes]:
+def batteries(state: BoatReport, utc_ns: int) -> Iterator[bytes]:
     """One for each node that reports a charge; `location` is its name."""
     for name, node in state.sysstat.items():
         if node.charge is not None:
             yield _battery(name, node, utc_ns)
 
 
-def _battery(name: str, node: Node, utc_ns: int) -> bytes:
+def _battery(name: str, node: NodeFacts, utc_ns: int) -> bytes:
     voltage, heat, drawn = (NAN if each is None else each for each in (node.voltage_v, node.temperature_c, node.current_a))
     writer = _stamped(utc_ns, BODY)
     writer.put("f", voltage, heat, -drawn, NAN, NAN, NAN, NAN if node.charge is None else node.charge)
@@ -88,7 +88,7 @@ class Diagnosis(NamedTuple):
     values: tuple[tuple[str, str], ...] = ()
 
 
-def diagnosis(state: State) -> Iterator[Diagnosis]:
+def diagnosis(state: BoatReport) -> Iterator[Diagnosis]:
     """The mode, the checks that failed, and each trouble: an error where the boat does something about it."""
     whose = (("payload", state.helmsman),) if state.helmsman else ()
     yield Diagnosis(OK, "mode", state.mode, (("reason", state.reason), ("operator", state.operator), *whose))
@@ -108,7 +108,7 @@ def diagnostics(boat: str, rows: Iterable[Diagnosis], utc_ns: int) -> bytes:
     return bytes(writer.data)
 
 
-def attitude(state: State, heading_deg: float) -> tuple[float, float, float, float]:
+def attitude(state: BoatReport, heading_deg: float) -> tuple[float, float, float, float]:
     """The quaternion x, y, z, w of yaw, pitch and roll; the last two are 0 where nobody measures them."""
     roll = 0.5 * math.radians(state.roll_deg or 0.0)
     pitch = -0.5 * math.radians(state.pitch_deg or 0.0)  # bow up is a turn about the axis to port, the other way round
@@ -151,5 +151,5 @@ def _diagonal(size: int, *variances: float) -> list[float]:
     return found
 
 
-def _turn_radps(state: State) -> float:
+def _turn_radps(state: BoatReport) -> float:
     return -math.radians(state.turn_dps or 0.0)

@@ -17,8 +17,8 @@ from delfim.base.errors import FormatError, in_words
 from delfim.base.keys import read_key
 from delfim.base.outside import UNREADABLE
 from delfim.base.ranges import address
-from delfim.services.page.api import State
 from delfim.vehicle.grex import proof
+from delfim.vehicle.report import BoatReport
 
 TWIST_S: Final = 0.5
 GOAL_S: Final = 3.0
@@ -60,7 +60,7 @@ class Steering:
             raise FormatError("a goal that is no place")
         self._goal, self._goal_s = (latitude_deg, longitude_deg), now_s
 
-    def step(self, state: State, now_s: float) -> AskedCourse | None:
+    def step(self, state: BoatReport, now_s: float) -> AskedCourse | None:
         """The set point for the boat as it is now; None: say nothing. A Twist counts before a goal."""
         dt_s, self._stepped_s = now_s - self._stepped_s, now_s
         asked = None
@@ -84,7 +84,7 @@ class Steering:
         self._heading_rad = heading_rad + min(max(off_rad, -TURN_MAX_RAD), TURN_MAX_RAD)
         return AskedCourse(math.degrees(geodesy.compass(self._heading_rad)), ahead_mps)
 
-    def _towards(self, state: State) -> AskedCourse | None:
+    def _towards(self, state: BoatReport) -> AskedCourse | None:
         if state.latitude_deg is None or state.longitude_deg is None or state.heading_deg is None:
             return None
         here = geodesy.origin(math.radians(state.latitude_deg), math.radians(state.longitude_deg))

@@ -1,12 +1,13 @@
 """Other vessels for people and programs: degrees, words, ages. JSON-ready, finite, bounded by the number of targets."""
 
 import math
-from typing import Final
+from typing import Final, cast
 
 import msgspec
 
 from delfim.base.geodesy import Origin, from_plane
 from delfim.base.slices import Work
+from delfim.vehicle.report import OrderInForce, TrafficSeen, VesselSeen
 from delfim.vehicle.target import NEVER_S, CourseOrder, Danger, Target, Traffic, VesselTold
 
 TOLD: Final = 5  # comparisons that the words for one vessel cost
@@ -24,18 +25,18 @@ def making(traffic: Traffic, origin: Origin | None) -> Work[tuple[msgspec.Raw, .
     return tuple(vessels)
 
 
-def traffic_told(traffic: Traffic, now_s: float, awaits: bool = False) -> dict[str, object] | None:
+def traffic_told(traffic: Traffic, now_s: float, awaits: bool = False) -> TrafficSeen | None:
     """All vessels as made last, encoded; None where nobody was ever heard, unless the boat `awaits` somebody."""
     if traffic.heard_s == traffic.own_s == NEVER_S and not awaits:
         return None
-    return {
-        "heard_s": _age(now_s, traffic.heard_s),
-        "own_s": _age(now_s, traffic.own_s),
-        "refused": dict(traffic.refused),
-        "targets": list(traffic.told),
-        "order": _ordered(traffic.order, now_s),
-        "guard": traffic.guard,
-    }
+    return TrafficSeen(
+        heard_s=_age(now_s, traffic.heard_s),
+        own_s=_age(now_s, traffic.own_s),
+        refused=dict(traffic.refused),
+        targets=cast(tuple[VesselSeen, ...], traffic.told),  # they are read in other programs alone, decoded
+        order=_ordered(traffic.order, now_s),
+        guard=traffic.guard,
+    )
 
 
 def vessel_told(target: Target, origin: Origin) -> VesselTold:
@@ -74,16 +75,16 @@ def danger_told(danger: Danger | None) -> VesselTold:
     }
 
 
-def _ordered(order: CourseOrder | None, now_s: float) -> dict[str, object] | None:
+def _ordered(order: CourseOrder | None, now_s: float) -> OrderInForce | None:
     if order is None:
         return None
-    return {
-        "course_deg": round(math.degrees(order.course_rad) % 360.0, 1),
-        "speed_mps": round(order.speed_mps, 2),
-        "words": order.words,
-        "key": order.key,
-        "age_s": round(now_s - order.at_s, 1),
-    }
+    return OrderInForce(
+        course_deg=round(math.degrees(order.course_rad) % 360.0, 1),
+        speed_mps=round(order.speed_mps, 2),
+        words=order.words,
+        key=order.key,
+        age_s=round(now_s - order.at_s, 1),
+    )
 
 
 def _age(now_s: float, at_s: float) -> float | None:

@@ -30,6 +30,7 @@ from delfim.vehicle.failsafe.failsafe import Action
 from delfim.vehicle.failsafe.troubles import Trigger
 from delfim.vehicle.helm import setpoints
 from delfim.vehicle.helm.helm import Helm
+from delfim.vehicle.report import TrafficSeen
 from delfim.vehicle.state import Reference, Setpoint, State, StateLog
 from delfim.vehicle.target import NEVER_S, CourseOrder, Target
 
@@ -86,7 +87,7 @@ class Watchkeeper:
             self._round = None
         return True
 
-    def told(self, now_s: float) -> dict[str, object] | None:
+    def told(self, now_s: float) -> TrafficSeen | None:
         """Other vessels for people and programs; a boat with a number of its own awaits to be heard."""
         return traffic_told(self._state.traffic, now_s, self._awaits)
 

@@ -9,8 +9,10 @@ from collections import deque
 from datetime import UTC, datetime
 from typing import Final, Literal, NamedTuple
 
+from msgspec.structs import replace
+
 from delfim.base.clock import MADE_NS
-from delfim.vehicle.state import ClockStatus
+from delfim.vehicle.report import ClockStatus
 
 TIME_FRAME: Final = "the time frame"  # the source that is taken first: its stamp is the kernel's
 HEARD_S: Final = 3.0  # a source that was silent for longer tells no time
@@ -74,16 +76,16 @@ class ClockKeeper:
         self._say("", "")
         believed = self._believed(now_s)
         if not believed:
-            self.status = self.status._replace(off_s=None)
+            self.status = replace(self.status, off_s=None)
             return None
         source, offset_ns = believed[0]
         off_s = (own_ns - offset_ns) / 1e9
-        self.status = self.status._replace(source=source, off_s=off_s)
+        self.status = replace(self.status, source=source, off_s=off_s)
         if len(believed) > 1 and abs(differ_s := (offset_ns - believed[1][1]) / 1e9) > AGREE_S:
             self._say("disagree", f"{source} is {_seconds(differ_s)} off {believed[1][0]}: neither is taken")
             return None
         if abs(off_s) <= AGREE_S:
-            self.status = self.status._replace(is_right=True)
+            self.status = replace(self.status, is_right=True)
         return self._due(source, off_s, now_s, idle) if may_set else None
 
     def _due(self, source: str, off_s: float, now_s: float, idle: bool) -> Correction | None:
@@ -92,7 +94,7 @@ class ClockKeeper:
                 self._say("late", f"it is {_seconds(off_s)} off {source} and is set when the boat is idle")
                 return None
             self._right_s = now_s
-            self.status = self.status._replace(off_s=0.0, is_right=True)
+            self.status = replace(self.status, off_s=0.0, is_right=True)
             return Correction("step", -off_s, source)
         if self._right_s is not None and abs(off_s) > STEP_S + DRIFT * (now_s - self._right_s):
             self._say("jump", f"{source} is {_seconds(-off_s)} off the clock, which was right in this run: it is not taken")
@@ -121,7 +123,7 @@ class ClockKeeper:
         return found
 
     def _say(self, fault: Fault, words: str) -> None:
-        self.fault, self.status = fault, self.status._replace(fault=words)
+        self.fault, self.status = fault, replace(self.status, fault=words)
 
 
 def _seconds(seconds: float) -> str:

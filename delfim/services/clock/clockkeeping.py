@@ -8,6 +8,8 @@ import logging
 from collections.abc import Callable
 from typing import Protocol
 
+from msgspec.structs import replace
+
 from delfim.base.clock import MADE_NS, Clock
 from delfim.base.errors import BusError
 from delfim.base.modes import Mode
@@ -16,7 +18,8 @@ from delfim.canproxy.socket import CanSocket
 from delfim.services.clock import clockkeeper
 from delfim.services.clock.clockkeeper import HEARD_S, ClockKeeper, Correction
 from delfim.services.clock.kernelclock import BATTERY
-from delfim.vehicle.state import ClockStatus, State
+from delfim.vehicle.report import ClockStatus
+from delfim.vehicle.state import State
 
 FRAMES_A_LOOK = 16
 BATTERY_S = 2.0  # a clock that is as near to the battery clock was set by it: it counts whole seconds
@@ -59,7 +62,7 @@ class ClockKeeping:
         log.info("clock: %s", why_not or OURS)
         time_ns = clock.time_ns()
         if battery_ns is not None and time_ns >= MADE_NS and abs(time_ns - battery_ns) / 1e9 <= BATTERY_S:
-            self._keeper.status = self._keeper.status._replace(source=BATTERY)
+            self._keeper.status = replace(self._keeper.status, source=BATTERY)
 
     def look(self, state: State) -> ClockStatus:
         """Takes the sources' times, corrects the clock, and returns what there is to say of it."""
@@ -115,7 +118,7 @@ class ClockKeeping:
 
     def _leave(self, why_not: str) -> None:
         self._why_not = why_not
-        self._keeper.status = self._keeper.status._replace(kept=why_not)
+        self._keeper.status = replace(self._keeper.status, kept=why_not)
         log.warning("clock: %s", why_not)
 
     def _tell(self) -> None:

@@ -12,9 +12,10 @@ from delfim import config
 from delfim.base.errors import DelfimError
 from delfim.services.access.door import Door
 from delfim.services.page import page
-from delfim.services.page.api import Computer, Report, Server, Service, State
+from delfim.services.page.api import Computer, Report, Server
 from delfim.services.runtime import Runtime
 from delfim.services.tables import Httpd
+from delfim.vehicle.report import BoatReport, Service, reported
 
 ANSWER_S: Final = 2.0  # for the vehicle's answer
 FRESH_S: Final = 0.9  # a younger answer is used again
@@ -31,7 +32,7 @@ class Feed(asyncio.Protocol):
         self._answer: asyncio.Future[bytes] | None = None
         self._buffer = bytearray()
 
-    async def ask(self) -> State:
+    async def ask(self) -> BoatReport:
         """The present state. Raises DelfimError in words."""
         loop = asyncio.get_running_loop()
         try:
@@ -41,7 +42,7 @@ class Feed(asyncio.Protocol):
                 assert self._transport is not None
                 self._answer = loop.create_future()
                 self._transport.write(b'{"command": "state"}\n')
-                return _ANSWER.decode(await self._answer).state
+                return reported(await self._answer)
         except (OSError, TimeoutError) as error:
             self.close()
             reason = error.strerror if isinstance(error, OSError) and error.strerror else "no answer in time"
@@ -72,11 +73,6 @@ class Feed(asyncio.Protocol):
             self.close()
 
 
-class _Answer(msgspec.Struct):
-    state: State
-
-
-_ANSWER: Final = msgspec.json.Decoder(_Answer)
 _COMPUTER: Final = msgspec.json.Decoder(Computer)
 
 
@@ -131,7 +127,7 @@ class Trail:
         self.points: list[tuple[float, float]] = []
         self._every, self._seen = 1, 0
 
-    def add(self, vehicle: State) -> None:
+    def add(self, vehicle: BoatReport) -> None:
         if vehicle.latitude_deg is None or vehicle.longitude_deg is None:
             return
         self._seen += 1

@@ -7,7 +7,7 @@ import math
 from collections.abc import Sequence
 from typing import Final
 
-from delfim.services.page.api import Latency
+from delfim.vehicle.report import LatencyFacts
 
 M_PER_DEG: Final = 111_200.0
 SEEN_M: Final = 40.0  # of the sea at least
@@ -17,7 +17,7 @@ LIMIT_US: Final = 100.0  # of the critical path
 WIDTH, HEIGHT, LEFT, BOTTOM, TOP = 360, 180, 30, 26, 6
 
 
-def histogram(latency: Latency) -> str:
+def histogram(latency: LatencyFacts) -> str:
     """Figure 3-10: cycles over latency, both logarithmic, so that one late cycle in a hundred thousand is seen."""
     highest_us = max([1000.0, latency.worst_us, *(edge for edge, _ in latency.histogram)])
     decades = math.ceil(math.log10(highest_us) - 1e-9) - 1

@@ -3,7 +3,8 @@
 from collections.abc import Iterable, Iterator
 from typing import Final, NamedTuple
 
-from delfim.services.page.api import Latency, Report
+from delfim.services.page.api import Report
+from delfim.vehicle.report import LatencyFacts
 
 CONTENT_TYPE: Final = "text/plain; version=0.0.4; charset=utf-8"
 BUCKETS_US: Final = (10, 20, 50, 100, 200, 500, 1_000, 2_000, 5_000, 10_000, 100_000, 1_000_000)
@@ -70,7 +71,7 @@ def _vehicle(report: Report) -> Iterator[Metric]:
     yield Metric("delfim_log_records_dropped_total", "counter", "Of the state log.", [({}, vehicle.log.dropped)])
 
 
-def _path(latency: Latency) -> Iterator[str]:
+def _path(latency: LatencyFacts) -> Iterator[str]:
     name = "delfim_critical_path_seconds"
     yield f"# HELP {name} From the kernel's receive time of navigation to the command of the propellers."
     yield f"# TYPE {name} histogram"

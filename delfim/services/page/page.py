@@ -10,7 +10,7 @@ from typing import Any, Final, NamedTuple
 
 from delfim import config
 from delfim.services.page import figures, vesseltable
-from delfim.services.page.api import Network, Report, Service, State
+from delfim.services.page.api import Network, Report
 from delfim.services.page.wording import (
     as_told,
     gauges,
@@ -26,6 +26,7 @@ from delfim.services.page.wording import (
     worded,
 )
 from delfim.vehicle.navigation import gnss
+from delfim.vehicle.report import BoatReport, Service
 
 HURT: Final = ("stop", "disconnect")  # actions of the failsafe that end the sailing
 OWN_WILL: Final = ("operator", "started", "")  # reasons to lie idle that need no attention
@@ -64,7 +65,7 @@ def head(view: PageView) -> str:
     )
 
 
-def mood(vehicle: State) -> str:
+def mood(vehicle: BoatReport) -> str:
     """The colour of the band: how the boat fares, in a word."""
     if any(notice.action in HURT for notice in vehicle.notices):
         return "bad"
@@ -155,7 +156,7 @@ def where(view: PageView) -> str:
     )
 
 
-def _batteries(vehicle: State) -> str:
+def _batteries(vehicle: BoatReport) -> str:
     charged = [(name, node) for name, node in vehicle.sysstat.items() if node.charge is not None]
     return "".join(
         f" · {escape(name.removeprefix('batteries_'))} batteries {number(node.charge, '.0%')} {number(node.voltage_v, '.1f')} V"

@@ -3,14 +3,14 @@
 from html import escape
 from typing import Final
 
-from delfim.services.page.api import State, VesselSeen
 from delfim.services.page.wording import span
+from delfim.vehicle.report import BoatReport, VesselSeen
 
 ROWS_MAX: Final = 12  # they take 60 µs to write
 SEES: Final = "Sees only who transmits."
 
 
-def vessels(vehicle: State | None) -> str:
+def vessels(vehicle: BoatReport | None) -> str:
     """The line stands there always: silence is no clear water."""
     traffic = vehicle.traffic if vehicle else None
     if traffic is None:

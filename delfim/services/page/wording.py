@@ -6,7 +6,8 @@ from html import escape
 from typing import Final
 
 from delfim.services.page import figures
-from delfim.services.page.api import Computer, LogLine, Node, ThrusterFacts
+from delfim.services.page.api import Computer, LogLine
+from delfim.vehicle.report import NodeFacts, ThrusterFacts
 
 
 def tile(name: str, value: str, unit: str, more: str) -> str:
@@ -94,7 +95,7 @@ _MEASURED: Final = {
 }
 
 
-def measured(part: Node | ThrusterFacts) -> str:
+def measured(part: NodeFacts | ThrusterFacts) -> str:
     """The values that a node or a thruster reports."""
     return " ".join(form.format(value) for name, form in _MEASURED.items() if (value := getattr(part, name, None)) is not None)
 
@@ -105,6 +106,6 @@ def of_thruster(thruster: ThrusterFacts) -> str:
     return f"{asked} {measured(thruster)} <b>{escape(', '.join(thruster.faults))}</b>"
 
 
-def of_node(node: Node) -> str:
+def of_node(node: NodeFacts) -> str:
     told = measured(node)
     return told if node.status == "good" else f"<b>{escape(node.status)} {escape(', '.join(node.faults))}</b> {told}"

@@ -3,7 +3,7 @@ and, where nothing deceives its sensors, the truth."""
 
 import math
 from collections.abc import Iterable, Iterator
-from typing import Any, Final
+from typing import Final
 
 from delfim.base.geodesy import wrap
 from delfim.base.modes import Mode
@@ -18,7 +18,7 @@ from delfim.vehicle import snapshot
 from delfim.vehicle.control.hull import full_mps
 from delfim.vehicle.failsafe.troubles import NUMBERS
 from delfim.vehicle.log import record
-from delfim.vehicle.propulsion import thrusters
+from delfim.vehicle.report import LocalReport
 from delfim.vehicle.state import Notice, State
 
 HONEST: Final = frozenset((*OF_THRUSTERS, "console_lost", "guest_lost", "disk_full", "disk_slow", "shallow", "gnss_poor"))
@@ -199,13 +199,13 @@ class Reported:
         if state.mode is self._mode and state.cycles % CYCLES:
             return
         self._mode = state.mode
-        report = snapshot.snapshot(state, now_s, {"thrusters": thrusters.told(self._rows, state, now_s)})
+        report = snapshot.report(state, now_s, self._rows)
         yield from self._of_boat(report, state, now_s)
         yield from self._of_record(state, now_s)
         if self._is_plain and now_s > self._doubt_s and state.navigation_s == cycle.was.now_s and state.navigation is not None:
             yield from self._of_truth(report, run)
 
-    def _of_boat(self, report: dict[str, Any], state: State, now_s: float) -> Iterator[str]:
+    def _of_boat(self, report: LocalReport, state: State, now_s: float) -> Iterator[str]:
         plan, sent = state.setpoint.plan, state.actuation
         should = {
             "mode": state.mode.name.lower(),
@@ -218,18 +218,18 @@ class Reported:
             "legs": len(plan.waypoints) if plan else 0,
         }
         for name, value in should.items():
-            if report[name] != value:
-                yield f"reported is {name} {report[name]}, and it is {value}"
-        told = [(each["name"], each["reason"], each["action"]) for each in report["notices"]]
-        if told != [(each.name, each.reason, each.action) for each in state.notices]:
-            yield f"reported are {told}, and there are {state.notices}"
+            if (told := getattr(report, name)) != value:
+                yield f"reported is {name} {told}, and it is {value}"
+        notices = [(each.name, each.reason, each.action) for each in report.notices]
+        if notices != [(each.name, each.reason, each.action) for each in state.notices]:
+            yield f"reported are {notices}, and there are {state.notices}"
         for name, at_s in (("navigation", state.navigation_s), ("console", state.console_s), ("guest", state.guest_s)):
-            age_s = report["age_s"][name]
+            age_s = report.age_s[name]
             if (age_s is None) is (at_s > -1e8) or (age_s is not None and abs(age_s - now_s + at_s) > 1e-3):
                 yield f"reported is {name} {age_s} s ago, and it was at {at_s:.3f} s"
         for row, part in zip(self._rows, sent.thrust, strict=False):
-            if abs(report["thrusters"][row.name]["thrust"] - part) > 1e-4:
-                yield f"reported is {row.name} {report['thrusters'][row.name]['thrust']}, and it is {part:.4f}"
+            if abs((told := report.thrusters[row.name].thrust) - part) > 1e-4:
+                yield f"reported is {row.name} {told}, and it is {part:.4f}"
 
     def _of_record(self, state: State, now_s: float) -> Iterator[str]:
         values = dict(zip([each.name for each in self._record.fields], record.values(self._record, state, now_s), strict=True))
@@ -256,19 +256,19 @@ class Reported:
         if named != {each.name for each in state.notices}:
             yield f"logged are the troubles {named}, and there are {state.notices}"
 
-    def _of_truth(self, report: dict[str, Any], run: Lockstep) -> Iterator[str]:
+    def _of_truth(self, report: LocalReport, run: Lockstep) -> Iterator[str]:
         model, motion, at = run.nodes.model, run.state.motion, run.nodes.model.origin
-        latitude_deg, longitude_deg = report["latitude_deg"], report["longitude_deg"]
+        latitude_deg, longitude_deg = report.latitude_deg, report.longitude_deg
         if latitude_deg is not None and longitude_deg is not None:
             north_m = (math.radians(latitude_deg) - at.latitude_rad) * at.north_m_per_rad
             east_m = (math.radians(longitude_deg) - at.longitude_rad) * at.east_m_per_rad
             if (off_m := math.dist((north_m, east_m), (model.north_m, model.east_m))) > self._position_m:
                 yield f"the reported position is {off_m:.2f} m from the truth"
-        if report["heading_deg"] is not None:
-            off_rad = wrap(math.radians(report["heading_deg"]) - model.heading_rad)
+        if report.heading_deg is not None:
+            off_rad = wrap(math.radians(report.heading_deg) - model.heading_rad)
             if abs(off_rad) > self._heading_rad or abs(wrap(motion.heading_rad - model.heading_rad)) > self._heading_rad:
                 yield f"the reported heading is {math.degrees(off_rad):.1f} degrees from the truth"
-        if report["speed_mps"] is not None:
+        if report.speed_mps is not None:
             true_mps = math.hypot(model.north_mps, model.east_mps)
-            if abs(report["speed_mps"] - true_mps) > self._speed_mps:
-                yield f"reported are {report['speed_mps']:.2f} m/s, and the boat makes {true_mps:.2f}"
+            if abs(report.speed_mps - true_mps) > self._speed_mps:
+                yield f"reported are {report.speed_mps:.2f} m/s, and the boat makes {true_mps:.2f}"

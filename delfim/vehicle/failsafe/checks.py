@@ -3,8 +3,6 @@
 The one door uses the same lines: it does not refuse a boat that the page shows in order.
 """
 
-from typing import NamedTuple
-
 from delfim import config
 from delfim.base.modes import Mode
 from delfim.vehicle import inputhealth
@@ -13,17 +11,12 @@ from delfim.vehicle.failsafe.failsafe import Action, Rules
 from delfim.vehicle.failsafe.troubles import Inputs, Trigger, charge, handset_missed, low, outlet_missed, unheard, voltage
 from delfim.vehicle.navigation import gnss
 from delfim.vehicle.plans.fence import outside
+from delfim.vehicle.report import Check
 from delfim.vehicle.state import HANDSET, State
 
 EARLIEST_NS = 1_230_768_000_000_000_000  # 2009: a clock before that was never set
 STARTING = "the program is still starting and the dead-man does not watch it yet; wait a few seconds"
 HEARD_S = 5.0  # a console silent for longer counts as lost
-
-
-class Check(NamedTuple):
-    name: str
-    ok: bool
-    reason: str  # in words, for either answer
 
 
 _WATCHED = {  # lines that a trouble watches under way

@@ -21,7 +21,8 @@ from delfim.vehicle import inputhealth
 from delfim.vehicle.failsafe import nodehealth
 from delfim.vehicle.navigation import gnss
 from delfim.vehicle.plans.fence import Fence, ahead, left, outside
-from delfim.vehicle.state import HandsetReport, State
+from delfim.vehicle.report import HandsetReport
+from delfim.vehicle.state import State
 from delfim.vehicle.target import NEVER_S
 
 TURNING: Final = 0.04  # of full command; below this a propeller moves no boat

@@ -4,7 +4,8 @@ from typing import Final
 
 from delfim.base.modes import Mode
 from delfim.vehicle.plans.mission import Mission, PayloadItem
-from delfim.vehicle.state import Announced, State, StateLog
+from delfim.vehicle.report import Announced
+from delfim.vehicle.state import State, StateLog
 
 KEPT: Final = 20  # the newest
 

@@ -18,7 +18,7 @@ from delfim.vehicle.control.control import enter as begin
 from delfim.vehicle.control.hull import filled
 from delfim.vehicle.control.safe import STOP
 from delfim.vehicle.failsafe import failsafe
-from delfim.vehicle.failsafe.checks import Check, checks, refusal
+from delfim.vehicle.failsafe.checks import checks, refusal
 from delfim.vehicle.failsafe.failsafe import Action
 from delfim.vehicle.failsafe.troubles import Inputs, PartTrigger
 from delfim.vehicle.helm import detour, setpoints
@@ -30,6 +30,7 @@ from delfim.vehicle.plans.track import Track, back
 from delfim.vehicle.plans.underway import Paused, UnderWay, under_way
 from delfim.vehicle.plans.zones import Point
 from delfim.vehicle.propulsion.propulsion import Propulsion
+from delfim.vehicle.report import Check
 from delfim.vehicle.state import Reference, Setpoint, State, StateLog, Wanted
 
 Shape = Callable[[Mode, Memory, Stepped, Settings, float], Stepped]  # of a step of the mode, with the memory before it

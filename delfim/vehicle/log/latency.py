@@ -4,6 +4,7 @@ from bisect import bisect_left
 from itertools import accumulate
 from operator import sub
 
+from delfim.vehicle.report import LatencyFacts
 from delfim.vehicle.state import Profile
 
 # Upper edges in microseconds: 1 us wide up to 500 us, then 5 % wide up to 10 s.
@@ -60,19 +61,18 @@ class Latency:
         """Share of cycles that took at most this long, 0..1."""
         return sum(self.counts[: bisect_left(EDGES_US, limit_us) + 1]) / self.n if self.n else 0.0
 
-    def summary(self) -> dict[str, object]:
-        """JSON-ready: count, percentiles in us, share within 100 us, stage means in us, and of each bar of figure 3-10 that is
-        not empty the upper edge in us and the cycles; the first one starts at 0."""
+    def facts(self) -> LatencyFacts:
+        """Count, percentiles, share within 100 us, means of the stages, and the bars of figure 3-10; the first starts at 0."""
         means = [sum_ns / 1e3 / self.n if self.n else 0.0 for sum_ns in self._sums_ns]
         totals = list(accumulate(self.counts))  # once: consoles ask five times a second
         upto = [totals[last] for last in _BARS]
-        return {
-            "n": self.n,
-            "p50_us": round(self.percentile_us(0.5, totals), 1),
-            "p99_us": round(self.percentile_us(0.99, totals), 1),
-            "p999_us": round(self.percentile_us(0.999, totals), 1),
-            "worst_us": round(self.worst_us, 1),
-            "within_100_us": round(self.within(100.0), 5),
-            "stages_us": {name: round(mean, 2) for name, mean in zip(STAGES, means, strict=True)},
-            "histogram": [bar for bar in zip(_BARS_US, map(sub, upto, [0, *upto]), strict=False) if bar[1]],
-        }
+        return LatencyFacts(
+            n=self.n,
+            p50_us=round(self.percentile_us(0.5, totals), 1),
+            p99_us=round(self.percentile_us(0.99, totals), 1),
+            p999_us=round(self.percentile_us(0.999, totals), 1),
+            worst_us=round(self.worst_us, 1),
+            within_100_us=round(self.within(100.0), 5),
+            stages_us={name: round(mean, 2) for name, mean in zip(STAGES, means, strict=True)},
+            histogram=tuple([bar for bar in zip(_BARS_US, map(sub, upto, [0, *upto]), strict=False) if bar[1]]),
+        )

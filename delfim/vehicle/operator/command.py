@@ -6,7 +6,7 @@ no other.
 
 import asyncio
 from collections.abc import Callable
-from typing import Any, cast
+from typing import cast
 
 from delfim.base.errors import FormatError
 from delfim.vehicle import console
@@ -21,16 +21,17 @@ BACKLOG_BYTES = 1 << 16
 
 class CommandServer:
     """All connections of the local command socket. `obey` carries out a command of an operator, or of a payload program, and
-    returns the reason of a refusal, or None; `reviews` does the same with a plan after its review."""
+    returns the reason of a refusal, or None; `reviews` does the same with a plan after its review; `report` is the boat's, in
+    JSON."""
 
     def __init__(
         self,
         obey: Callable[[console.Commands, str], str | None],
         reviews: Reviews,
-        snapshot: Callable[[], dict[str, Any]],
+        report: Callable[[], bytes],
         clients_max: int,
     ) -> None:
-        self.obey, self.reviews, self.snapshot = obey, reviews, snapshot
+        self.obey, self.reviews, self.report = obey, reviews, report
         self.clients_max = clients_max
         self.clients: set[Connection] = set()
 
@@ -41,7 +42,7 @@ class CommandServer:
         """Send the present state to every watching connection that keeps up, or to the quick ones alone."""
         watching = [each for each in self.clients if (each.watching if everyone else each.quick) and not each.behind()]
         if watching:
-            line = console.answer(None, self.snapshot())
+            line = console.answer(None, self.report())
             for client in watching:
                 client.write(line)
 
@@ -64,7 +65,7 @@ class Connection(asyncio.Protocol):
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         self._transport = cast(asyncio.Transport, transport)  # uvloop's transports do not inherit from it
         if len(self._server.clients) >= self._server.clients_max:
-            self.write(console.answer("too many connections", {}))
+            self.write(console.answer("too many connections", b"{}"))
             transport.close()
             return
         self._server.clients.add(self)
@@ -118,7 +119,7 @@ class Connection(asyncio.Protocol):
 
     def _answer(self, reason: str | None) -> None:
         self._under_review = False
-        self.write(console.answer(reason, {} if self._is_brief else self._server.snapshot()))
+        self.write(console.answer(reason, b"{}" if self._is_brief else self._server.report()))
         if self._transport is not None and len(self._buffer) <= LINE_BYTES:
             self._transport.resume_reading()
         if not self._is_due:

@@ -11,6 +11,7 @@ from delfim.base.errors import FormatError
 from delfim.base.outside import UNREADABLE
 from delfim.vehicle import console
 from delfim.vehicle.orders.entrusting import RIGHTS
+from delfim.vehicle.report import BoatReport
 
 LINE_BYTES: Final = 1024  # longer lines of values are refused
 ORDER_BYTES: Final = 16_384  # the same of orders, of which a mission is the longest
@@ -31,39 +32,7 @@ _encode: Final = msgspec.json.Encoder().encode
 # What it is told.
 
 
-class LegTold(msgspec.Struct, frozen=True):
-    """The leg under way."""
-
-    leg: int = 0
-
-
-class ActionTold(msgspec.Struct, frozen=True):
-    """An action of the mission that the boat has come to."""
-
-    number: int  # of all that were announced
-    command: int  # MAV_CMD
-    params: tuple[float | None, ...] = ()
-
-
-class VoyageTold(msgspec.Struct, frozen=True):
-    """The part of a snapshot of the vehicle's state that programs are told of."""
-
-    mode: str
-    reason: str
-    helmsman: str = ""
-    cycle: int = 0
-    utc_ns: int = 0
-    latitude_deg: float | None = None
-    longitude_deg: float | None = None
-    heading_deg: float | None = None
-    course_deg: float | None = None
-    speed_mps: float | None = None
-    mission: str | None = None
-    reference: LegTold = LegTold()
-    announced: tuple[ActionTold, ...] = ()
-
-
-def lines(now: VoyageTold, before: VoyageTold | None) -> Iterator[bytes]:
+def lines(now: BoatReport, before: BoatReport | None) -> Iterator[bytes]:
     """The lines that programs get of a state: events since the one before, then navigation as the guest gets it, with the
     mission and the leg."""
     if before is None or (now.mode, now.helmsman) != (before.mode, before.helmsman):

@@ -2,30 +2,35 @@
 
 import math
 from collections.abc import Sequence
-from typing import Any, Final
+from typing import Final
 
 from delfim.config import ThrusterTable
+from delfim.vehicle.report import ThrusterFacts
 from delfim.vehicle.state import State
 
 MIDDLE_M: Final = 0.1  # a thruster this near the middle belongs to both sides
 AHEAD_DEG: Final = 60.0  # one that pushes farther off the bow or the stern than this belongs to neither
 
 
-def told(rows: Sequence[ThrusterTable], state: State, now_s: float) -> dict[str, dict[str, Any]]:
-    """Command and report of each thruster by name, JSON-ready. `thrust` is -1..1 of full command; None is unknown."""
-    found = dict[str, dict[str, Any]]()
+def facts(rows: Sequence[ThrusterTable], state: State, now_s: float) -> dict[str, ThrusterFacts]:
+    """Command and report of each thruster by name."""
+    found = dict[str, ThrusterFacts]()
     for row, thrust, angle_rad in zip(rows, state.actuation.thrust, state.actuation.angle_rad, strict=False):
-        found[row.name] = {"thrust": round(thrust, 4), "angle_deg": _degrees(angle_rad) if row.steer else None}
-        if (report := state.thrusters.get(row.name)) is not None:
-            found[row.name] |= {
-                "rpm": report.rpm,
-                "current_a": report.current_a,
-                "voltage_v": report.voltage_v,
-                "temperature_c": report.temperature_c,
-                "turned_deg": _degrees(report.angle_rad),
-                "faults": report.faults or (),
-                "age_s": round(now_s - report.heard_s, 3),
-            }
+        part, angle_deg = round(thrust, 4), _degrees(angle_rad) if row.steer else None
+        if (report := state.thrusters.get(row.name)) is None:
+            found[row.name] = ThrusterFacts(thrust=part, angle_deg=angle_deg)
+            continue
+        found[row.name] = ThrusterFacts(
+            thrust=part,
+            angle_deg=angle_deg,
+            rpm=report.rpm,
+            current_a=report.current_a,
+            voltage_v=report.voltage_v,
+            temperature_c=report.temperature_c,
+            turned_deg=_degrees(report.angle_rad),
+            faults=report.faults or (),
+            age_s=round(now_s - report.heard_s, 3),
+        )
     return found
 
 

@@ -28,14 +28,16 @@ from delfim.parts.fleet.fleetd import FleetMember, serve
 from delfim.parts.fleet.table import FleetTable
 from delfim.parts.mavlink.table import Mavlink
 from delfim.services.access.doors import doors
-from delfim.services.page.api import State
 from delfim.services.suite import services
+from delfim.vehicle.report import BoatReport
 from tests.console.fakeboat import FakeBoat
 from tests.parts.fleet.mosquitto import broker, certified, needs_mosquitto
 from tests.parts.gnss.caster import free_port
 
 ROOT = Path(__file__).parents[3]
-STATE = State(mode="play", reason="operator", boat="Otter", latitude_deg=38.7, longitude_deg=-9.2, age_s={"navigation": 0.1})
+STATE = BoatReport(
+    mode="play", reason="operator", boat="Otter", latitude_deg=38.7, longitude_deg=-9.2, age_s={"navigation": 0.1}
+)
 
 
 def settings(port: int, folder: Path, listen: str = "127.0.0.1:14560", **table: Any) -> config.Vehicle:

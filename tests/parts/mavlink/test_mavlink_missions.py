@@ -18,6 +18,7 @@ from delfim.parts.mavlink.codec.plans import FENCE, MISSION, RALLY, Item
 from delfim.vehicle import console
 from delfim.vehicle.plans.mission import CARRIED, HOLD_MAX_S, Mission, PathPoint, Waypoint, canonical, parse_mission
 from delfim.vehicle.plans.missionreader import gathered, written
+from delfim.vehicle.report import Announced
 from tests.parts.mavlink.mavlink_console import Console, messages, newest, texts
 from tests.parts.mavlink.test_mavlink_station import afloat, sail
 
@@ -224,7 +225,7 @@ def test_a_mission_with_camera_servo_and_the_way_home(sea):
     sea.console.command(300)
     heard = sail(sea, 3.0)
     assert [each.command for each in sea.state.announced] == [206, 183, 206, 183]
-    assert sea.state.announced[0] == (1, 206, (25.0, 0.0, 1.0, None, 0.0, 0.0, 0.0))
+    assert sea.state.announced[0] == Announced(1, 206, (25.0, 0.0, 1.0, None, 0.0, 0.0, 0.0))
     assert "DO_SET_CAM_TRIGG_DIST (206): 25 0 1 - 0 0 0" in texts(heard)
     assert "home: play done" in texts(heard)
     sail(sea, 2.0)

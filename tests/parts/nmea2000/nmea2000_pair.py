@@ -20,7 +20,7 @@ from delfim.canproxy.opening import open_bound, open_can
 from delfim.canproxy.socket import ANYTHING, CanAddress, CanSocket
 from delfim.parts.nmea2000.nmea2000d import BoatDevice
 from delfim.parts.nmea2000.table import Nmea2000
-from delfim.services.page.api import State
+from delfim.vehicle.report import BoatReport
 
 PATIENCE_S = 200.0
 
@@ -47,7 +47,7 @@ class Pair:
                 raise SystemExit(f"not in {PATIENCE_S:.0f} s: {[boat.report() for _, boat in self.boats]}")
             select.select([], [], [], 0.02)
             self.cycle += 1
-            state = State(mode="idle", reason="", cycle=self.cycle, heading_deg=90.0, age_s={"navigation": 0.0})
+            state = BoatReport(mode="idle", reason="", cycle=self.cycle, heading_deg=90.0, age_s={"navigation": 0.0})
             for bus, boat in self.boats:
                 boat.on_frames()
                 if self.cycle % 10 == 0:

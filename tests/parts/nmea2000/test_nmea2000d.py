@@ -26,10 +26,10 @@ from delfim.canproxy.nmea2000.parcels import CLAIM, REQUEST, Parcel, frames
 from delfim.parts.nmea2000.nmea2000d import FULL, OLD_S, WAITING, BoatDevice, Memory
 from delfim.parts.nmea2000.nmea2000rows import TOLD, pgns_of
 from delfim.parts.nmea2000.table import Nmea2000, ToldName
-from delfim.services.page.api import State as ToldState
 from delfim.services.runtime import LoadedService, Runtime
-from delfim.vehicle.propulsion import thrusters
-from delfim.vehicle.snapshot import snapshot
+from delfim.vehicle.console import answer
+from delfim.vehicle.report import reported
+from delfim.vehicle.snapshot import in_json, report
 from delfim.vehicle.state import Actuation, Motion, Notice, Reference, State, ThrusterReport
 
 logging.getLogger("nmea2000").setLevel(logging.ERROR)
@@ -102,9 +102,8 @@ class Boat:
                 self.now_s -= wait_s
 
     def publish(self):
-        facts = thrusters.told(self.settings.thrusters, self.state, self.now_s)
-        told = snapshot(self.state, self.now_s, {"thrusters": facts})
-        self.speaker.heard(msgspec.json.decode(msgspec.json.encode(told), type=ToldState))
+        told = in_json(report(self.state, self.now_s, self.settings.thrusters))
+        self.speaker.heard(reported(answer(None, told)))
 
     def heard(self):
         """Fields of all messages since the last time, by PGN, as the independent decoder has them."""

@@ -29,7 +29,8 @@ from delfim.parts.payload.table import PayloadTable
 from delfim.services import watching
 from delfim.services.runtime import LoadedService, Runtime
 from delfim.services.supervision import processes
-from delfim.vehicle.orders.payloadlines import LINE_BYTES, VALUES, ActionTold, BoundedLines, VoyageTold, lines, values
+from delfim.vehicle.orders.payloadlines import LINE_BYTES, VALUES, BoundedLines, lines, values
+from delfim.vehicle.report import Announced, BoatReport
 from tests.afloat import running
 from tests.services.boat import STATE, served, vehicle, vehicle_file
 
@@ -355,7 +356,7 @@ def test_what_a_vehicles_file_may_not_say(words: str, reason: str) -> None:
         config.load(ROOT / "etc/delfimx.toml", [words])
 
 
-SAILS = VoyageTold(
+SAILS = BoatReport(
     mode="play", reason="operator", cycle=7, utc_ns=5, speed_mps=2.0, course_deg=90.0, heading_deg=91.0, mission="Doca"
 )
 
@@ -368,14 +369,14 @@ def test_a_program_is_told_events_and_navigation_as_the_guest_is() -> None:
         "mode": "play", "helmsman": "", "mission": "Doca", "leg": 0,
     }  # fmt: skip
     assert list(lines(SAILS, SAILS)) == [], "no new navigation"
-    hold = VoyageTold(mode="hold", reason="x" * 5000, cycle=8, mission="Doca")
+    hold = BoatReport(mode="hold", reason="x" * 5000, cycle=8, mission="Doca")
     told = list(lines(hold, SAILS))
     assert [json.loads(line).get("mode") for line in told] == ["hold", "hold"]
     assert max(map(len, told)) < 4096
-    other = VoyageTold(mode="hold", reason="", cycle=8, mission="Tejo")
+    other = BoatReport(mode="hold", reason="", cycle=8, mission="Tejo")
     assert [json.loads(line) for line in lines(other, hold)] == [{"event": "leg", "mission": "Tejo", "leg": 0}]
-    items = tuple(ActionTold(number, 206, (25.0, None)) for number in (1, 2, 3))
-    before, after = (VoyageTold(mode="hold", reason="", announced=each) for each in (items[:2], items[1:]))
+    items = tuple(Announced(number, 206, (25.0, None)) for number in (1, 2, 3))
+    before, after = (BoatReport(mode="hold", reason="", announced=each) for each in (items[:2], items[1:]))
     assert [json.loads(line) for line in lines(after, before)] == [{"event": "action", "command": 206, "params": [25.0, None]}]
 
 

@@ -20,6 +20,7 @@ from delfim.vehicle import console
 from delfim.vehicle.operator.command import CommandServer
 from delfim.vehicle.operator.reviews import Reviews
 from delfim.vehicle.orders import payloadlines
+from delfim.vehicle.snapshot import in_json
 from delfim.vehicle.state import NoLog
 from tests.services.boat import served, vehicle_file
 
@@ -47,7 +48,7 @@ class Sea:
         self.run = Lockstep(settings, 1, lambda clock: NoLog())
         self.state, loop = self.run.state, asyncio.get_running_loop()
         self.reviews = Reviews(self.run.vehicle, self.obey, loop)
-        self.commands = CommandServer(self.obey, self.reviews, lambda: self.run.vehicle.snapshot({}), 8)
+        self.commands = CommandServer(self.obey, self.reviews, lambda: in_json(self.run.vehicle.report()), 8)
         self.told: Callable[[], dict[str, Any]] = dict
         self.clock, self.next_s = loop.time, 0.0
 

@@ -24,16 +24,16 @@ from delfim.parts.ros.rossteering import GOAL_S, TURN_MAX_RAD, TWIST_S, Steering
 from delfim.parts.ros.table import RosTable
 from delfim.services.access.doors import doors
 from delfim.services.guestdoor import GuestDoor
-from delfim.services.page.api import State
 from delfim.services.suite import services
 from delfim.vehicle.grex import Guest, HeadingReference, reference
+from delfim.vehicle.report import BoatReport
 from tests.parts.fleet.test_fleetd import loaded_by_delfimx
 from tests.parts.gnss.caster import free_port
 from tests.services.boat import STATE, served, vehicle, vehicle_file
 
 zenoh = pytest.importorskip("zenoh", reason="make formats brings it")
 AT = msgspec.convert(
-    STATE | {"accuracy_m": 0.5, "turn_dps": 2.0, "course_deg": 140.0, "roll_deg": 3.0, "pitch_deg": -2.0}, State
+    STATE | {"accuracy_m": 0.5, "turn_dps": 2.0, "course_deg": 140.0, "roll_deg": 3.0, "pitch_deg": -2.0}, BoatReport
 )
 GEO = {
     "geographic_msgs/msg/GeoPoint": "float64 latitude\nfloat64 longitude\nfloat64 altitude\n",
