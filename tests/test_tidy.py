@@ -236,6 +236,7 @@ NAMED = {  # with the reason; a row that goes does not come back
     "config.py: handset",  # its device is one of the serial lines: it goes with its table
     "vehicle/grex.py: guest",  # who tells of other vessels
     "vehicle/loop.py: guest",
+    "vehicle/snapshot.py: guest",  # a name of the report, which pages and tools read
 }
 
 

@@ -55,7 +55,7 @@ def test_edges_rise():
 def test_every_cycle_is_in_the_bar_that_its_path_belongs_to(paths):
     bars = added(paths).facts().histogram
     assert sum(n for _, n in bars) == len(paths)
-    assert bars == sorted(bars)
+    assert bars == tuple(sorted(bars))
     for edge, _ in bars:
         exact = sum(round(path * 1000) <= edge * 1000 for path in paths)
         assert sum(n for other, n in bars if other <= edge) == pytest.approx(exact, abs=sum(abs(p - edge) < 0.1 for p in paths))
