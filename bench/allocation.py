@@ -17,7 +17,8 @@ from pathlib import Path
 from statistics import median
 from typing import Final, NamedTuple
 
-from delfim.vehicle.control.allocation import Allocation, Pivot, Thruster
+from delfim.vehicle.control.allocation import Allocation, Thruster
+from delfim.vehicle.control.pivot import Pivot
 from delfim.vehicle.control.thrustcurve import Law
 
 SLOWEST: Final = 40  # of a boat's requests, that are asked again ...

@@ -10,8 +10,10 @@ from hypothesis import strategies as st
 
 from bench.allocation import BOATS, EIGHT, FOUR, measured
 from delfim.base.geodesy import wrap
-from delfim.vehicle.control import allocation
-from delfim.vehicle.control.allocation import WEIGHTS, Allocation, Pivot, Thruster
+from delfim.vehicle.control import allocation, solver
+from delfim.vehicle.control.allocation import Allocation, Thruster
+from delfim.vehicle.control.pivot import Pivot
+from delfim.vehicle.control.solver import WEIGHTS
 from delfim.vehicle.control.thrustcurve import Law
 
 DT_S = 0.2
@@ -264,7 +266,7 @@ def test_the_solver_ends_after_few_steps(seed: int) -> None:
     import random
 
     rnd, searched = random.Random(seed), 0
-    real = allocation._far
+    real = solver._far
 
     def counting(*arguments: object) -> float:
         nonlocal searched
@@ -272,7 +274,7 @@ def test_the_solver_ends_after_few_steps(seed: int) -> None:
         return real(*arguments)  # type: ignore[arg-type]
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(allocation, "_far", counting)
+        patch.setattr(solver, "_far", counting)
         for _ in range(100):
             searched = 0
             asked(EIGHT, (rnd.uniform(-600.0, 600.0), rnd.uniform(-600.0, 600.0), rnd.uniform(-600.0, 600.0)))

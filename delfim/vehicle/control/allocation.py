@@ -6,9 +6,8 @@ t is what is asked for, f the force of each thruster, F its largest, B their lev
 sway: what can be met is met, with the least effort; when it cannot, surge and sway give way, so that the boat keeps its heading
 and is slow. (T. I. Johansen, T. I. Fossen, "Control allocation - a survey", Automatica 49, 2013; docs/propulsion.md.)
 
-The dual problem has three unknowns l = Q (t - B f), however many thrusters there are: f = clip(w b'l). It is concave and
-piecewise quadratic, so that Newton's method with an exact search along its direction ends after a few steps. The forces of two
-fixed thrusters, the commonest boat, are in closed form.
+The forces of two fixed thrusters, the commonest boat, are in closed form, and so are those of others while no limit is in the
+way; `solver.py` has all else.
 
 A thruster that turns takes two passes: the first asks where it should point, the second is exact for where it points now.
 """
@@ -18,37 +17,21 @@ from collections.abc import Sequence
 from typing import Final, NamedTuple
 
 from delfim import config
-from delfim.base.geodesy import wrap
+from delfim.vehicle.control.pivot import Pivot, aim, forbidden, goes_astern, turn
+from delfim.vehicle.control.solver import WEIGHTS, Column, Force, hessian, inverse, solved, times
 from delfim.vehicle.control.thrustcurve import Curve, Law, Points
 
-WEIGHTS: Final = 1.0, 1.0, 3000.0  # surge, sway, yaw; the moment in units of the strongest thruster at the longest arm
 STIFF: Final = 1e4  # how much more the request weighs than the effort
 ARM_M: Final = 0.1  # shortest lever arm
-STEPS: Final = 40  # of Newton's method, at most
-CLOSE: Final = 1e-14  # square of a request that is not met, in units of the strongest thruster
 MET: Final = 0.01  # of a request, that may be missing from what meets it
 LEAST_SWAY: Final = 1e-6  # of the strongest thruster: a boat with less has no sway
-EDGE_RAD: Final = 1e-9  # an edge of a forbidden sector is allowed
 LEAST_TURN: Final = 0.01  # of its largest force: for less nothing is turned
 SLOW, TURNING = 0.2, 0.1  # of the most that the sound boat can: what a boat must still do at once to be steered
 HALF: Final = 0.5  # of that, at least
 
-Column = tuple[
-    float, float, float, float, float, float, float, float, float
-]  # surge, sway, yaw of a unit of force; times w; low, high, w
-Force = tuple[float, float, float]  # surge N, sway N, yaw N m
 Side = tuple[
     float, float, float, float, float, float, float, float, float
 ]  # of two: surge, sway N, yaw N m of a newton; times their weights; low, high N; the weighted square of a newton
-
-
-class Pivot(NamedTuple):
-    """The gear that turns a thruster. A rudder turns the stream of a propeller that pushes ahead, and does nothing astern."""
-
-    angle_max_rad: float  # to either side; pi is all round
-    rate_radps: float
-    forbidden: tuple[tuple[float, float], ...] = ()  # from, to, clockwise: there it may pass without thrust, and not stay
-    is_rudder: bool = False
 
 
 class Thruster(NamedTuple):
@@ -90,7 +73,7 @@ class Allocation:
         self._ends = [(low / unit_n, high / unit_n) for low, high in ends]
         self._turns = any(t.pivot is not None for t in thrusters)
         self._columns = [column for i in range(len(thrusters)) for column in self._free(i)]
-        self._inverse = _inverse(_hessian(self._columns))
+        self._inverse = inverse(hessian(self._columns))
         self._quick = [(*self._share(column), column[6] * unit_n, column[7] * unit_n) for column in self._columns]
         ends_of = [[(k[i] * k[6], k[i] * k[7]) for k in self._columns] for i in range(3)]
         self._most = [
@@ -151,7 +134,7 @@ class Allocation:
 
     def _share(self, column: Column) -> Force:
         """The force, N, of a column for each N and N m that are asked for, while no limit is in the way."""
-        x, y, n = _times(self._inverse, *column[3:6])
+        x, y, n = times(self._inverse, *column[3:6])
         return x, y, n / self._arm_m
 
     def _gives_each(self) -> bool:
@@ -160,7 +143,7 @@ class Allocation:
             if axis == 1 and (most - least) * self._scale[1] < LEAST_SWAY:
                 continue
             unit = [float(axis == i) for i in range(3)]
-            x, y, n = _times(self._inverse, unit[0], unit[1], unit[2])
+            x, y, n = times(self._inverse, unit[0], unit[1], unit[2])
             shares = [column[3] * x + column[4] * y + column[5] * n for column in self._columns]
             for i in range(3):
                 if abs(sum(column[i] * share for column, share in zip(self._columns, shares, strict=True)) - unit[i]) > MET:
@@ -219,8 +202,8 @@ class Allocation:
         x = (least_x if surge_n < least_x else most_x if surge_n > most_x else surge_n) * sx
         y = (least_y if sway_n < least_y else most_y if sway_n > most_y else sway_n) * sy
         n = (least_n if yaw_nm < least_n else most_n if yaw_nm > most_n else yaw_nm) * sn
-        start = self._inverse if columns is self._columns else _inverse(_hessian(columns))
-        forces = _solved(columns, x, y, n, *_times(start, x, y, n))
+        start = self._inverse if columns is self._columns else inverse(hessian(columns))
+        forces = solved(columns, x, y, n, *times(start, x, y, n))
         x = y = n = 0.0
         for column, f in zip(columns, forces, strict=True):
             x += column[0] * f
@@ -241,152 +224,16 @@ class Allocation:
                 angles.append(0.0)
                 continue
             aside_n, most_n = next(free), high * self._unit_n
-            goes_astern = low < 0.0 and _goes_astern(pivot, along_n, aside_n)
+            is_astern = low < 0.0 and goes_astern(pivot, along_n, aside_n)
             to_rad = angle_rad
             if math.hypot(along_n, aside_n) > LEAST_TURN * most_n:
-                to_rad = _aim(pivot, along_n, aside_n, most_n, goes_astern)
-            angle_rad = _turn(pivot, angle_rad, to_rad, dt_s)
+                to_rad = aim(pivot, along_n, aside_n, most_n, is_astern)
+            angle_rad = turn(pivot, angle_rad, to_rad, dt_s)
             angles.append(angle_rad)
-            if _forbidden(pivot, angle_rad) is not None:
+            if forbidden(pivot, angle_rad) is not None:
                 low = high = 0.0
             elif pivot.is_rudder:
-                low, high = (low, 0.0) if goes_astern else (0.0, high)
-            turned_rad = 0.0 if pivot.is_rudder and goes_astern else angle_rad
+                low, high = (low, 0.0) if is_astern else (0.0, high)
+            turned_rad = 0.0 if pivot.is_rudder and is_astern else angle_rad
             columns.append(self._column(thruster, thruster.angle_rad + turned_rad, low, high))
         return self._exactly(columns, surge_n, sway_n, yaw_nm, angles)
-
-
-def _goes_astern(pivot: Pivot, along_n: float, aside_n: float) -> bool:
-    """Whether a thruster pushes astern for a force along its middle and across it. What turns by a quarter or more turns round;
-    what turns by less goes astern where that gives the force across it, too, and otherwise ahead, so that it steers."""
-    is_narrow = pivot.angle_max_rad < 0.5 * math.pi
-    return is_narrow and along_n < 0.0 and abs(aside_n) <= -along_n * math.tan(pivot.angle_max_rad)
-
-
-def _aim(pivot: Pivot, along_n: float, aside_n: float, most_n: float, goes_astern: bool) -> float:
-    """The angle at which a thruster should point for a force along its middle and across it."""
-    if goes_astern:
-        return 0.0 if pivot.is_rudder else math.atan2(-aside_n, -along_n)
-    if pivot.angle_max_rad < 0.5 * math.pi:  # the force across it steers: it is kept, and the one along it gives way
-        along_n = min(along_n, math.sqrt(max(most_n * most_n - aside_n * aside_n, 0.0)))
-    return math.atan2(aside_n, along_n)
-
-
-def _turn(pivot: Pivot, angle_rad: float, to_rad: float, dt_s: float) -> float:
-    """The angle after `dt_s` on the way to another one, or to the nearest that is allowed."""
-    widest_rad = pivot.angle_max_rad
-    to_rad = min(max(to_rad, -widest_rad), widest_rad)
-    if (sector := _forbidden(pivot, to_rad)) is not None:
-        edges = [edge for edge in map(wrap, sector) if abs(edge) <= widest_rad] or [angle_rad]
-        to_rad = min(edges, key=lambda edge: abs(wrap(edge - to_rad)))
-    left_rad = wrap(to_rad - angle_rad) if widest_rad >= math.pi else to_rad - angle_rad
-    most_rad = pivot.rate_radps * dt_s
-    return to_rad if abs(left_rad) <= most_rad else wrap(angle_rad + math.copysign(most_rad, left_rad))
-
-
-def _forbidden(pivot: Pivot, angle_rad: float) -> tuple[float, float] | None:
-    """The forbidden sector in which an angle lies; None: it lies in none."""
-    for begin_rad, end_rad in pivot.forbidden:
-        if EDGE_RAD < (angle_rad - begin_rad) % math.tau < (end_rad - begin_rad) % math.tau - EDGE_RAD:
-            return begin_rad, end_rad
-    return None
-
-
-Symmetric = tuple[float, float, float, float, float, float]  # 11, 12, 13, 22, 23, 33 of a symmetric matrix
-
-
-def _hessian(columns: list[Column]) -> Symmetric:
-    """Of the dual, while no limit is in the way."""
-    xx, xy, xn, yy, yn, nn = 1.0 / WEIGHTS[0], 0.0, 0.0, 1.0 / WEIGHTS[1], 0.0, 1.0 / WEIGHTS[2]
-    for x, y, n, wx, wy, wn, _, _, _ in columns:
-        xx += wx * x
-        xy += wx * y
-        xn += wx * n
-        yy += wy * y
-        yn += wy * n
-        nn += wn * n
-    return xx, xy, xn, yy, yn, nn
-
-
-def _inverse(matrix: Symmetric) -> Symmetric:
-    a, b, c, d, e, f = matrix
-    aa, ab, ac = d * f - e * e, c * e - b * f, b * e - c * d
-    whole = a * aa + b * ab + c * ac
-    return aa / whole, ab / whole, ac / whole, (a * f - c * c) / whole, (b * c - a * e) / whole, (a * d - b * b) / whole
-
-
-def _times(matrix: Symmetric, x: float, y: float, n: float) -> Force:
-    a, b, c, d, e, f = matrix
-    return a * x + b * y + c * n, b * x + d * y + e * n, c * x + e * y + f * n
-
-
-def _solved(columns: list[Column], tx: float, ty: float, tn: float, x: float, y: float, n: float) -> list[float]:
-    """The forces for a request (tx, ty, tn), by Newton's method on the dual from (x, y, n)."""
-    qx, qy, qn = 1.0 / WEIGHTS[0], 1.0 / WEIGHTS[1], 1.0 / WEIGHTS[2]
-    for _ in range(STEPS):
-        xx, xy, xn, yy, yn, nn = qx, 0.0, 0.0, qy, 0.0, qn
-        gx, gy, gn = tx - qx * x, ty - qy * y, tn - qn * n
-        forces, asked = list[float](), list[float]()
-        for bx, by, bn, wx, wy, wn, low, high, _ in columns:
-            ask = f = wx * x + wy * y + wn * n
-            if f < low:
-                f = low
-            elif f > high:
-                f = high
-            else:
-                xx += wx * bx
-                xy += wx * by
-                xn += wx * bn
-                yy += wy * by
-                yn += wy * bn
-                nn += wn * bn
-            asked.append(ask)
-            forces.append(f)
-            gx -= bx * f
-            gy -= by * f
-            gn -= bn * f
-        if gx * gx + gy * gy + gn * gn < CLOSE:
-            break
-        ratio_y, ratio_n = xy / xx, xn / xx  # Gauss, for the symmetric matrix of what is not at a limit
-        pivot_y, mixed = yy - ratio_y * xy, yn - ratio_y * xn
-        ratio = mixed / pivot_y
-        right_y = gy - ratio_y * gx
-        dn = (gn - ratio_n * gx - ratio * right_y) / (nn - ratio_n * xn - ratio * mixed)
-        dy = (right_y - mixed * dn) / pivot_y
-        dx = (gx - xy * dy - xn * dn) / xx
-        far = _far(columns, asked, dx, dy, dn, gx * dx + gy * dy + gn * dn, qx * dx * dx + qy * dy * dy + qn * dn * dn)
-        x += far * dx
-        y += far * dy
-        n += far * dn
-    return forces
-
-
-def _far(columns: list[Column], asked: list[float], dx: float, dy: float, dn: float, slope: float, bend: float) -> float:
-    """How far the dual rises along a direction, exactly: its slope falls in straight pieces, whose bends are where a thruster
-    comes to a limit or leaves it. `slope` here; `bend` of the part that has no limits."""
-    ends = list[tuple[float, float]]()
-    for (_, _, _, wx, wy, wn, low, high, w), at in zip(columns, asked, strict=True):
-        change = wx * dx + wy * dy + wn * dn
-        if not change:
-            continue
-        first, last = (low - at) / change, (high - at) / change
-        if first > last:
-            first, last = last, first
-        if last <= 0.0:
-            continue
-        own = change * change / w
-        if first > 0.0:
-            ends.append((first, own))
-        else:
-            bend += own
-        ends.append((last, -own))
-    ends.sort()
-    here = 0.0
-    for end, change in ends:
-        fall = bend * (end - here)
-        if fall >= slope:
-            break
-        slope -= fall
-        here = end
-        bend += change
-    return here + slope / bend

@@ -11,7 +11,8 @@ from delfim.base.errors import Refused
 from delfim.canproxy.dsor.messages import RESET, pack_reset
 from delfim.canproxy.socket import CanSocket
 from delfim.config import ThrusterTable
-from delfim.vehicle.control.allocation import Allocation, Force, Thruster, thruster
+from delfim.vehicle.control.allocation import Allocation, Thruster, thruster
+from delfim.vehicle.control.solver import Force
 from delfim.vehicle.propulsion.actuators import Actuator
 from delfim.vehicle.propulsion.gate import GateLimits, limited
 from delfim.vehicle.propulsion.thrusters import AHEAD_DEG, MIDDLE_M
