@@ -18,8 +18,8 @@ from delfim.base.clock import Clock
 from delfim.base.errors import DelfimError
 from delfim.canproxy.opening import open_bound
 from delfim.canproxy.socket import CanAddress, CanSocket
+from delfim.lines.forms import Form
 from delfim.lines.networkline import LISTENING, NetworkLine
-from delfim.lines.serialform import Form
 from delfim.lines.serialline import SerialLine
 from delfim.logging.linelog import line_id
 from delfim.parts.nmea0183.table import Nmea0183

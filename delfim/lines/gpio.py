@@ -8,14 +8,14 @@ import os
 import struct
 from collections.abc import Callable
 from contextlib import suppress
-from typing import Final, Literal, NamedTuple
+from typing import Final
 
 from delfim.base.errors import DelfimError
+from delfim.lines.forms import Bias, Level
 
 with suppress(ImportError):  # Linux alone has it, and the console's dry run builds a boat on every system
     import fcntl
 
-Bias = Literal["pull-up", "pull-down", "none"]
 CHIP_INFO, LINE_INFO, GET_LINE, GET_VALUES, SET_VALUES = 0x8044B401, 0xC100B405, 0xC250B407, 0xC010B40E, 0xC010B40F  # ioctl
 CHIP: Final = struct.Struct("=32s32sI")  # gpiochip_info: name, label, number of lines
 INFO: Final = struct.Struct("=32s32sI188x")  # gpio_v2_line_info: name, consumer, offset
@@ -28,13 +28,6 @@ BIASES: Final[dict[Bias, int]] = {"pull-up": 1 << 8, "pull-down": 1 << 9, "none"
 LEVELS, DEBOUNCE = 2, 3  # attributes: of an output at its start, of an input
 DEBOUNCE_US: Final = 5_000  # a contact bounces for a few milliseconds
 EVENTS_MAX: Final = 16  # of the kernel's buffer, for one line
-
-
-class Level(NamedTuple):
-    """The line since the last look, true is high."""
-
-    is_high: bool
-    was: frozenset[bool]  # every level that it had, the present one included: a short touch counts
 
 
 class GpioLine:

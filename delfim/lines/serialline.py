@@ -14,7 +14,7 @@ from typing import Final
 from delfim.base.allowance import PIECE_BYTES, Allowance
 from delfim.base.clock import Clock
 from delfim.base.errors import DelfimError
-from delfim.lines.serialform import Form
+from delfim.lines.forms import Form
 
 TCGETS2, TCSETS2 = 0x802C542A, 0x402C542B  # asm-generic/ioctls.h: x86, ARM, RISC-V
 BOTHER, RATES = 0o010000, 0o010017  # "the rate is the number itself"; the bits that name a rate (asm-generic/termbits.h)

@@ -21,9 +21,9 @@ from delfim.base.ranges import address
 from delfim.canproxy.dsor.messages import time_frame
 from delfim.canproxy.opening import open_bound
 from delfim.canproxy.socket import CanAddress, CanSocket
-from delfim.lines.gpio import Bias, GpioLine, open_gpio
+from delfim.lines.forms import Bias, Form
+from delfim.lines.gpio import GpioLine, open_gpio
 from delfim.lines.networkline import LISTENING, NetworkLine
-from delfim.lines.serialform import Form
 from delfim.lines.serialline import SerialLine
 from delfim.logging.linelog import LineLog
 from delfim.services import powerd

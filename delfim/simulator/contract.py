@@ -24,7 +24,7 @@ from delfim.base.frames import extended, standard
 from delfim.base.parts import OrderRow, Part
 from delfim.base.tables import read_toml
 from delfim.canproxy.socket import CanAddress, CanSocket
-from delfim.lines.serialform import Form
+from delfim.lines.forms import Form
 from delfim.simulator.line import LockstepLine
 from delfim.simulator.lockstep import Lockstep
 from delfim.simulator.lockstepbus import LockstepBus

@@ -15,7 +15,7 @@ from delfim.base.modes import Mode
 from delfim.base.pulses import STATES, PulseAnswer, pack_answer, socket_path, unpack_command
 from delfim.base.slices import Sliced
 from delfim.canproxy.socket import CanAddress, CanSocket
-from delfim.lines.serialform import Form
+from delfim.lines.forms import Form
 from delfim.simulator.faults import Breakage, Faults, FaultyLog
 from delfim.simulator.handset import HandsetAt, SimulatedReceiver
 from delfim.simulator.line import LockstepLine

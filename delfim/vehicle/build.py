@@ -8,7 +8,7 @@ from delfim import config
 from delfim.base.clock import Clock
 from delfim.base.parts import OWN, Part, load
 from delfim.canproxy.socket import CanAddress, CanSocket
-from delfim.lines.serialform import Form
+from delfim.lines.forms import Form
 from delfim.vehicle.aboard import Added, Hand, OpenedWith
 from delfim.vehicle.control.control import MODES
 from delfim.vehicle.failsafe.troubles import PartTrigger

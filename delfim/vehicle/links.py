@@ -9,8 +9,7 @@ from typing import Final, NamedTuple, Protocol
 from delfim.base.errors import BusError
 from delfim.base.frames import Frame
 from delfim.canproxy.socket import CanAddress, CanSocket
-from delfim.lines.gpio import Bias, GpioLine
-from delfim.lines.serialform import Form
+from delfim.lines.forms import Bias, Form, InputPin
 from delfim.vehicle.state import State
 
 KEPT: Final = 64  # pieces of a shared line that nobody has read; beyond, the oldest are lost
@@ -45,7 +44,7 @@ class OpenLine(Protocol):
     def __call__(self, device: str, baud: int, form: Form = "8N1", /) -> ReadableLine: ...
 
 
-OpenGpio = Callable[[str, str, Bias], GpioLine]  # chip, name of the line, its resistor
+OpenGpio = Callable[[str, str, Bias], InputPin]  # chip, name of the line, its resistor
 
 
 class Links(NamedTuple):

@@ -15,7 +15,7 @@ from delfim.base.parts import OWN_NODES
 from delfim.canproxy.dsor.messages import NAVIGATION_ID, NAVIGATION_PRIORITY, Navigation, Node, pack_navigation
 from delfim.canproxy.dsor.protocol import Message, segments
 from delfim.canproxy.socket import CanSocket, Many
-from delfim.lines.serialform import Form
+from delfim.lines.forms import Form
 from delfim.vehicle.build import build
 from delfim.vehicle.links import Links, ReadableLine
 from delfim.vehicle.loop import VehicleLoop

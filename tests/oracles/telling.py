@@ -14,8 +14,8 @@ from delfim.base.geodesy import origin
 from delfim.base.modes import Mode
 from delfim.canproxy.dsor.messages import BatteriesStatus, Fault, GpsStatus, Navigation, Node, PropellerStatus, Status
 from delfim.canproxy.nmea2000.device import FIRST
+from delfim.lines.forms import Form
 from delfim.lines.nmea0183.speaking import SPEAKERS
-from delfim.lines.serialform import Form
 from delfim.parts.mavlink.codec.wire import Address
 from delfim.parts.mavlink.station import Station
 from delfim.parts.mavlink.telemetry import PROFILES

@@ -13,7 +13,7 @@ from delfim import config
 from delfim.base.clock import ManualClock
 from delfim.base.frames import Frame
 from delfim.canproxy.socket import ANYTHING, CanAddress, CanSocket
-from delfim.lines.serialform import Form
+from delfim.lines.forms import Form
 from delfim.parts.dronecan.table import Dronecan
 from delfim.simulator.line import LockstepLine
 from delfim.simulator.lockstep import Lockstep

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from typing import Final
 
 from delfim import config
-from delfim.lines.gpio import GpioLine
+from delfim.lines.forms import InputPin
 from delfim.vehicle import console
 from delfim.vehicle.links import Readable
 from delfim.vehicle.state import State
@@ -23,7 +23,7 @@ class KillSwitch:
 
     name = NAME
 
-    def __init__(self, settings: config.KillTable, line: GpioLine) -> None:
+    def __init__(self, settings: config.KillTable, line: InputPin) -> None:
         self.input: Readable = line
         self._line, self._kills_at_high = line, settings.kills_at == "high"
         self._reason, self._was_touched = "", False

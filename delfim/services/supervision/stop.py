@@ -12,8 +12,8 @@ from delfim.base.parts import find
 from delfim.canproxy.dsor.messages import SHUTDOWN_ACKNOWLEDGE, ShutdownAcknowledge, ShutdownStage, pack_shutdown_acknowledge
 from delfim.canproxy.opening import open_bound, open_can
 from delfim.canproxy.socket import CanAddress, CanSocket
+from delfim.lines.forms import Form
 from delfim.lines.gpio import GpioOutput, open_output
-from delfim.lines.serialform import Form
 from delfim.lines.serialline import SerialLine
 from delfim.vehicle.links import Links
 from delfim.vehicle.propulsion import actuators

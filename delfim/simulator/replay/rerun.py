@@ -23,7 +23,7 @@ from delfim.canproxy.dsor.messages import (
     PROPELLER_STARBOARD,
 )
 from delfim.canproxy.socket import CanAddress, CanSocket
-from delfim.lines.serialform import Form
+from delfim.lines.forms import Form
 from delfim.logging.ashore import tree
 from delfim.logging.ashore.summary import utc
 from delfim.logging.ashore.table import table
