@@ -105,7 +105,7 @@ def test_a_boat_is_found_and_commanded_and_its_state_is_kept_for_who_comes_later
                 member.heard(STATE)
                 await until(lambda: (boat.tick(), 3 in fleet.boats)[1])
                 assert fleet.boats[3].snapshot(clock.monotonic_s())["link"]["kind"] == "broker"
-                fleet.command(3, "hold", {}, lambda well, why: answers.append((well, why)))
+                fleet.command(3, "mode", {"mode": "hold"}, lambda well, why: answers.append((well, why)))
                 await until(lambda: answers)
                 assert (answers, boat.mode) == ([(True, "")], 5)
                 stranger = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
