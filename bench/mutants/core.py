@@ -24,6 +24,7 @@ CORE: Final = (
     *map("delfim/parts/traffic/{}.py".format, _TRAFFIC),
     *map("delfim/services/{}.py".format, _SERVICES),
     *("delfim/parts/mavlink/codec/signing.py", "delfim/parts/pwm/outlet.py"),
+    *map("delfim/parts/{}/exposure.py".format, ("fleet", "mavlink", "nmea0183", "payload", "ros")),
 )
 TESTS: Final = (  # files that take long, and see nothing that others do not see, are not asked
     "tests/vehicle/test_*.py",

@@ -89,6 +89,7 @@ class Part(NamedTuple):
     outlet: str = ""  # of drivers whose motors are told by pulses: module:function of the process that writes them
     batteries: bool = False  # its sensor tells of batteries
     output: str = ""  # module:function that yields, by name, who tells others what the boat knows; for the `out` of its table
+    exposure: str = ""  # module:function that yields who may do what where it listens, of what runs (`delfim check --sea`)
     ports: bool = False  # its lines are `ports` of its table, by their names, of which it needs one
     after: str = ""  # its table stands behind this one in the file
     keys: tuple[str, ...] = ()  # of the vehicle's file: a boat has this part where one of them is set
@@ -136,6 +137,7 @@ OWN: Final = {  # in the order in which sources are listed
             "nmea0183",
             "delfim.parts.nmea0183.table:Nmea0183",
             after="nmea2000",
+            exposure="delfim.parts.nmea0183.exposure:entrances",
             source="delfim.parts.nmea0183.source",
             sensor="delfim.parts.nmea0183.sensor",
             vessels=True,
@@ -144,7 +146,13 @@ OWN: Final = {  # in the order in which sources are listed
             output="delfim.parts.nmea0183.output:tellers",
             ports=True,
         ),
-        Part("mavlink", "delfim.parts.mavlink.table:Mavlink", after="console", vessels=True),
+        Part(
+            "mavlink",
+            "delfim.parts.mavlink.table:Mavlink",
+            after="console",
+            exposure="delfim.parts.mavlink.exposure:entrances",
+            vessels=True,
+        ),
         Part("guest", vessels=True, keys=("nmea0183.guest.device",), aboard="delfim.parts.guest.pilotline:opened"),
         Part(
             "traffic",
@@ -159,9 +167,24 @@ OWN: Final = {  # in the order in which sources are listed
         ),
         Part("handset", keys=("handset.device", "kill.chip"), aboard="delfim.parts.handset.aboard:opened"),
         Part("corrections", "delfim.parts.gnss.table:Corrections", after="nmea0183"),
-        Part("fleet", "delfim.parts.fleet.table:FleetTable", after="mavlink"),
-        Part("ros", "delfim.parts.ros.table:RosTable", after="fleet"),
-        Part("payload", "delfim.parts.payload.table:Payloads", after="image"),
+        Part(
+            "fleet",
+            "delfim.parts.fleet.table:FleetTable",
+            after="mavlink",
+            exposure="delfim.parts.fleet.exposure:entrances",
+        ),
+        Part(
+            "ros",
+            "delfim.parts.ros.table:RosTable",
+            after="fleet",
+            exposure="delfim.parts.ros.exposure:entrances",
+        ),
+        Part(
+            "payload",
+            "delfim.parts.payload.table:Payloads",
+            after="image",
+            exposure="delfim.parts.payload.exposure:entrances",
+        ),
         Part(
             "mavlink_front_seat",
             "delfim.parts.frontseats.table:MavlinkFrontSeat",

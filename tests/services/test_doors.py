@@ -310,10 +310,11 @@ def test_doors_of_anyone_come_first_and_services_that_do_not_run_have_none() -> 
     settings = boat(
         httpd={"listen": LAN}, guest={"enabled": True}, payload={"uphill": program, "mute": {"command": ["/bin/true"]}}
     )
-    rows = [(each.service, each.reach) for each in doors(settings, SERVICES)]
+    running = {*SERVICES, "rosd", "fleetd", "payload"}
+    rows = [(each.service, each.reach) for each in doors(settings, running)]
     assert [reach for _, reach in rows] == sorted((reach for _, reach in rows), key=("anyone", "known", "here").index)
-    assert {service for service, _ in rows} == {"vehicle", "mavlink", "guest", *SERVICES}
-    steers = [(each.place, each.reach, each.who, each.may) for each in doors(settings, SERVICES) if each.service == "payload"]
+    assert {service for service, _ in rows} == {"vehicle", "mavlink", "guest", *running}
+    steers = [(each.place, each.reach, each.who, each.may) for each in doors(settings, running) if each.service == "payload"]
     assert steers == [("/bin/true", "here", "payload uphill, when an operator gave it the boat", "order: hold, goto")]
     assert {each.service for each in doors(settings, ["httpd"])} == {"vehicle", "mavlink", "guest", "httpd"}
 

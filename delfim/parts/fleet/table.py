@@ -47,3 +47,8 @@ class FleetTable(Table, frozen=True):
         if address(link.listen)[1] == 0:
             raise ValueError("fleet.broker: orders must find the boat: mavlink.listen needs a port of its own, as 14555")
         return self
+
+    @property
+    def unheard(self) -> str:
+        """Why no console can reach the boat by a broker; "": one can."""
+        return "" if self.broker else "fleet.broker is empty"

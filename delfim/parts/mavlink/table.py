@@ -42,6 +42,16 @@ class Mavlink(Table, frozen=True):
         return {"mavlink.peers": tuple(address(peer)[0] for peer in self.peers)}
 
     @property
+    def unheard(self) -> str:
+        """Why no console on another computer can reach the boat; "": one can."""
+        if not self.enabled:
+            return "mavlink.enabled is false"
+        if not self.key:
+            return "mavlink.key is empty, and without a key only this computer is heard"
+        is_alone = is_loopback(self.listen) and not self.serial
+        return f"mavlink.listen is {self.listen}, which only this computer reaches" if is_alone else ""
+
+    @property
     def unreachable(self) -> tuple[str, ...]:
         """The peers beyond this computer, if it is the only one that `listen` reaches."""
         return tuple(peer for peer in self.peers if is_loopback(self.listen) and not is_loopback(peer))
