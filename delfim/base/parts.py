@@ -90,6 +90,7 @@ class Part(NamedTuple):
     batteries: bool = False  # its sensor tells of batteries
     output: str = ""  # module:function that yields, by name, who tells others what the boat knows; for the `out` of its table
     exposure: str = ""  # module:function that yields who may do what where it listens, of what runs (`delfim check --sea`)
+    ask: str = ""  # module with `MOTORS` and `POSITIONS`, what `delfim new` asks (`delfim.base.questions`)
     ports: bool = False  # its lines are `ports` of its table, by their names, of which it needs one
     after: str = ""  # its table stands behind this one in the file
     keys: tuple[str, ...] = ()  # of the vehicle's file: a boat has this part where one of them is set
@@ -113,6 +114,7 @@ OWN: Final = {  # in the order in which sources are listed
             "nmea2000",
             "delfim.parts.nmea2000.table:Nmea2000",
             after="navigation",
+            ask="delfim.parts.nmea2000.ask",
             source="delfim.parts.nmea2000.source",
             sensor="delfim.parts.nmea2000.sensor",
             vessels=True,
@@ -124,6 +126,7 @@ OWN: Final = {  # in the order in which sources are listed
             "dronecan",
             "delfim.parts.dronecan.table:Dronecan",
             after="dsor",
+            ask="delfim.parts.dronecan.ask",
             driver="delfim.parts.dronecan.driver",
             source="delfim.parts.dronecan.source",
             sensor="delfim.parts.dronecan.sensor",
@@ -137,6 +140,7 @@ OWN: Final = {  # in the order in which sources are listed
             "nmea0183",
             "delfim.parts.nmea0183.table:Nmea0183",
             after="nmea2000",
+            ask="delfim.parts.nmea0183.ask",
             exposure="delfim.parts.nmea0183.exposure:entrances",
             source="delfim.parts.nmea0183.source",
             sensor="delfim.parts.nmea0183.sensor",
@@ -189,6 +193,7 @@ OWN: Final = {  # in the order in which sources are listed
             "mavlink_front_seat",
             "delfim.parts.frontseats.table:MavlinkFrontSeat",
             after="heron",
+            ask="delfim.parts.frontseats.ask",
             driver="delfim.parts.frontseats.mavlink_motors",
             source="delfim.parts.frontseats.mavlink_source",
             drives=Drives(sides="mixed"),
@@ -212,6 +217,7 @@ OWN: Final = {  # in the order in which sources are listed
             "pwm",
             "delfim.parts.pwm.table:Pwm",
             after="thrusters",
+            ask="delfim.parts.pwm.ask",
             driver="delfim.parts.pwm.driver",
             outlet="delfim.parts.pwm.outlet:serve",
             played="delfim.parts.pwm.sim",
@@ -221,6 +227,7 @@ OWN: Final = {  # in the order in which sources are listed
             "vesc",
             "delfim.parts.vesc.table:Vesc",
             after="pwm",
+            ask="delfim.parts.vesc.ask",
             driver="delfim.parts.vesc.driver",
             played="delfim.parts.vesc.sim",
             protocol="VESC",

@@ -6,117 +6,42 @@ It asks for values that no option gives, or with --yes takes their defaults. No 
 import argparse
 import math
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
+from delfim.base import parts
 from delfim.base.errors import ConfigError, DelfimError, FormatError
 from delfim.base.outside import read_text
+from delfim.base.questions import MotorsAnswer, PositionsAnswer
 from delfim.commands import PACKAGE
 
 OWN: Final = "own"
 LISBON: Final = "38.6907 -9.2153"
 WHERE: Final = "Where it lies: latitude and longitude, degrees"
 MASS_KG_PER_M2: Final = 20.0  # of length times beam, as config.BoatTable guesses it
-MOTORS: Final = {
-    "esc": "two motors on ESCs, port and starboard, told by pulses (docs/pwm.md)",
-    "rudder": "one motor on an ESC, and a rudder on a servo, told by pulses (docs/pwm.md)",
-    "dronecan": "two motors on DroneCAN controllers, port and starboard (docs/dronecan.md)",
-    "vesc": "two motors on VESC controllers on a CAN bus (docs/vesc.md)",
-    "ardupilot": "the two motors of a board with ArduRover (docs/front-seat.md)",
-}
-SENSORS: Final = {
-    "usb": "a GPS mouse and a compass that speak NMEA 0183, on a USB port each (docs/nmea0183.md)",
-    "nmea2000": "a receiver and a compass on an NMEA 2000 bus (docs/nmea2000.md)",
-    "dronecan": "a receiver and a compass on a DroneCAN bus (docs/dronecan.md)",
-    "ardupilot": "a Pixhawk or another board with ArduRover, and the receiver and compass on it (docs/front-seat.md)",
-}
 OF_OWN: Final = ("length", "beam", "mass", "motors", "thrust", "speed", "sensors")  # options of a boat of one's own
-ON_CAN: Final = ("dronecan", "vesc", "nmea2000")  # each needs a bus, and a bus carries one protocol
+Motors = dict[str, tuple[str, MotorsAnswer]]  # by word: the part's name, and what it says of it
+Positions = dict[str, tuple[str, PositionsAnswer]]
 
 
-ADDRESSES: Final = {
-    "esc": "its channel on the chip that makes the pulses",
-    "rudder": "the channel of its ESC on the chip that makes the pulses",
-    "dronecan": "its controller's ESC_INDEX",
-    "vesc": "its controller's number, as VESC Tool has it",
-    "ardupilot": "0 is the starboard side, 1 the port side",
-}
-RUDDER: Final = """\
-steer = { kind = "rudder", address = 1, angle_max_deg = 35.0, rate_dps = 60.0 }  # the channel of its servo
-"""
-BOARD: Final = """\
-[mavlink_front_seat]
-device = "tcp:127.0.0.1:5760"  # the board, or its serial port as "/dev/ttyACM0"
-"""
-PULSES: Final = """\
-[pwm]
-chip = "/sys/class/pwm/pwmchip0"  # the computer's own; "/dev/i2c-1" for a PCA9685 or a Navigator
-"""
-MOTOR_TABLES: Final = {
-    "esc": PULSES,
-    "rudder": PULSES,
-    "dronecan": """\
-[dronecan]
-interface = "{interface}"
-""",
-    "vesc": """\
-[vesc]
-interface = "{interface}"
-command = "duty"  # a part of the battery's voltage; "rpm" is steadier, and needs rpm_max of each motor
-""",
-    "ardupilot": BOARD,
-}
-SENSOR_TABLES: Final = {
-    "usb": """\
-[navigation]
-sources = ["nmea0183"]
-rate_hz = 10.0
-estimator = true  # makes one navigation of separate sensors: docs/estimator.md
+def asked_of_parts() -> tuple[Motors, Positions]:
+    """The words for motors and for position and heading, of all the boat's own parts: first what is usual."""
+    motors, positions = Motors(), Positions()
+    for part in parts.OWN.values():
+        if part.ask:
+            said = parts.load(part, part.ask)
+            motors |= {each.word: (part.name, each) for each in getattr(said, "MOTORS", ())}
+            positions |= {each.word: (part.name, each) for each in getattr(said, "POSITIONS", ())}
+    return _sorted(motors), _sorted(positions)
 
-[nmea0183]
-variation_deg = 0.0  # the magnetic variation of your place, east positive, if the compass is magnetic
 
-[nmea0183.ports.gps]
-device = "/dev/ttyACM0"  # a name that stays the same after each start: ls /dev/serial/by-id
-baud = 9600
+def _sorted(words: dict[str, tuple[str, Any]]) -> dict[str, tuple[str, Any]]:
+    return dict(sorted(words.items(), key=lambda item: (not item[1][1].usual, item[0])))
 
-[nmea0183.ports.compass]
-device = "/dev/ttyUSB0"
-baud = 4800  # not known? delfim sensors --find /dev/ttyUSB0
-""",
-    "nmea2000": """\
-[navigation]
-sources = ["nmea2000"]
-rate_hz = 10.0
-stale_s = 2.5
 
-[nmea2000]
-interface = "{interface}"
-
-[failsafe.navigation_silent]
-after_s = 2.5
-""",
-    "dronecan": """\
-[navigation]
-sources = ["dronecan"]
-rate_hz = 10.0
-estimator = true  # makes one navigation of separate sensors: docs/estimator.md
-
-[dronecan]
-interface = "{interface}"
-""",
-    "ardupilot": """\
-[navigation]
-sources = ["mavlink_front_seat"]  # the board is asked for its position so often:
-rate_hz = 10.0
-
-"""
-    + BOARD,
-}
-INSTRUMENTS: Final = """\
-instruments = ["gps:receiver", "compass:compass", "compass:gyro"]  # what each port is
-"""
+def _kinds(words: Mapping[str, tuple[str, MotorsAnswer | PositionsAnswer]]) -> dict[str, str]:
+    return {word: each.about for word, (_, each) in words.items()}
 
 
 class Answers(NamedTuple):
@@ -127,15 +52,16 @@ class Answers(NamedTuple):
     length_m: float
     beam_m: float
     mass_kg: float
-    motors: str
+    motors: tuple[str, MotorsAnswer]  # with the name of the part
     thrust_n: float
     full_mps: float
-    sensors: str
+    sensors: tuple[str, PositionsAnswer]
     latitude_deg: float
     longitude_deg: float
 
 
 def options(parser: argparse.ArgumentParser) -> None:
+    motors, positions = asked_of_parts()
     parser.add_argument("file", metavar="FILE", help="Write this file, such as myboat.toml; it must not exist.")
     parser.add_argument("--yes", action="store_true", help="Ask nothing: what has no option gets its default.")
     parser.add_argument("--boat", metavar="BOAT", help=f"One of etc/boats to begin with: {', '.join(_shipped())}; or own.")
@@ -144,15 +70,15 @@ def options(parser: argparse.ArgumentParser) -> None:
     for name in ("length", "beam"):
         parser.add_argument(f"--{name}", metavar="M", help=f"Its {name} over all, in metres.")
     parser.add_argument("--mass", metavar="KG", help="Its mass as it sails, in kilograms.")
-    parser.add_argument("--motors", metavar="KIND", help=_kinds(MOTORS))
+    parser.add_argument("--motors", metavar="KIND", help=_listed(_kinds(motors)))
     parser.add_argument("--thrust", metavar="N", help="Force of one motor at full power ahead, in newtons.")
     parser.add_argument("--speed", metavar="MPS", help="Its speed at full power in calm water, in metres a second.")
-    parser.add_argument("--sensors", metavar="KIND", help=_kinds(SENSORS))
+    parser.add_argument("--sensors", metavar="KIND", help=_listed(_kinds(positions)))
     told = "Where it lies, in degrees, north and east positive (default: Lisbon)."
     parser.add_argument("--where", nargs=2, metavar=("LAT", "LON"), help=told)
 
 
-def _kinds(kinds: dict[str, str]) -> str:
+def _listed(kinds: dict[str, str]) -> str:
     return "; ".join(f"{kind}: {words}" for kind, words in kinds.items()) + "."
 
 
@@ -222,13 +148,16 @@ def _answers(ask: "_Asking", stem: str) -> Answers:
     length_m = ask("length", "Its length over all, m", "1.5", _positive)
     beam_m = ask("beam", "Its beam over all, m", f"{0.5 * length_m:.3g}", _positive)
     mass_kg = ask("mass", "Its mass as it sails, kg", f"{MASS_KG_PER_M2 * length_m * beam_m:.3g}", _positive)
-    motors = ask("motors", "Motors", "esc", _one_of(MOTORS), MOTORS)
-    usual_n = (3.0 if motors == "rudder" else 2.0) * mass_kg  # as boats of etc/boats have it
+    all_motors, all_positions = asked_of_parts()
+    kinds = _kinds(all_motors)
+    motors = all_motors[ask("motors", "Motors", next(iter(kinds)), _one_of(kinds), kinds)]
+    usual_n = (3.0 if motors[1].rudder else 2.0) * mass_kg  # as boats of etc/boats have it
     thrust_n = ask("thrust", "Force of one motor at full power ahead, N", f"{usual_n:.3g}", _positive)
     guess_mps = full_mps(config.BoatTable(name, length_m=length_m))
     speed_mps = ask("speed", "Its speed at full power in calm water, m/s", f"{guess_mps:.3g}", _positive)
-    usual = "ardupilot" if motors == "ardupilot" else "usb"
-    sensors = ask("sensors", "Position and heading from", usual, _one_of(SENSORS), SENSORS)
+    kinds = _kinds(all_positions)
+    usual = motors[1].beside or next(iter(kinds))
+    sensors = all_positions[ask("sensors", "Position and heading from", usual, _one_of(kinds), kinds)]
     latitude_deg, longitude_deg = ask("where", WHERE, LISBON, _place)
     hull = length_m, beam_m, mass_kg
     return Answers(name, number, *hull, motors, thrust_n, speed_mps, sensors, latitude_deg, longitude_deg)
@@ -306,9 +235,10 @@ def _place(text: str) -> tuple[float, float]:
 
 
 def _buses(of: Answers) -> dict[str, str]:
-    """The CAN interface of each protocol that needs one, as one carries one protocol: can0, then can1."""
-    protocols = [each for each in dict.fromkeys((of.motors, of.sensors)) if each in ON_CAN]
-    return {protocol: f"can{number}" for number, protocol in enumerate(protocols)}
+    """The CAN interface of each part that needs one, as a bus carries one protocol: can0, then can1."""
+    asked = ((of.motors[0], of.motors[1].table), (of.sensors[0], of.sensors[1].text))
+    on_can = dict.fromkeys(part for part, text in asked if "{interface}" in text)
+    return {part: f"can{number}" for number, part in enumerate(on_can)}
 
 
 def _text(of: Answers, file: str, mission: str) -> str:
@@ -330,7 +260,7 @@ interface = "canloop:nodes"  # a bus within the computer: no node of DelfimX is 
 
 # Motors, a table each: place in metres ahead and to starboard of the middle, force in newtons at full power astern and ahead
 # (measure it with a spring scale at a jetty).
-{_thrusters(of)}{MOTOR_TABLES.get(of.motors, "").format(interface=buses.get(of.motors))}
+{_thrusters(of)}{of.motors[1].table.format(interface=buses.get(of.motors[0]))}
 # Position and heading.
 {_sensors(of, buses)}
 # What goes wrong, and what the boat does about it: docs/failsafe.md. Here what a sailor changes most often.
@@ -343,32 +273,32 @@ action = "home"  # back the way it came; or "hold", "stop"
 latitude_deg = {of.latitude_deg:.6f}
 longitude_deg = {of.longitude_deg:.6f}
 mission = "{mission}"
-{INSTRUMENTS if of.sensors == "usb" else ""}sea = {{ wind_mps = 2.0, wind_from_deg = 320.0 }}
+{of.sensors[1].simulation}sea = {{ wind_mps = 2.0, wind_from_deg = 320.0 }}
 """
 
 
 def _sensors(of: Answers, buses: dict[str, str]) -> str:
     """Motors and sensors on one bus or board share its table, which stands at the motors."""
-    text = SENSOR_TABLES[of.sensors].format(interface=buses.get(of.sensors))
-    table = {"dronecan": "\n[dronecan]", "ardupilot": "\n[mavlink_front_seat]"}.get(of.sensors, "")
-    return text.partition(table)[0] + "\n" if table and of.motors == of.sensors else text
+    part, answer = of.sensors
+    text = answer.text.format(interface=buses.get(part))
+    return text.partition(f"\n[{part}]")[0] + "\n" if part == of.motors[0] else text
 
 
 def _thrusters(of: Answers) -> str:
     """A single motor stands in the middle and has a rudder behind it."""
-    driver = {"esc": "pwm", "rudder": "pwm", "ardupilot": "mavlink_front_seat"}.get(of.motors, of.motors)
-    sides = {"motor": 0.0} if of.motors == "rudder" else {"starboard": 0.35 * of.beam_m, "port": -0.35 * of.beam_m}
+    driver, motors = of.motors
+    sides = {"motor": 0.0} if motors.rudder else {"starboard": 0.35 * of.beam_m, "port": -0.35 * of.beam_m}
     rows = ""
     for address, (name, y_m) in enumerate(sides.items()):
         rows += f"""\
 [[thrusters]]
 name = "{name}"
 driver = "{driver}"
-address = {address}  # {ADDRESSES[of.motors]}
+address = {address}  # {motors.address}
 x_m = {-0.4 * of.length_m:.3g}
 y_m = {y_m:.3g}
 thrust_n = [{-0.6 * of.thrust_n:.3g}, {of.thrust_n:.3g}]
-{RUDDER if of.motors == "rudder" else ""}
+{motors.rudder}
 """
     return rows
 

@@ -8,11 +8,13 @@ import pytest
 
 from delfim import config
 from delfim.__main__ import main
-from delfim.commands.new import MOTORS, SENSORS, _shipped
+from delfim.commands.new import _shipped, asked_of_parts
 from delfim.simulator.lockstep import Lockstep
 from delfim.vehicle.console import LoadMission, Play
 from delfim.vehicle.plans.mission import load_mission
 from delfim.vehicle.state import NoLog
+
+MOTORS, SENSORS = map(list, asked_of_parts())
 
 
 @pytest.fixture(autouse=True)
