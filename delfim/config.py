@@ -6,7 +6,6 @@ part (`parts.py`) that the file names has its keys beside these: `whole` adds th
 
 import math
 from collections.abc import Iterator, Sequence
-from ipaddress import ip_network
 from itertools import combinations, pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Final, Literal, cast, get_args, get_type_hints
@@ -23,17 +22,14 @@ from delfim.base.ranges import (
     BitRate,
     Degrees,
     DsorNode,
-    Endpoint,
     Fraction,
     Interface,
     Megabytes,
     Metres,
     Moment,
     Name,
-    Network,
     Seconds,
     Speed,
-    is_loopback,
 )
 from delfim.base.slices import Sliced, Work
 from delfim.base.tables import T, Table, decode, read_toml, text
@@ -716,21 +712,6 @@ class Console(Table, frozen=True):
     clients: Annotated[int, msgspec.Meta(ge=1, le=100)] = 16  # connections at once
 
 
-class GuestTable(Table, frozen=True):
-    """The guest computer's TCP server (GREX in the thesis)."""
-
-    enabled: bool = False  # serve a guest
-    listen: Endpoint = "127.0.0.1:4747"  # address and port; beyond this computer it needs a key
-    networks: tuple[Network, ...] = ("127.0.0.0/8", "::1/128")  # networks that may connect
-    key: str = ""  # file of the key, from `delfim console --keygen FILE`: a guest must prove that it has it; "": it need not
-
-    def __post_init__(self) -> None:
-        for network in self.networks:
-            ip_network(network)
-        if self.enabled and not self.key and not is_loopback(self.listen):
-            raise ValueError("a guest on another computer needs a key; make one with: delfim console --keygen FILE")
-
-
 class LogTable(Table, frozen=True):
     """Where and how logs are written, and the response to a full disk."""
 
@@ -898,7 +879,6 @@ class Vehicle(Table, frozen=True):
     console: Console = Console()
     handset: HandsetTable = HandsetTable()
     kill: KillTable = KillTable()
-    guest: GuestTable = GuestTable()
     log: LogTable = LogTable()
     runtime: RuntimeTable = RuntimeTable()
     supervisor: SupervisorTable = SupervisorTable()

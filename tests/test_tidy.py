@@ -294,6 +294,14 @@ def test_a_part_is_imported_by_itself_alone() -> None:
     assert (found, read) == (KNOWN, READ)
 
 
+def test_tables_import_the_base_alone() -> None:
+    """All of them are loaded with every vehicle's file, by whoever reads one."""
+    inside = ROOT / "delfim"
+    tables = [*inside.glob("parts/*/table.py"), *(path for path in inside.glob("*/tables.py") if path.parent.name != "base")]
+    assert len(tables) > 10
+    assert _lines(tables, re.compile(r"from delfim(?!\.base\.)|import delfim")) == []
+
+
 def test_the_vehicles_state_is_changed_by_the_loop_alone() -> None:
     """By the loop and what it calls; a replay puts in what was recorded. To count what was refused is no change."""
     called = (

@@ -157,7 +157,14 @@ OWN: Final = {  # in the order in which sources are listed
             exposure="delfim.parts.mavlink.exposure:entrances",
             vessels=True,
         ),
-        Part("guest", vessels=True, keys=("nmea0183.guest.device",), aboard="delfim.parts.guest.pilotline:opened"),
+        Part(
+            "guest",
+            "delfim.services.tables:GuestTable",
+            after="kill",
+            vessels=True,
+            keys=("nmea0183.guest.device",),
+            aboard="delfim.parts.guest.pilotline:opened",
+        ),
         Part(
             "traffic",
             keys=("traffic.hears", "traffic.mmsi", "payload"),

@@ -13,7 +13,7 @@ from delfim.base.ranges import NETWORKED
 from delfim.canproxy.tables import Canip, Cantcpd
 from delfim.commands import example_file
 from delfim.parts.nmea2000.table import Nmea2000
-from delfim.services.tables import Slipd
+from delfim.services.tables import GuestTable, Slipd
 from delfim.simulator.tables import Simulation
 
 TOLD = 50  # faults listed for one file
@@ -110,7 +110,7 @@ def _on_the_bus(vehicle: config.Vehicle) -> Iterator[str]:
     """Addresses of the file that the network of canip takes from all others: what is sent to them goes onto the bus."""
     bus = IPv4Interface(vehicle.of(Canip).address).network
     radio = vehicle.of(Slipd)
-    named = {"guest.networks": vehicle.guest.networks if vehicle.guest.enabled else ()}
+    named = {"guest.networks": vehicle.of(GuestTable).networks if vehicle.of(GuestTable).enabled else ()}
     named |= {"cantcpd.watch": vehicle.of(Cantcpd).watch}
     named |= {key: places for told in vehicle.facts("addresses") for key, places in told.items()}
     named |= {"slipd.peer": (radio.peer,) if radio.device else ()}

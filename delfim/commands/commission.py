@@ -20,7 +20,7 @@ from delfim.parts.fleet.table import FleetTable
 from delfim.parts.ros.table import RosTable
 from delfim.services.access import commissioned
 from delfim.services.access.commissioned import BOAT
-from delfim.services.tables import Slipd, Sshd
+from delfim.services.tables import GuestTable, Slipd, Sshd
 from delfim.simulator.tables import Simulation
 
 FILE: Final = "etc/delfimx-sea.toml"
@@ -170,7 +170,7 @@ def _addresses(answers: Mapping[str, str], network: IPv4Interface, settings: con
     found: dict[str, Any] = radio if answers["radio"] else {"slipd.device": ""} if settings.of(Slipd).device else {}
     fleet = settings.of(FleetTable)
     found |= {"mavlink.peers": [f"{console}:14550", *([fleet.listen] if fleet.broker else [])]}
-    if settings.guest.enabled:
+    if settings.of(GuestTable).enabled:
         found |= {"guest.networks": [*(["127.0.0.0/8"] if settings.of(RosTable).commands else []), own]}
     if commissioned.bus(settings):
         found |= {"cantcpd.watch": ["127.0.0.0/8", console, own]}
@@ -180,7 +180,7 @@ def _addresses(answers: Mapping[str, str], network: IPv4Interface, settings: con
 def _opened(settings: config.Vehicle) -> dict[str, Any]:
     """The doors for which commands are printed, on every address of the boat where the file has its own computer's alone. The
     ports stay the file's: Debian has an sshd of its own on port 22."""
-    names = ["mavlink", "httpd", "ftpd", "sshd", *(["guest"] if settings.guest.enabled else [])]
+    names = ["mavlink", "httpd", "ftpd", "sshd", *(["guest"] if settings.of(GuestTable).enabled else [])]
     places = {f"{name}.listen": getattr(settings, name).listen for name in names}
     found: dict[str, Any] = {key: _everywhere(place) for key, place in places.items()}
     if commissioned.bus(settings):
@@ -234,7 +234,7 @@ def _secrets(answers: Mapping[str, str], crew: Mapping[str, str], console_key: s
         "ftpd.certificate": f"{BOAT}/ftpd.pem",
         "sshd.host_key": f"{BOAT}/ssh_host_ed25519",
     }
-    if file.guest.enabled:
+    if file.of(GuestTable).enabled:
         files["boat/guest.key"] = files["guest/guest.key"] = f"{token_hex(32)}\n"
         settings["guest.key"] = f"{BOAT}/guest.key"
     for user, public in crew.items():

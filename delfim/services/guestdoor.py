@@ -13,12 +13,12 @@ from typing import Final, cast
 
 import msgspec
 
-from delfim import config
 from delfim.base.clock import Clock
 from delfim.base.keys import read_key
 from delfim.base.outside import UNREADABLE
 from delfim.canproxy.cantcp.access import Networks
 from delfim.services.access.door import Door
+from delfim.services.tables import GuestTable
 from delfim.vehicle.grex import Guest, proof
 from delfim.vehicle.state import State
 
@@ -43,7 +43,7 @@ _decode = msgspec.json.Decoder(GuestAnswer).decode
 class GuestDoor:
     """Lets the guest in. Raises ConfigError for a key that cannot be read."""
 
-    def __init__(self, table: config.GuestTable, guest: Guest, state: State, clock: Clock) -> None:
+    def __init__(self, table: GuestTable, guest: Guest, state: State, clock: Clock) -> None:
         self.key = read_key(table.key) if table.key else None
         self.guest, self.waiting = guest, set[GuestVisitor]()
         self.door = Door(WAITING, WAITING_PER_ADDRESS)

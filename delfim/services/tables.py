@@ -1,11 +1,22 @@
 """The keys of the daemons of this room in a vehicle's file."""
 
-from ipaddress import IPv4Address
+from ipaddress import IPv4Address, ip_network
 from typing import Annotated, Literal
 
 import msgspec
 
-from delfim.base.ranges import BatteryVoltage, Baud, DeviceName, Endpoint, Fraction, MountPoint, Name, Seconds
+from delfim.base.ranges import (
+    BatteryVoltage,
+    Baud,
+    DeviceName,
+    Endpoint,
+    Fraction,
+    MountPoint,
+    Name,
+    Network,
+    Seconds,
+    is_loopback,
+)
 from delfim.base.tables import Table, text
 
 Password = Annotated[  # hashed; a log shows a hash that no password has
@@ -121,3 +132,18 @@ class Image(Table, frozen=True):
     signers: tuple[PublicKey, ...] = ()  # public ed25519 keys, as ssh-keygen writes them; without any, nothing can be installed
     partition: str = ""  # of the slots, mounted only while it is read or written; "" if the directory is always mounted
     directory: str = "/boot"  # where it is mounted
+
+
+class GuestTable(Table, frozen=True):
+    """The guest computer's TCP server (GREX in the thesis)."""
+
+    enabled: bool = False  # serve a guest
+    listen: Endpoint = "127.0.0.1:4747"  # address and port; beyond this computer it needs a key
+    networks: tuple[Network, ...] = ("127.0.0.0/8", "::1/128")  # networks that may connect
+    key: str = ""  # file of the key, from `delfim console --keygen FILE`: a guest must prove that it has it; "": it need not
+
+    def __post_init__(self) -> None:
+        for network in self.networks:
+            ip_network(network)
+        if self.enabled and not self.key and not is_loopback(self.listen):
+            raise ValueError("a guest on another computer needs a key; make one with: delfim console --keygen FILE")

@@ -33,6 +33,7 @@ from delfim.services.clock.kernelclock import KernelClock
 from delfim.services.guestdoor import GuestDoor
 from delfim.services.image import slots
 from delfim.services.runtime import Runtime
+from delfim.services.tables import GuestTable
 from delfim.services.voyagekeeping import VoyageKeeping
 from delfim.simulator.tables import Simulation
 from delfim.vehicle import snapshot
@@ -228,7 +229,7 @@ async def _attend(
     voyage.bring_back(obeyed, reviews)
     commands = CommandServer(obeyed, reviews, reporting.report, settings.console.clients)
     await _serve_console(commands, settings.console.socket, links)
-    await _serve_guest(boat, settings.guest, links)
+    await _serve_guest(boat, settings.of(GuestTable), links)
     attend = _attended(runtime, boat, hands, obeyed, links)
     reporting.measure()
     ticks, computer, keeping = 0, boat.state.computer, _clock_keeping(runtime, opened, log)
@@ -332,7 +333,7 @@ async def _serve_console(commands: CommandServer, path: str, links: contextlib.E
     os.chmod(path, 0o660)
 
 
-async def _serve_guest(boat: VehicleLoop, table: config.GuestTable, links: contextlib.ExitStack) -> None:
+async def _serve_guest(boat: VehicleLoop, table: GuestTable, links: contextlib.ExitStack) -> None:
     """A boat without its guest sails: if it cannot listen or has no key, the log says so."""
     if not table.enabled:
         return

@@ -137,7 +137,7 @@ def settings_of(vehicle: config.Vehicle, its: Berth, named: Collection[str]) -> 
         **_of_parts(vehicle, place, loop),
         **_beside(vehicle, its),
         **{key: "" for key in (*RADIOS, *HANDS, *_corrected(vehicle), *_shared(vehicle, named)) if key not in named},
-        "guest.listen": free("guest.listen", vehicle.guest.listen),
+        "guest.listen": free("guest.listen", vehicle.table("guest").listen),
         "mavlink.listen": free("mavlink.listen", vehicle.table("mavlink").listen, udp=True),
         "httpd.listen": page,
         "ftpd.listen": free("simulation.ftpd", simulation.ftpd),

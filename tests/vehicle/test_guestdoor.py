@@ -11,13 +11,13 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from delfim import config
 from delfim.base import tables
 from delfim.base.errors import ConfigError
 from delfim.base.keys import new_key, read_key
 from delfim.parts.ros.rossteering import GuestLine
 from delfim.services import guestdoor
 from delfim.services.guestdoor import GuestDoor
+from delfim.services.tables import GuestTable
 from delfim.simulator.guest import Zigzag, guest
 from delfim.vehicle.grex import proof
 
@@ -47,7 +47,7 @@ class Link:
 Opened = Callable[..., Awaitable[Link]]
 
 
-def at_the_door(boat, table: config.GuestTable, story: Callable[[Opened, GuestDoor, int], Awaitable[None]]) -> None:
+def at_the_door(boat, table: GuestTable, story: Callable[[Opened, GuestDoor, int], Awaitable[None]]) -> None:
     async def play() -> None:
         door = GuestDoor(table, boat.guest, boat.state, boat.clock)
         server = await asyncio.get_running_loop().create_server(door.visitor, HOME, 0)
@@ -80,8 +80,8 @@ def key_file(tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def locked(key_file: Path) -> config.GuestTable:
-    return config.GuestTable(enabled=True, key=str(key_file))
+def locked(key_file: Path) -> GuestTable:
+    return GuestTable(enabled=True, key=str(key_file))
 
 
 def test_the_holder_of_the_key_is_the_guest(boat, locked):
@@ -179,7 +179,7 @@ def test_who_does_not_answer_has_five_seconds_and_four_places_an_address(boat, l
 
 def test_a_network_that_is_not_named_is_shut_out_with_the_key_and_without(boat, key_file):
     for key in ("", str(key_file)):
-        table = config.GuestTable(enabled=True, key=key, networks=("127.0.0.2",))
+        table = GuestTable(enabled=True, key=key, networks=("127.0.0.2",))
 
         async def story(opened: Opened, door: GuestDoor, port: int) -> None:
             assert await (await opened()).is_shut()
@@ -236,9 +236,9 @@ def test_the_guest_of_the_document_is_let_in(boat, locked, key_file):
 def test_beyond_this_computer_the_file_must_name_a_key(table, is_refused):
     if is_refused:
         with pytest.raises(ConfigError, match="needs a key"):
-            tables.decode(table, config.GuestTable, "boat.toml")
+            tables.decode(table, GuestTable, "boat.toml")
     else:
-        assert msgspec.structs.asdict(tables.decode(table, config.GuestTable, "boat.toml"))["listen"] == table["listen"]
+        assert msgspec.structs.asdict(tables.decode(table, GuestTable, "boat.toml"))["listen"] == table["listen"]
 
 
 def test_steering_from_ros_that_the_door_refuses_says_where_the_reason_is(boat, locked):

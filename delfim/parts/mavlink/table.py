@@ -6,7 +6,6 @@ import msgspec
 
 from delfim.base.ranges import Baud, Listen, Seconds, address, is_loopback
 from delfim.base.tables import Table, text
-from delfim.services.tables import Slipd
 
 
 class Mavlink(Table, frozen=True):
@@ -27,7 +26,7 @@ class Mavlink(Table, frozen=True):
             raise ValueError("anybody may be heard on a radio: it needs a key; make one with: delfim console --keygen FILE")
 
     def settled(self, vehicle: Any) -> "Mavlink":
-        if self.serial and self.serial == vehicle.of(Slipd).device:
+        if self.serial and self.serial == vehicle.slipd.device:
             raise ValueError("mavlink.serial and slipd.device are one port: a radio carries MAVLink or IP")
         return self
 

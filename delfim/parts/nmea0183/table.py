@@ -15,7 +15,6 @@ from delfim.base.ranges import (
     is_loopback,
 )
 from delfim.base.tables import Table, text
-from delfim.simulator.tables import Simulation
 
 LINES = 8  # of NMEA 0183, at most
 LineDevice = Annotated[
@@ -111,7 +110,7 @@ class Nmea0183(Table, frozen=True):
     def settled(self, vehicle: Any) -> "Nmea0183":
         if vehicle.guest.enabled and self.guest.device:
             raise ValueError("guest.enabled and nmea0183.guest.device: two guests would steer by turns; choose one")
-        for each in vehicle.of(Simulation).instruments:
+        for each in vehicle.simulation.instruments:
             if (port := each.partition(":")[0]) not in self.ports:
                 raise ValueError(f"simulation.instruments: there is no port {port} in nmea0183")
         return self

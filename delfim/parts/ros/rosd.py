@@ -21,6 +21,7 @@ from delfim.parts.ros.roskeys import RosNode, RosType, attachment
 from delfim.parts.ros.rossteering import GuestLine, Steering
 from delfim.parts.ros.table import RosTable
 from delfim.services.runtime import Runtime
+from delfim.services.tables import GuestTable
 from delfim.services.watching import watch
 from delfim.vehicle.report import BoatReport
 
@@ -51,7 +52,7 @@ class RosBoat:
         self._battery = self._publisher(f"{space}/battery", messages.BATTERY)
         self._diagnostics = self._publisher("/diagnostics", messages.DIAGNOSTICS)
         self._steering = Steering(settings.control.speed.cruise_mps)
-        self.guest = GuestLine(settings.guest) if settings.of(RosTable).commands else None
+        self.guest = GuestLine(settings.of(GuestTable)) if settings.of(RosTable).commands else None
         self._inputs: list[tuple[Any, Callable[[bytes], None]]] = []
         if self.guest is not None:
             self._subscribe(f"{space}/cmd_vel", messages.TWIST, self._on_twist)

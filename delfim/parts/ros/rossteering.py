@@ -11,12 +11,12 @@ from typing import Final, NamedTuple
 
 import msgspec
 
-from delfim import config
 from delfim.base import geodesy
 from delfim.base.errors import FormatError, in_words
 from delfim.base.keys import read_key
 from delfim.base.outside import UNREADABLE
 from delfim.base.ranges import address
+from delfim.services.tables import GuestTable
 from delfim.vehicle.grex import proof
 from delfim.vehicle.report import BoatReport
 
@@ -101,7 +101,7 @@ class _Challenge(msgspec.Struct, frozen=True):
 class GuestLine:
     """The connection to the guest's door. `reason`: why there is none, or empty. Raises ConfigError for a bad key."""
 
-    def __init__(self, table: config.GuestTable) -> None:
+    def __init__(self, table: GuestTable) -> None:
         self._address = address(table.listen)
         self._key = read_key(table.key) if table.key else None
         self._writer: asyncio.StreamWriter | None = None

@@ -11,7 +11,7 @@ from typing import Final
 from delfim import config
 from delfim.base.ranges import address, is_loopback
 from delfim.canproxy.tables import Cantcpd
-from delfim.services.tables import Ftpd, Httpd, Slipd, Sshd
+from delfim.services.tables import Ftpd, GuestTable, Httpd, Slipd, Sshd
 
 BOAT: Final = "/log/.boat"  # aboard; names with a dot in front are given out by no service
 
@@ -40,7 +40,7 @@ def carried(output: Path, settings: config.Vehicle, kind: str, network: IPv4Inte
             "    words for its kernel (boot/grub/boat.cfg or cmdline.txt): "
             f"VEHICLE={BOAT}/boat.toml NET={interface} ADDRESS={network}",
         ]
-    if settings.guest.enabled:
+    if settings.of(GuestTable).enabled:
         lines.append(f"To the guest computer: {output}/guest/guest.key (docs/guest.md)")
     return "\n".join(lines)
 

@@ -12,7 +12,7 @@ from delfim import config
 from delfim.base import parts
 from delfim.base.ranges import is_loopback
 from delfim.canproxy.tables import Canip, Cantcpd
-from delfim.services.tables import Ftpd, Httpd, Slipd, Sshd
+from delfim.services.tables import Ftpd, GuestTable, Httpd, Slipd, Sshd
 from delfim.simulator.tables import Simulation
 
 EVERY: Final = "every program of this computer"
@@ -59,7 +59,7 @@ STEER: Final = "be the guest computer, which steers in mode grex"
 
 
 def _guest(settings: config.Vehicle) -> Iterator[Entrance]:
-    table, may = settings.guest, STEER
+    table, may = settings.of(GuestTable), STEER
     if table.enabled and table.key:
         who = f"holders of {table.key} in {listed(table.networks)}"
         yield Entrance("guest", table.listen, "known", who, may)

@@ -25,6 +25,7 @@ from delfim.parts.ros.table import RosTable
 from delfim.services.access.doors import doors
 from delfim.services.guestdoor import GuestDoor
 from delfim.services.suite import services
+from delfim.services.tables import GuestTable
 from delfim.vehicle.grex import Guest, HeadingReference, reference
 from delfim.vehicle.report import BoatReport
 from tests.parts.fleet.test_fleetd import loaded_by_delfimx
@@ -222,7 +223,7 @@ def peer(port: int, store: Any) -> Iterator[Any]:
 
 
 @contextlib.asynccontextmanager
-async def guests_door(table: config.GuestTable) -> AsyncIterator[list[bytes]]:
+async def guests_door(table: GuestTable) -> AsyncIterator[list[bytes]]:
     """The vehicle's door for the guest, and what the guest says."""
     state: Any = SimpleNamespace(navigation=None, count=lambda what: None)
     guest, said = Guest(state, SystemClock()), list[bytes]()
@@ -247,7 +248,7 @@ def settings(tmp_path: Path, port: int, guest: int) -> config.Vehicle:
     new_key(tmp_path / "guest.key")
     return vehicle_file(
         tmp_path,
-        guest=config.GuestTable(enabled=True, listen=f"127.0.0.1:{guest}", key=str(tmp_path / "guest.key")),
+        guest=GuestTable(enabled=True, listen=f"127.0.0.1:{guest}", key=str(tmp_path / "guest.key")),
         ros=RosTable(router=f"tcp/127.0.0.1:{port}", commands=True),
     )
 
