@@ -56,12 +56,14 @@ def test_quick_run_has_every_field(tmp_path: Path, capsys: pytest.CaptureFixture
 
 
 def test_lock_step_bench(tmp_path: Path) -> None:
-    words = ["sim", "--rounds", "2", "--seconds", "60"]
+    words = ["sim", "--rounds", "2", "--seconds", "20"]
     assert main([*words, "--file", VEHICLE, "--output", str(tmp_path)]) == 0
     results = json.loads((tmp_path / "sim.json").read_text())
     assert results["repetitions"] == 2
-    for times in results["times_real_time"], results["times_processor_time"]:
-        assert 1 < times["min"] <= times["median"] <= times["max"]
+    assert {*results["boats"]} == {"delfimx", *(file.stem for file in Path(VEHICLE).parent.glob("boats/*.toml"))}
+    for boat in results["boats"].values():
+        for times in boat["times_real_time"], boat["times_processor_time"]:
+            assert 1 < times["min"] <= times["median"] <= times["max"]
 
 
 @needs_mosquitto
