@@ -17,7 +17,8 @@ SILENT_S: Final = 0.7  # of the commanding program; its own repetition begins af
 WORDS: Final = 200  # bytes of a trouble, at most
 STATES: Final = ("stopped", "arming", "running")
 _RECORD: Final = struct.Struct(f"<IB{CHANNELS}h")
-_ANSWER: Final = struct.Struct("<IB")
+_ANSWER: Final = struct.Struct("<IB")  # the head of a command, too
+_new = tuple.__new__  # in half the time of PulseAnswer(...)
 
 
 class PulseCommand(NamedTuple):
@@ -52,6 +53,12 @@ def unpack_command(data: bytes) -> PulseCommand:
     return PulseCommand(counter, run == 1, tuple([each / FULL for each in fractions]))
 
 
+def unpack_head(data: bytes) -> tuple[int, bool]:
+    """Counter and `run` of a command, for an outlet that is played and turns no motors."""
+    counter, run = _ANSWER.unpack_from(data)
+    return counter, run == 1
+
+
 def pack_answer(answer: PulseAnswer) -> bytes:
     return _ANSWER.pack(answer.counter, STATES.index(answer.state)) + answer.trouble.encode()[:WORDS]
 
@@ -61,4 +68,4 @@ def unpack_answer(data: bytes) -> PulseAnswer:
     if len(data) < _ANSWER.size or data[4] >= len(STATES):
         raise FormatError("no answer of an outlet")
     counter, state = _ANSWER.unpack_from(data)
-    return PulseAnswer(counter, STATES[state], data[_ANSWER.size :].decode(errors="replace"))
+    return _new(PulseAnswer, (counter, STATES[state], data[_ANSWER.size :].decode(errors="replace")))

@@ -12,7 +12,7 @@ import msgspec
 from delfim import config
 from delfim.base.clock import ManualClock
 from delfim.base.modes import Mode
-from delfim.base.pulses import STATES, PulseAnswer, pack_answer, socket_path, unpack_command
+from delfim.base.pulses import STATES, PulseAnswer, pack_answer, socket_path, unpack_head
 from delfim.base.slices import Sliced
 from delfim.canproxy.socket import CanAddress, CanSocket
 from delfim.lines.forms import Form
@@ -248,8 +248,8 @@ class Lockstep:
     def _answer(self, outlet: LockstepLine) -> None:
         """As the outlet does, which holds the last pulses while it is silent."""
         while outlet.written:
-            command = unpack_command(outlet.written.popleft())
-            outlet.put(pack_answer(PulseAnswer(command.counter, STATES[2 * command.run], "")))
+            counter, run = unpack_head(outlet.written.popleft())
+            outlet.put(pack_answer(PulseAnswer(counter, STATES[2 * run], "")))
 
     def _navigate_again(self) -> None:
         """Of late messages some come at once. Nobody knows whether a line has more."""

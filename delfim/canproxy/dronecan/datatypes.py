@@ -47,6 +47,7 @@ ON, OFF = bytes((255,)), bytes((0,))  # payloads of ArmingStatus (armed) and Saf
 RPM_MAX: Final = 20_000  # a report beyond it is refused: no propeller turns like that
 _KELVIN: Final = 273.15
 _TESLA: Final = 1e-4  # in a gauss
+_new = tuple.__new__  # in half the time of EscStatus(...): a motor reports 25 times a second
 _UNKNOWN_PERCENT: Final = 127
 _DIAGONALS: Final = {
     6: (0, 1, 3, 4),
@@ -184,15 +185,6 @@ def node_status(uptime_s: float, health: int = 0, mode: int = 0) -> bytes:
     return pack(NODE_STATUS, (int(uptime_s), health, mode, 0, 0))
 
 
-def esc_status(told: EscStatus) -> bytes:
-    """Status, as a motor controller says it; NaN is unknown, and 127 of a power."""
-    volts, amperes, degrees = (
-        math.nan if each is None else each for each in (told.voltage_v, told.current_a, told.temperature_c)
-    )
-    percent = _UNKNOWN_PERCENT if told.power is None else min(round(100.0 * told.power), 126)
-    return pack(ESC_STATUS, (told.errors, volts, amperes, degrees + _KELVIN, told.rpm, percent, told.motor))
-
-
 def number_request(asked: NumberRequest) -> bytes:
     return pack(ALLOCATION, (asked.node, asked.is_first), tuple(asked.identity))
 
@@ -219,7 +211,7 @@ def _vector(values: Sequence[float], name: str) -> tuple[float, float, float]:
 
 def _read_node_status(values: Sequence[Any], items: Sequence[Any]) -> NodeStatus:
     uptime_s, health, mode, _, code = values
-    return NodeStatus(uptime_s, health, mode, code)
+    return _new(NodeStatus, (uptime_s, health, mode, code))
 
 
 def _read_esc_status(values: Sequence[Any], items: Sequence[Any]) -> EscStatus:
@@ -227,7 +219,7 @@ def _read_esc_status(values: Sequence[Any], items: Sequence[Any]) -> EscStatus:
     if abs(rpm) > RPM_MAX:
         raise FormatError(f"impossible {rpm} rpm of motor {index}")
     known = _known(voltage_v), _known(current_a), _celsius(kelvin)
-    return EscStatus(errors, *known, rpm, _share(percent), index)
+    return _new(EscStatus, (errors, *known, rpm, _share(percent), index))
 
 
 def _read_battery(values: Sequence[Any], items: Sequence[Any]) -> BatteryInfo:
@@ -287,11 +279,11 @@ def _read_heading(values: Sequence[Any], items: Sequence[Any]) -> RelativeHeadin
 
 def _read_magnetic(values: Sequence[Any], items: Sequence[Any]) -> MagneticField:
     x, y, z = _vector(values[-3:], "magnetic field")
-    return MagneticField(values[0] if len(values) > 3 else 0, (x * _TESLA, y * _TESLA, z * _TESLA))
+    return _new(MagneticField, (values[0] if len(values) > 3 else 0, (x * _TESLA, y * _TESLA, z * _TESLA)))
 
 
 def _read_imu(values: Sequence[Any], items: Sequence[Any]) -> ImuSample:
-    return ImuSample(_vector(values[2:5], "rate of turn"), _vector(values[8:11], "acceleration"))
+    return _new(ImuSample, (_vector(values[2:5], "rate of turn"), _vector(values[8:11], "acceleration")))
 
 
 def _read_allocation(values: Sequence[Any], items: Sequence[Any]) -> NumberRequest:

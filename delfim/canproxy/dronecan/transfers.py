@@ -41,7 +41,7 @@ class Publisher:
         """The frames of the next transfer, to be sent in this order."""
         number = self._number = (self._number + 1) & NUMBER
         if len(payload) <= 7:  # as below: this is on the critical path
-            return [(self._arb, payload + bytes((START | END | number,)))]
+            return [(self._arb, payload + _TAILS[START | END | number])]
         return framed(self._arb, self._seed, number, payload)
 
 

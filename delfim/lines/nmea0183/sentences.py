@@ -23,6 +23,7 @@ _NUMBER: Final = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)").fullmatch
 _CLOCK: Final = re.compile(r"\d{6}(\.\d*)?").fullmatch
 _QUALITY: Final = {"0": 0, "1": 3, "2": 4, "3": 3, "4": 5, "5": 6}  # GGA; reckoned, typed and simulated (6, 7, 8) are no fix
 _MODE: Final = {"A": 3, "D": 4, "P": 3, "R": 5, "F": 6, "E": 0, "M": 0, "S": 0, "N": 0}  # RMC, VTG, GLL, GNS
+_new = tuple.__new__  # in half the time of Located(...): for the sentences that come ten times a second
 _SPEED_UNIT: Final = {"N": KNOT, "M": 1.0, "K": 1.0 / 3.6, "S": 1609.344 / 3600.0}
 
 
@@ -221,7 +222,8 @@ def _gga(f: list[str]) -> Located:
     fix = _QUALITY.get(f[6], 0)
     latitude_rad, longitude_rad = _position(*f[2:6]) if fix else (None, None)
     age_s = _age(f, 13)
-    return Located(_day_s(f[1]), latitude_rad, longitude_rad, fix, _count(f[7]), _within(f[8], 1000.0), corrections_s=age_s)
+    told = _day_s(f[1]), latitude_rad, longitude_rad, fix, _count(f[7]), _within(f[8], 1000.0), None, None, None, age_s
+    return _new(Located, told)
 
 
 def _gns(f: list[str]) -> Located:
@@ -290,7 +292,7 @@ def _hdg(f: list[str]) -> Bearing:
         return Bearing(None, None, variation_rad)
     magnetic_rad = (sensor_rad + (deviation_rad or 0.0)) % math.tau
     true_rad = None if variation_rad is None else (magnetic_rad + variation_rad) % math.tau
-    return Bearing(true_rad, magnetic_rad, variation_rad)
+    return _new(Bearing, (true_rad, magnetic_rad, variation_rad, 0.0))
 
 
 def _rot(f: list[str]) -> Turning:
@@ -300,7 +302,7 @@ def _rot(f: list[str]) -> Turning:
         return Turning(None)
     if abs(rate_radps := math.radians(rate) / 60.0) > TURN_MAX_RADPS:
         raise FormatError("out of range")
-    return Turning(rate_radps)
+    return _new(Turning, (rate_radps,))
 
 
 def _zda(f: list[str]) -> DateTime:

@@ -20,11 +20,9 @@ from delfim.canproxy.dronecan.datatypes import (
     RAW_MAX,
     RPM_COMMAND,
     CommandKind,
-    EscStatus,
-    esc_status,
     node_status,
 )
-from delfim.canproxy.dronecan.fields import unpack
+from delfim.canproxy.dronecan.fields import pack, unpack
 from delfim.canproxy.dronecan.transfers import STATUS, Publisher, TransferReceiver
 from delfim.parts.dronecan.table import Dronecan
 from delfim.simulator.model import Model
@@ -32,6 +30,7 @@ from delfim.simulator.nodes.period import TOLERANCE_S, Period, patience_s
 from delfim.simulator.tables import Simulation
 
 FIRST_NODE: Final = 20
+KELVIN: Final = 273.15
 REPORT_S: Final = 0.04
 WORD_S: Final = 1.0  # between two words of a node on itself
 _new = tuple.__new__  # a third of the time of Frame(...)
@@ -75,9 +74,9 @@ class Esc:
         drive = self._drive
         if not drive.powered:
             return []
-        rpm, power = round(self._sign * drive.rpm), abs(drive.part)
-        told = EscStatus(0, drive.voltage_v, drive.motor_a, drive.temperature_c, rpm, power, self._row.address)
-        return self._report.frames(esc_status(told))
+        rpm, percent = round(self._sign * drive.rpm), min(round(100.0 * abs(drive.part)), 126)  # 127 is unknown
+        told = 0, drive.voltage_v, drive.motor_a, drive.temperature_c + KELVIN, rpm, percent, self._row.address
+        return self._report.frames(pack(ESC_STATUS, told))
 
     def words(self, uptime_s: float) -> list[tuple[int, bytes]]:
         return self._word.frames(node_status(uptime_s)) if self._drive.powered else []

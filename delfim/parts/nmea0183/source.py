@@ -43,6 +43,9 @@ class LineData(NamedTuple):
     data: bytes
 
 
+_new = tuple.__new__  # in half the time of LineData(...)
+
+
 def _when(piece: LineData) -> int:
     return piece.t_ns
 
@@ -109,7 +112,7 @@ class Nmea0183Navigation:
             while data := port.line.read():
                 if GREETING in data:
                     port.line.write(WATCH)
-                yield LineData(port.line.t_ns, port, data)
+                yield _new(LineData, (port.line.t_ns, port, data))
                 if port.line.fileno() >= 0:
                     return
 

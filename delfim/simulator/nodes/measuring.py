@@ -17,6 +17,7 @@ LEAST_HZ: Final = 1.0  # of a sensor that is not there, and says nothing
 CORRECTED_S: Final = 1.0  # age of the corrections of a receiver that gets them
 DEPTH_NOISE: Final = 0.01  # of the depth
 WIND_NOISE_MPS: Final = 0.2  # of each component
+_new = tuple.__new__  # in half the time of Turn(...)
 
 
 class AntennaMotion(NamedTuple):
@@ -112,7 +113,7 @@ class Compass:
         rate_radps = model.yaw_rate_radps + gauss(0.0, self._rate_radps) + self.bias_radps
         self.bias_radps += self.drift_radps2 * self._period_s
         if self._said is None or not self.frozen:
-            self._said = Turn(heading_rad, rate_radps)
+            self._said = _new(Turn, (heading_rad, rate_radps))
         return None if self.silent or self._lacks else self._said
 
 

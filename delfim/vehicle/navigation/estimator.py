@@ -311,7 +311,8 @@ class Estimator:
             heading = turn.heading_rad
         if turn.has_gyro or (turn.known and turn.p22 < UNKNOWN_RADPS**2):
             rate = turn.rate_radps
-        return Estimate(latitude, longitude, north, east, heading, rate, math.sqrt(course.p11), math.sqrt(turn.p11))
+        deviations = math.sqrt(course.p11), math.sqrt(turn.p11)
+        return tuple.__new__(Estimate, (latitude, longitude, north, east, heading, rate, *deviations))  # on the critical path
 
     def _heard(self, health: InputHealth, value: tuple[float, ...], at_s: float) -> None:
         health.hear(value, at_s)

@@ -74,4 +74,4 @@ def _turned(wanted: Actuation, previous: Actuation, limits: GateLimits, dt_s: fl
         angles[row] = now
         if any(start < now < end for start, end in forbidden):
             sent[row] = 0.0
-    return Actuation(tuple(sent), tuple(angles), True)
+    return _new(Actuation, (tuple(sent), tuple(angles), True))
