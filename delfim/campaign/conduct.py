@@ -93,11 +93,11 @@ def tell(file: CampaignFile, plan: Plan, folder: Path, command: str, against: Pa
     for name, columns, rows in answers:
         print(f"\n  {name}\n", *(f"  {line}" for line in findings.shown(columns, rows).splitlines()), "", sep="\n")
     searched = not file.pairs or pairtable.tell(database, file.pairs, folder)
-    from delfim.campaign import report  # its pictures take half a second to import, which nobody waits for before the first run
+    if file.page or against:
+        from delfim.campaign import report  # its pictures take half a second to import: nobody waits before the first run
 
-    earlier = findings.connect(against) if against else None
-    page = report.write(folder, plan, database, verdicts, answers, command, earlier)
-    print(f"  report {page}")
+        earlier = findings.connect(against) if against else None
+        print(f"  report {report.write(folder, plan, database, verdicts, answers, command, earlier)}")
     if database.execute("select count(distinct (point, seed)) from runs").fetchone() != (plan.runs,):
         raise DelfimError("runs are missing")
     return int(not (searched and all(holds for _, holds, _ in verdicts)))

@@ -90,6 +90,7 @@ class CampaignFile(tables.Table, frozen=True):
     seeds: Seeds = Seeds()
     audit: bool = False  # each run's log is judged by the second auditor: what it finds is a failure
     pairs: Annotated[float, msgspec.Meta(ge=0.0, le=1.0)] = 0.0  # part of the possible pairs that must be met; 0: not counted
+    page: bool = True  # write the page with its pictures at the end
     latin: bool = False  # draw evenly: each of as many slices of a range as there are seeds is met once
     vary: dict[Key, Annotated[tuple[Scalar, ...], msgspec.Meta(min_length=1)] | Steps] = msgspec.field(default_factory=dict)
     draw: dict[Key, Draw] = msgspec.field(default_factory=dict)

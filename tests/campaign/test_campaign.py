@@ -4,6 +4,7 @@ import itertools
 import json
 import os
 import platform
+import shutil
 import signal
 import socket
 import subprocess
@@ -46,6 +47,18 @@ def digests(folder: Path) -> dict[tuple[int, int], str]:
     rows = findings.asked(findings.connect(folder), "select point, seed, digest from runs")[1]
     assert len(rows) == len({row[:2] for row in rows}), "a run is there twice"
     return {(point, seed): digest for point, seed, digest in rows}
+
+
+def test_the_page_is_left_out_by_a_word_and_what_is_sailed_is_the_same(sailed: tuple[Path, Path], tmp_path: Path) -> None:
+    path, folder = sailed
+    without = tmp_path / "campaign.toml"
+    without.write_text("page = false\n" + path.read_text())
+    file, plan = read(str(without))
+    assert plan.digest == read(str(path))[1].digest
+    copied = shutil.copytree(folder, tmp_path / "out")
+    (copied / "report.html").unlink()
+    assert conduct.tell(file, plan, copied, "delfim campaign FILE", None) == 0
+    assert not (copied / "report.html").exists()
 
 
 HOSTILE = {
