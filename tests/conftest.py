@@ -1,7 +1,10 @@
 """Fixtures for all tests, and the rule that continuous integration skips nothing."""
 
+import asyncio
+import contextlib
 import ctypes
 import fcntl
+import inspect
 import os
 import signal
 import socket
@@ -55,6 +58,26 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Producer) -> Rooms:
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Guests begin first, so that nobody waits for them in the end."""
     items.sort(key=lambda item: "guest" not in item.path.parts)
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_pyfunc_call(pyfuncitem: pytest.Function) -> bool | None:
+    """A test may be a coroutine: it runs in a loop of its own, or by the fixture `runner`. A fixture that is an asynchronous
+    context is entered there."""
+    if not inspect.iscoroutinefunction(pyfuncitem.obj):
+        return None
+
+    async def told() -> None:
+        async with contextlib.AsyncExitStack() as entered:
+            given = {name: pyfuncitem.funcargs[name] for name in inspect.signature(pyfuncitem.obj).parameters}
+            for name, value in given.items():
+                if isinstance(value, contextlib.AbstractAsyncContextManager):
+                    given[name] = await entered.enter_async_context(value)
+            await pyfuncitem.obj(**given)
+
+    run = pyfuncitem.funcargs["runner"].run if "runner" in pyfuncitem.funcargs else asyncio.run
+    run(told())
+    return True
 
 
 @pytest.fixture

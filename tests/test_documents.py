@@ -5,7 +5,6 @@ is not; but `delfim` in it is parsed, and `make` has its target. A block without
 anything else stands in a fence with its language.
 """
 
-import asyncio
 import functools
 import os
 import re
@@ -219,24 +218,20 @@ def test_the_site_loads_nothing_from_elsewhere(site: Path, tmp_path: Path) -> No
 
 
 @pytest.mark.long
-def test_a_reader_without_a_network_finds_and_sees_everything(site: Path) -> None:
+async def test_a_reader_without_a_network_finds_and_sees_everything(site: Path) -> None:
     """From a folder, not from a server: the search of a browser that reaches nobody, and the diagrams."""
-
-    async def read() -> None:
-        async with tab() as page:
-            await page.call("Network.enable")
-            await page.open(f"{site.as_uri()}/docs/sea.html?q=%22dead-man%22", width=1280, height=900)
-            await page.until("!!document.querySelector('.md-search-result__item a')")
-            found = await page.value("[...document.querySelectorAll('.md-search-result__item > a')].map(a => a.pathname)")
-            assert any(path.endswith("/docs/runtime.html") for path in found)
-            await page.open(f"{site.as_uri()}/docs/runtime.html", width=1280, height=900)
-            await page.until("!!document.querySelector('div.mermaid')")  # pre, until it is drawn
-            assert [url for url in page.requests if not url.startswith(("file:", "blob:", "data:"))] == []
-            await page.open(f"{site.as_uri()}/docs/vehicle-file.html", width=390, height=844)
-            widths = await page.value("[...document.querySelectorAll('.md-typeset table')].map(each => each.scrollWidth)")
-            assert sum(width > 370 for width in widths) <= 0.2 * len(widths), "a phone shows all columns of a table"
-
-    asyncio.run(read())
+    async with tab() as page:
+        await page.call("Network.enable")
+        await page.open(f"{site.as_uri()}/docs/sea.html?q=%22dead-man%22", width=1280, height=900)
+        await page.until("!!document.querySelector('.md-search-result__item a')")
+        found = await page.value("[...document.querySelectorAll('.md-search-result__item > a')].map(a => a.pathname)")
+        assert any(path.endswith("/docs/runtime.html") for path in found)
+        await page.open(f"{site.as_uri()}/docs/runtime.html", width=1280, height=900)
+        await page.until("!!document.querySelector('div.mermaid')")  # pre, until it is drawn
+        assert [url for url in page.requests if not url.startswith(("file:", "blob:", "data:"))] == []
+        await page.open(f"{site.as_uri()}/docs/vehicle-file.html", width=390, height=844)
+        widths = await page.value("[...document.querySelectorAll('.md-typeset table')].map(each => each.scrollWidth)")
+        assert sum(width > 370 for width in widths) <= 0.2 * len(widths), "a phone shows all columns of a table"
 
 
 @pytest.mark.long

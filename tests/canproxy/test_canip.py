@@ -180,88 +180,67 @@ async def until(condition: Callable[[], bool]) -> None:
 
 @pytest.mark.parametrize("source_known", [True, False])
 @pytest.mark.parametrize("size", [0, 1, 1472, 20_000])
-def test_a_datagram_crosses_the_bus(size: int, source_known: bool) -> None:
-    async def main() -> None:
-        with sides(source_known) as (first, second):
-            first.device.send(packet(data=bytes(size)))
-            raw = await second.read()
-            await until(lambda: "delivered" in first.counts)
-            assert parsed(raw) == (number(SECOND), 4747, bytes(size))
-            assert raw[12:16] == IPv4Address(FIRST if source_known else "192.168.1.1").packed
-            assert first.counts == {"sent": 1, "delivered": 1}
-            assert second.counts == {"received": 1}
-            assert first.carrier.report() == {"datagrams": {"sent": 1, "delivered": 1}, "protocol": {}, "waiting": 0}
-
-    asyncio.run(main())
+async def test_a_datagram_crosses_the_bus(size: int, source_known: bool) -> None:
+    with sides(source_known) as (first, second):
+        first.device.send(packet(data=bytes(size)))
+        raw = await second.read()
+        await until(lambda: "delivered" in first.counts)
+        assert parsed(raw) == (number(SECOND), 4747, bytes(size))
+        assert raw[12:16] == IPv4Address(FIRST if source_known else "192.168.1.1").packed
+        assert first.counts == {"sent": 1, "delivered": 1}
+        assert second.counts == {"received": 1}
+        assert first.carrier.report() == {"datagrams": {"sent": 1, "delivered": 1}, "protocol": {}, "waiting": 0}
 
 
 @pytest.mark.parametrize("destination", ["192.168.1.255", "255.255.255.255", "239.1.2.3"])
-def test_broadcast_goes_to_everybody(destination: str) -> None:
-    async def main() -> None:
-        with sides() as (first, second):
-            first.device.send(packet(destination))
-            assert parsed(await second.read())[0] == number(destination)
-            assert first.counts == {"sent": 1}
-
-    asyncio.run(main())
+async def test_broadcast_goes_to_everybody(destination: str) -> None:
+    with sides() as (first, second):
+        first.device.send(packet(destination))
+        assert parsed(await second.read())[0] == number(destination)
+        assert first.counts == {"sent": 1}
 
 
-def test_what_does_not_travel_is_counted() -> None:
-    async def main() -> None:
-        with sides() as (first, _):
-            for raw in (packet(protocol=1), packet(fragment=0x2000), packet("10.0.0.1"), b"\x60" + bytes(50), packet()[:-1]):
-                first.device.send(raw)
-            await until(lambda: sum(first.counts.values()) == 5)
-            assert first.counts == dict.fromkeys(
-                ("not UDP", "a fragment", "no node has the address", "not IPv4", "malformed"), 1
-            )
-
-    asyncio.run(main())
+async def test_what_does_not_travel_is_counted() -> None:
+    with sides() as (first, _):
+        for raw in (packet(protocol=1), packet(fragment=0x2000), packet("10.0.0.1"), b"\x60" + bytes(50), packet()[:-1]):
+            first.device.send(raw)
+        await until(lambda: sum(first.counts.values()) == 5)
+        assert first.counts == dict.fromkeys(("not UDP", "a fragment", "no node has the address", "not IPv4", "malformed"), 1)
 
 
-def test_a_dead_node_costs_its_own_datagrams_only() -> None:
-    async def main() -> None:
-        with sides() as (first, second):
-            for _ in range(WAITING_MAX + 3):
-                first.device.send(packet("192.168.1.9"))
-            first.device.send(packet())
-            assert parsed(await second.read())[2] == b"hello"
-            assert first.counts["too many wait"] == 3
-            await until(lambda: first.counts["not acknowledged"] > 0)
-            assert first.carrier.report()["waiting"] < WAITING_MAX
-
-    asyncio.run(main())
+async def test_a_dead_node_costs_its_own_datagrams_only() -> None:
+    with sides() as (first, second):
+        for _ in range(WAITING_MAX + 3):
+            first.device.send(packet("192.168.1.9"))
+        first.device.send(packet())
+        assert parsed(await second.read())[2] == b"hello"
+        assert first.counts["too many wait"] == 3
+        await until(lambda: first.counts["not acknowledged"] > 0)
+        assert first.carrier.report()["waiting"] < WAITING_MAX
 
 
-def test_what_comes_from_the_bus_and_is_no_datagram() -> None:
+async def test_what_comes_from_the_bus_and_is_no_datagram() -> None:
     """A message too large for UDP is dropped where it arrives; messages of the other kinds are left to others."""
-
-    async def main() -> None:
-        with sides() as (_, second), open_can(BUS) as can:
-            end = Endpoint(can, 7)
-            end.start(Message(1, 7, BROADCAST, 5, b"segmented"), 0.0)
-            end.start(Message(1, 7, BROADCAST, 0, bytes(UDP_MAX + 1), port=1, address=number(SECOND)), 0.0)
-            while end.is_sending:
-                end.step(0.0)
-                await asyncio.sleep(0)
-            await until(lambda: bool(second.counts))
-            assert second.counts == {"too large for UDP": 1}
-
-    asyncio.run(main())
+    with sides() as (_, second), open_can(BUS) as can:
+        end = Endpoint(can, 7)
+        end.start(Message(1, 7, BROADCAST, 5, b"segmented"), 0.0)
+        end.start(Message(1, 7, BROADCAST, 0, bytes(UDP_MAX + 1), port=1, address=number(SECOND)), 0.0)
+        while end.is_sending:
+            end.step(0.0)
+            await asyncio.sleep(0)
+        await until(lambda: bool(second.counts))
+        assert second.counts == {"too large for UDP": 1}
 
 
-def test_a_device_that_is_gone_ends_the_service() -> None:
-    async def main() -> None:
-        ours, theirs = socket.socketpair()
-        with open_can(BUS) as can:
-            carrier = CanIp(asyncio.get_running_loop(), ours.fileno(), can, Canip(), 0)
-            for end in (ours, theirs):
-                end.close()
-            with pytest.raises(DelfimError, match="canip0: Bad file descriptor"):
-                carrier.on_packets()
-            carrier.close()
-
-    asyncio.run(main())
+async def test_a_device_that_is_gone_ends_the_service() -> None:
+    ours, theirs = socket.socketpair()
+    with open_can(BUS) as can:
+        carrier = CanIp(asyncio.get_running_loop(), ours.fileno(), can, Canip(), 0)
+        for end in (ours, theirs):
+            end.close()
+        with pytest.raises(DelfimError, match="canip0: Bad file descriptor"):
+            carrier.on_packets()
+        carrier.close()
 
 
 # Settings and the device
@@ -299,36 +278,32 @@ def test_without_tun_the_service_stays_down_and_says_why(monkeypatch: pytest.Mon
         open_tun("canip9", "", 1500)
 
 
-def test_mutated_frames_make_no_datagram_that_is_too_long_and_it_goes_on(mutations: int) -> None:
+async def test_mutated_frames_make_no_datagram_that_is_too_long_and_it_goes_on(mutations: int) -> None:
     """3,000 frames of real transfers with bits turned, shortened, in any order, of any node; 100,000 with --mutations 1334."""
-
-    async def main() -> None:
-        chance, frames, heard = random.Random(1), list[Frame](), list[bytes]()
-        with sides() as (first, second), open_can(BUS) as can:
-            can.bind(ANYTHING)
-            can.setblocking(False)
-            for size in (0, 5, 200):
-                first.device.send(packet(data=bytes(size)))
-                await second.read()
-            while frame := can.receive():
-                frames.append(frame)
-            for number in range(75 * mutations):
-                frame = chance.choice(frames)
-                bits = frame.arb ^ (1 << chance.randrange(3, 32) if number % 2 else 0)
-                data = bytearray(frame.data)
-                for _ in range(chance.randrange(min(len(data), 4) + 1)):
-                    data[chance.randrange(len(data))] = chance.randrange(256)
-                with suppress(BlockingIOError):
-                    can.sendmsg(Frame(bits & ~(CAN_RTR | CAN_ERR), bytes(data[: chance.randrange(9)])))
-                await asyncio.sleep(0)
-            delivered = first.counts["delivered"]
-            first.device.send(packet())
-            await until(lambda: first.counts["delivered"] > delivered)
+    chance, frames, heard = random.Random(1), list[Frame](), list[bytes]()
+    with sides() as (first, second), open_can(BUS) as can:
+        can.bind(ANYTHING)
+        can.setblocking(False)
+        for size in (0, 5, 200):
+            first.device.send(packet(data=bytes(size)))
+            await second.read()
+        while frame := can.receive():
+            frames.append(frame)
+        for number in range(75 * mutations):
+            frame = chance.choice(frames)
+            bits = frame.arb ^ (1 << chance.randrange(3, 32) if number % 2 else 0)
+            data = bytearray(frame.data)
+            for _ in range(chance.randrange(min(len(data), 4) + 1)):
+                data[chance.randrange(len(data))] = chance.randrange(256)
             with suppress(BlockingIOError):
-                while True:
-                    heard.append(second.device.recv(1 << 17))
-            assert len(frames) > 20
-            assert b"hello" in [parsed(raw)[2] for raw in heard]
-            assert max(map(len, heard)) <= UDP_MAX + 28
-
-    asyncio.run(main())
+                can.sendmsg(Frame(bits & ~(CAN_RTR | CAN_ERR), bytes(data[: chance.randrange(9)])))
+            await asyncio.sleep(0)
+        delivered = first.counts["delivered"]
+        first.device.send(packet())
+        await until(lambda: first.counts["delivered"] > delivered)
+        with suppress(BlockingIOError):
+            while True:
+                heard.append(second.device.recv(1 << 17))
+        assert len(frames) > 20
+        assert b"hello" in [parsed(raw)[2] for raw in heard]
+        assert max(map(len, heard)) <= UDP_MAX + 28

@@ -452,61 +452,48 @@ async def until(condition: Callable[[], bool]) -> None:
             await asyncio.sleep(0.001)
 
 
-def test_asyncio_round_trip() -> None:
-    async def main() -> None:
-        got = list[Message]()
-        with transports(on_message=got.append) as (first, _, outcomes):
-            sent = [Message(i, 1, 2, i, Random(i).randbytes(300 * i)) for i in range(10)]
-            for message in sent:
-                first.send(message)
-            first.send(Message(1, 1, BROADCAST, 99, b"to all"))
-            await until(lambda: len(outcomes) == 10 and len(got) == 11)
-        assert sorted(outcome.message.id for outcome in outcomes) == list(range(10))
-        assert not any(outcome.failure for outcome in outcomes)
-        assert {message.id: message.data for message in got} == {message.id: message.data for message in sent} | {99: b"to all"}
-
-    asyncio.run(main())
+async def test_asyncio_round_trip() -> None:
+    got = list[Message]()
+    with transports(on_message=got.append) as (first, _, outcomes):
+        sent = [Message(i, 1, 2, i, Random(i).randbytes(300 * i)) for i in range(10)]
+        for message in sent:
+            first.send(message)
+        first.send(Message(1, 1, BROADCAST, 99, b"to all"))
+        await until(lambda: len(outcomes) == 10 and len(got) == 11)
+    assert sorted(outcome.message.id for outcome in outcomes) == list(range(10))
+    assert not any(outcome.failure for outcome in outcomes)
+    assert {message.id: message.data for message in got} == {message.id: message.data for message in sent} | {99: b"to all"}
 
 
-def test_asyncio_tells_what_was_not_acknowledged_and_asks_what_is_wanted() -> None:
-    async def main() -> None:
-        asked = list[int]()
-        with transports(wanted=lambda message: bool(asked.append(message.id))) as (first, _, outcomes):
-            first.send(Message(1, 1, 2, 7, b""))
-            await until(lambda: bool(outcomes))
-        assert outcomes == [Outcome(Message(1, 1, 2, 7, b""), REASON)]
-        assert asked == [7] * 6
-
-    asyncio.run(main())
+async def test_asyncio_tells_what_was_not_acknowledged_and_asks_what_is_wanted() -> None:
+    asked = list[int]()
+    with transports(wanted=lambda message: bool(asked.append(message.id))) as (first, _, outcomes):
+        first.send(Message(1, 1, 2, 7, b""))
+        await until(lambda: bool(outcomes))
+    assert outcomes == [Outcome(Message(1, 1, 2, 7, b""), REASON)]
+    assert asked == [7] * 6
 
 
-def test_asyncio_takes_up_a_bus_that_failed(bus: ScriptedBus, monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_asyncio_takes_up_a_bus_that_failed(bus: ScriptedBus, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(dsor_sockets, "REBIND_S", 0.01)
     rebound = list[bool]()
     monkeypatch.setattr(bus, "rebind", lambda: rebound.append(not bus.failure) or not bus.failure)
-
-    async def main() -> None:
-        transport = DsorTransport(asyncio.get_running_loop(), CanSocket(bus), 1)
-        bus.failure = "gone"
-        transport.send(Message(1, 1, 2, 7, b""))
-        await until(lambda: len(rebound) > 1)
-        bus.failure = ""
-        await until(lambda: bool(bus.sent))
-        transport.close()
-
-    asyncio.run(main())
+    transport = DsorTransport(asyncio.get_running_loop(), CanSocket(bus), 1)
+    bus.failure = "gone"
+    transport.send(Message(1, 1, 2, 7, b""))
+    await until(lambda: len(rebound) > 1)
+    bus.failure = ""
+    await until(lambda: bool(bus.sent))
+    transport.close()
     assert rebound[-1] is True
 
 
-def test_nothing_is_called_after_close() -> None:
-    async def main() -> None:
-        with transports() as (first, _, outcomes):
-            first.send(Message(1, 1, 5, 7, b""))
-            first.close()
-            await asyncio.sleep(0.15)
-            assert not outcomes
-
-    asyncio.run(main())
+async def test_nothing_is_called_after_close() -> None:
+    with transports() as (first, _, outcomes):
+        first.send(Message(1, 1, 5, 7, b""))
+        first.close()
+        await asyncio.sleep(0.15)
+        assert not outcomes
 
 
 # Two processes

@@ -361,9 +361,16 @@ async def operating(folder: Path, *more: str, count: int = 2, env: dict[str, str
             radio.close()
 
 
+@contextlib.asynccontextmanager
+async def watched(sea: Sea) -> AsyncIterator[Sea]:
+    """For a story, after which nothing may be amiss."""
+    yield sea
+    await sea.nothing_amiss()
+
+
 @contextlib.contextmanager
 def afternoon(folder: Path, *more: str, env: dict[str, str] | None = None) -> Iterator[tuple[asyncio.Runner, Sea]]:
-    """`operating` for tests that are no coroutines: what runs them, and the sea."""
+    """`operating` for all tests of a file: what runs them, and the sea."""
     with asyncio.Runner() as runner:
         chain = operating(folder, *more, env=env)
         sea = runner.run(chain.__aenter__())

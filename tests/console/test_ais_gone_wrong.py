@@ -19,10 +19,9 @@ from delfim.simulator.lockstep import Lockstep
 from delfim.vehicle import console
 from delfim.vehicle.state import NoLog
 from tests.console.standin import Standin
-from tests.console.test_page import Sail, sail, shown
+from tests.kit.page import shown
 from tests.services.browser import Page
 
-__all__ = ["sail"]
 ROOT = Path(__file__).parents[2]
 CONSOLE = ("127.0.0.1", 14550)
 GOES_WRONG_S = 30.0
@@ -113,15 +112,12 @@ def test_the_boat_sails_on_and_the_console_shows_what_it_knows(trouble: str) -> 
             assert not any(each["lost"] for each in seen["vessels"]), "the boat hears them"
 
 
-def test_the_page_shows_it_too(sail: Sail) -> None:
-    async def story(page: Page, gateway: Standin) -> None:
-        for trouble, said in PAGE_SAYS.items():
-            seen = sailed(trouble).shown()
-            gateway.vessels, gateway.reported_s = seen["vessels"], seen["heard_s"]
-            for each in gateway.vessels:
-                each["boats"] = [near | {"boat": 1} for near in each["boats"]]
-            await gateway.look()
-            await shown(page, gateway, f"delfim.vessels().length === {len(seen['vessels'])}")
-            await shown(page, gateway, f"{said}.test(document.querySelector('#traffic').textContent)")
-
-    sail(story)
+async def test_the_page_shows_it_too(page: Page, gateway: Standin) -> None:
+    for trouble, said in PAGE_SAYS.items():
+        seen = sailed(trouble).shown()
+        gateway.vessels, gateway.reported_s = seen["vessels"], seen["heard_s"]
+        for each in gateway.vessels:
+            each["boats"] = [near | {"boat": 1} for near in each["boats"]]
+        await gateway.look()
+        await shown(page, gateway, f"delfim.vessels().length === {len(seen['vessels'])}")
+        await shown(page, gateway, f"{said}.test(document.querySelector('#traffic').textContent)")

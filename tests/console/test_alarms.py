@@ -1,6 +1,5 @@
 """The watch: alarms stay while their cause lasts and until they are acknowledged, on every page; the log has who did what."""
 
-import asyncio
 import csv
 import io
 from pathlib import Path
@@ -113,37 +112,34 @@ def test_the_log_is_bounded_and_a_table_that_no_spreadsheet_executes(tmp_path: P
     assert log.reason == ""
 
 
-def test_a_page_that_opens_hears_what_was_and_one_page_acknowledges_for_all(tmp_path: Path) -> None:
-    async def main() -> None:
-        sessions = tmp_path / "sessions"
-        async with opened(tmp_path, sessions=sessions) as sea:
-            async with sea.session.ws_connect(sea.url + "ws") as page:
-                await sea.until(page, lambda m: m["t"] == "boats" and len(m["boats"]) == 2)
-                sea.boats[0].say(mavlink.MAVLink_statustext_message(2, b"port propeller blocked: stop", 0, 0))
-                await sea.until(page, lambda m: m["t"] == "alarms" and m["alarms"])
-                sea.boats[1].refuse = "not now"
-                await page.send_json({"t": "command", "seq": 1, "boat": 2, "command": "play", "leg": 3})
-                await sea.until(page, lambda m: m["t"] == "answer" and not m["ok"])
-            async with sea.session.ws_connect(sea.url + "ws") as page:
-                log = await sea.until(page, lambda m: m["t"] == "log")
-                lines = [(each["boat"], each["what"], each["text"]) for each in log["lines"]]
-                assert (1, "alarm", "port propeller blocked: stop") in lines
-                assert (2, "order", "play leg=3") in lines
-                assert (2, "refused", "play leg=3: not now") in lines
-                alarms = (await sea.until(page, lambda m: m["t"] == "alarms"))["alarms"]
-                worst: dict[str, Any] = alarms[0]
-                assert (worst["text"], worst["seen"]) == ("port propeller blocked: stop", False)
-                async with sea.session.ws_connect(sea.url + "ws") as other:
-                    await other.send_json({"t": "acknowledge", "seq": 2, "ids": [each["id"] for each in alarms]})
-                    await sea.until(page, lambda m: m["t"] == "alarms" and not m["alarms"])
-            async with sea.session.get(sea.url + "watch.csv") as answer:
-                rows = list(csv.reader(io.StringIO(await answer.text())))
-            assert [row[3] for row in rows if row[4] == "acknowledged"] == ["page 3 at 127.0.0.1"] * len(alarms)
-        [frames], [kept] = sessions.glob("*.tlog"), sessions.glob("*.csv")
-        assert frames.stem == kept.stem
-        assert "play leg=3: not now" in kept.read_text()
-
-    asyncio.run(main())
+async def test_a_page_that_opens_hears_what_was_and_one_page_acknowledges_for_all(tmp_path: Path) -> None:
+    sessions = tmp_path / "sessions"
+    async with opened(tmp_path, sessions=sessions) as sea:
+        async with sea.session.ws_connect(sea.url + "ws") as page:
+            await sea.until(page, lambda m: m["t"] == "boats" and len(m["boats"]) == 2)
+            sea.boats[0].say(mavlink.MAVLink_statustext_message(2, b"port propeller blocked: stop", 0, 0))
+            await sea.until(page, lambda m: m["t"] == "alarms" and m["alarms"])
+            sea.boats[1].refuse = "not now"
+            await page.send_json({"t": "command", "seq": 1, "boat": 2, "command": "play", "leg": 3})
+            await sea.until(page, lambda m: m["t"] == "answer" and not m["ok"])
+        async with sea.session.ws_connect(sea.url + "ws") as page:
+            log = await sea.until(page, lambda m: m["t"] == "log")
+            lines = [(each["boat"], each["what"], each["text"]) for each in log["lines"]]
+            assert (1, "alarm", "port propeller blocked: stop") in lines
+            assert (2, "order", "play leg=3") in lines
+            assert (2, "refused", "play leg=3: not now") in lines
+            alarms = (await sea.until(page, lambda m: m["t"] == "alarms"))["alarms"]
+            worst: dict[str, Any] = alarms[0]
+            assert (worst["text"], worst["seen"]) == ("port propeller blocked: stop", False)
+            async with sea.session.ws_connect(sea.url + "ws") as other:
+                await other.send_json({"t": "acknowledge", "seq": 2, "ids": [each["id"] for each in alarms]})
+                await sea.until(page, lambda m: m["t"] == "alarms" and not m["alarms"])
+        async with sea.session.get(sea.url + "watch.csv") as answer:
+            rows = list(csv.reader(io.StringIO(await answer.text())))
+        assert [row[3] for row in rows if row[4] == "acknowledged"] == ["page 3 at 127.0.0.1"] * len(alarms)
+    [frames], [kept] = sessions.glob("*.tlog"), sessions.glob("*.csv")
+    assert frames.stem == kept.stem
+    assert "play leg=3: not now" in kept.read_text()
 
 
 def test_the_file_is_that_of_the_session(tmp_path: Path) -> None:

@@ -1,10 +1,10 @@
 """Charts: where their pixels lie, and what pages get of them."""
 
-import asyncio
+import contextlib
 import sqlite3
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import AsyncIterator, Callable
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -189,32 +189,29 @@ def png() -> bytes:
     return out.getvalue()
 
 
-def served(charts: Charts, ask: Callable[[Callable[[str], Any]], Any]) -> None:
+@contextlib.asynccontextmanager
+async def served(charts: Charts) -> AsyncIterator[Callable[[str], Any]]:
     """Real HTTP."""
+    app = web.Application()
+    charts.routes(app)
+    runner = web.AppRunner(app)
+    await runner.setup()
+    await web.TCPSite(runner, "127.0.0.1", 0).start()
+    url = f"http://127.0.0.1:{runner.addresses[0][1]}"
 
-    async def main() -> None:
-        app = web.Application()
-        charts.routes(app)
-        runner = web.AppRunner(app)
-        await runner.setup()
-        await web.TCPSite(runner, "127.0.0.1", 0).start()
-        url = f"http://127.0.0.1:{runner.addresses[0][1]}"
+    async def get(path: str) -> tuple[int, str, bytes]:
+        async with session.get(url + path) as answer:
+            return answer.status, answer.content_type, await answer.read()
 
-        async def get(path: str) -> tuple[int, str, bytes]:
-            async with session.get(url + path) as answer:
-                return answer.status, answer.content_type, await answer.read()
-
-        try:
-            async with aiohttp.ClientSession() as session:
-                await ask(get)
-        finally:
-            await runner.cleanup()
-            charts.close()
-
-    asyncio.run(main())
+    try:
+        async with aiohttp.ClientSession() as session:
+            yield get
+    finally:
+        await runner.cleanup()
+        charts.close()
 
 
-def test_a_folder_of_charts_is_told_and_served(tmp_path: Path) -> None:
+async def test_a_folder_of_charts_is_told_and_served(tmp_path: Path) -> None:
     chart(tmp_path / "plain.png")
     world(tmp_path / "plain.pgw", 0.0001, 0.0, 0.0, -0.0001, -9.21995, 38.69995)
     geotiff(tmp_path / "utm.tif")
@@ -229,8 +226,7 @@ def test_a_folder_of_charts_is_told_and_served(tmp_path: Path) -> None:
     assert (told["sea"]["extent"], told["sea"]["minzoom"], told["sea"]["maxzoom"]) == ((-9.3, 38.6, -9.1, 38.8), 3, 3)
     assert len(charts.faults) == 3
     assert any("nothing says where it lies" in fault for fault in charts.faults)
-
-    async def ask(get: Callable[[str], Any]) -> None:
+    async with served(charts) as get:
         assert await get("/background/plain") == (200, "image/png", (tmp_path / "plain.png").read_bytes())
         status, kind, data = await get("/background/utm")
         assert (status, kind, data[:4]) == (200, "image/png", b"\x89PNG")
@@ -243,8 +239,6 @@ def test_a_folder_of_charts_is_told_and_served(tmp_path: Path) -> None:
         assert (await get("/tiles/sea/3/1/2"))[0] == 204
         assert (await get("/tiles/sea/99/1/2"))[0] == 404
         assert (await get("/tiles/river/3/1/5"))[0] == 404
-
-    served(charts, ask)
 
 
 def test_no_folder_is_no_charts(tmp_path: Path) -> None:

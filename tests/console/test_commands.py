@@ -410,11 +410,16 @@ async def told(boat: Boat, count: int) -> None:
 
 
 @pytest.fixture(scope="module")
-def sea(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[asyncio.Runner, Sea]]:
+def afloat(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[asyncio.Runner, Sea]]:
     """Two boats, the second with a mission and a home that were drawn and sent."""
     with afternoon(tmp_path_factory.mktemp("commands")) as (runner, its):
         runner.run(planned(its))
         yield runner, its
+
+
+@pytest.fixture
+def its(runner: asyncio.Runner, afloat: tuple[asyncio.Runner, Sea]) -> Sea:
+    return afloat[1]
 
 
 async def planned(sea: Sea) -> None:
@@ -434,48 +439,38 @@ SHOWN_DEG = "Number(/hdg (\\d+)/.exec(document.querySelector('.selected').textCo
 
 
 @pytest.mark.parametrize("way", ROWS)
-def test_what_the_page_says_is_what_the_vehicle_obeys(sea: tuple[asyncio.Runner, Sea], way: str) -> None:
-    runner, its = sea
+async def test_what_the_page_says_is_what_the_vehicle_obeys(its: Sea, way: str) -> None:
     row = ROWS[way]
-
-    async def story() -> None:
-        page, boat = await its.at_rest(2)
-        await select(page, 2)
-        if row.told and "turned_deg" in row.told:  # of the heading that it has when the menu is chosen from
-            await boat.until(lambda state: abs(state["turn_dps"]) < 0.5)
-            off_deg = f"(({SHOWN_DEG} - {boat.state()['heading_deg']} + 540) % 360 - 180)"
-            await page.until(f"Math.abs({off_deg}) < 1.5")  # as the page knows it
-        if row.told and row.told["command"] == "reset":  # refused while a stopped propeller coasts
-            await boat.until(lambda state: all(abs(each["rpm"] or 0.0) < 50.0 for each in state["thrusters"].values()))
-        began_ns, before = time.time_ns(), boat.state() | {"origin": await page.value("window.origin")}
-        await row.way(its, page, boat)
-        if row.told is not None:
-            await obeyed(boat, began_ns, before, row.told)
-        await its.nothing_amiss()
-
-    runner.run(story())
+    page, boat = await its.at_rest(2)
+    await select(page, 2)
+    if row.told and "turned_deg" in row.told:  # of the heading that it has when the menu is chosen from
+        await boat.until(lambda state: abs(state["turn_dps"]) < 0.5)
+        off_deg = f"(({SHOWN_DEG} - {boat.state()['heading_deg']} + 540) % 360 - 180)"
+        await page.until(f"Math.abs({off_deg}) < 1.5")  # as the page knows it
+    if row.told and row.told["command"] == "reset":  # refused while a stopped propeller coasts
+        await boat.until(lambda state: all(abs(each["rpm"] or 0.0) < 50.0 for each in state["thrusters"].values()))
+    began_ns, before = time.time_ns(), boat.state() | {"origin": await page.value("window.origin")}
+    await row.way(its, page, boat)
+    if row.told is not None:
+        await obeyed(boat, began_ns, before, row.told)
+    await its.nothing_amiss()
 
 
-def test_a_refused_plan_is_told_once_and_in_the_boats_words(sea: tuple[asyncio.Runner, Sea]) -> None:
-    runner, its = sea
-
-    async def story() -> None:
-        page, boat = await its.at_rest(2)
-        await select(page, 2)
-        await page.press("y")
-        await shown_mode(page, 2, "mission")
-        await page.until(ENTERED)
-        await on_map(*PLACES[0], "Delete")(its, page, boat)
-        await badge(page, "differs")
-        await menu("Mission", "Send changes")(its, page, boat)
-        await says(page, "mission refused: waypoint 1 is at another place")
-        await page.until("!document.querySelector('.selected').textContent.includes('upload ')")  # the answer has come
-        refusals = "[...document.querySelectorAll('.message')].map(m => m.textContent).filter(each => each.includes('refused'))"
-        assert len(await page.value(refusals)) == 1, await page.value(refusals)
-        await page.press("z", ("Control",))
-        await badge(page, "same")
-
-    runner.run(story())
+async def test_a_refused_plan_is_told_once_and_in_the_boats_words(its: Sea) -> None:
+    page, boat = await its.at_rest(2)
+    await select(page, 2)
+    await page.press("y")
+    await shown_mode(page, 2, "mission")
+    await page.until(ENTERED)
+    await on_map(*PLACES[0], "Delete")(its, page, boat)
+    await badge(page, "differs")
+    await menu("Mission", "Send changes")(its, page, boat)
+    await says(page, "mission refused: waypoint 1 is at another place")
+    await page.until("!document.querySelector('.selected').textContent.includes('upload ')")  # the answer has come
+    refusals = "[...document.querySelectorAll('.message')].map(m => m.textContent).filter(each => each.includes('refused'))"
+    assert len(await page.value(refusals)) == 1, await page.value(refusals)
+    await page.press("z", ("Control",))
+    await badge(page, "same")
 
 
 async def obeyed(boat: Boat, began_ns: int, before: dict[str, Any], wanted: dict[str, Any]) -> None:

@@ -73,32 +73,29 @@ def view():
     shown.close()
 
 
-def test_state_place_plan_and_words_of_a_boat_are_seen_in_foxglove(view, tmp_path):
-    async def main() -> None:
-        async with opened(tmp_path) as sea, watching(view) as watcher:
-            sea.gateway.viewers.append(view.tell)
-            sea.boats[0].name = "Delfim X"
-            stops = [each | {"speed_mps": 0, "acceptance_m": 0, "hold_s": 0} for each in MISSION["waypoints"]]
-            plan = {"name": "round", "waypoints": stops, "fence": SQUARE, "obstacles": [], "home": None}
-            async with asyncio.TaskGroup() as group:
-                saw = asyncio.Event()
-                seeing = group.create_task(see(watcher, saw))
-                async with sea.session.ws_connect(sea.url + "ws") as page:
-                    await sea.until(page, lambda m: m["t"] == "boats" and any(b["name"] == "Delfim X" for b in m["boats"]))
-                    await page.send_json({"t": "mission", "seq": 1, "boat": 1, "do": "put", "mission": plan})
-                    await page.send_json({"t": "mission", "seq": 2, "boat": 1, "do": "upload"})
-                    await saw.wait()
-                    sea.boats[0].say(vessel(north_m=1000.0))
-                    await page.send_json({"t": "input", "boat": 1, "n": 1, "port_pct": 0.0, "starboard_pct": 0.0})
-                    await page.send_json({"t": "release", "boat": 1, "why": "a test"})
-                    await seeing
-            async with sea.session.get(sea.url + "foxglove.json") as answer:
-                assert "/delfim-x/location" in await answer.text()
-        schemas = {each["topic"]: each["schemaName"] for each in watcher.offered.values()}
-        assert schemas["/delfim-x/location"] == "foxglove.LocationFix"
-        assert not [topic for topic in schemas if "boat-2" in topic], "a boat without a name has no topics yet"
-
-    asyncio.run(main())
+async def test_state_place_plan_and_words_of_a_boat_are_seen_in_foxglove(view, tmp_path):
+    async with opened(tmp_path) as sea, watching(view) as watcher:
+        sea.gateway.viewers.append(view.tell)
+        sea.boats[0].name = "Delfim X"
+        stops = [each | {"speed_mps": 0, "acceptance_m": 0, "hold_s": 0} for each in MISSION["waypoints"]]
+        plan = {"name": "round", "waypoints": stops, "fence": SQUARE, "obstacles": [], "home": None}
+        async with asyncio.TaskGroup() as group:
+            saw = asyncio.Event()
+            seeing = group.create_task(see(watcher, saw))
+            async with sea.session.ws_connect(sea.url + "ws") as page:
+                await sea.until(page, lambda m: m["t"] == "boats" and any(b["name"] == "Delfim X" for b in m["boats"]))
+                await page.send_json({"t": "mission", "seq": 1, "boat": 1, "do": "put", "mission": plan})
+                await page.send_json({"t": "mission", "seq": 2, "boat": 1, "do": "upload"})
+                await saw.wait()
+                sea.boats[0].say(vessel(north_m=1000.0))
+                await page.send_json({"t": "input", "boat": 1, "n": 1, "port_pct": 0.0, "starboard_pct": 0.0})
+                await page.send_json({"t": "release", "boat": 1, "why": "a test"})
+                await seeing
+        async with sea.session.get(sea.url + "foxglove.json") as answer:
+            assert "/delfim-x/location" in await answer.text()
+    schemas = {each["topic"]: each["schemaName"] for each in watcher.offered.values()}
+    assert schemas["/delfim-x/location"] == "foxglove.LocationFix"
+    assert not [topic for topic in schemas if "boat-2" in topic], "a boat without a name has no topics yet"
 
 
 async def see(watcher: Watcher, saw: asyncio.Event) -> None:
@@ -122,14 +119,11 @@ async def see(watcher: Watcher, saw: asyncio.Event) -> None:
                 assert names == ["MARIA", "MARIA"], "its place and its way ahead"
 
 
-def test_without_the_token_there_is_no_layout(tmp_path):
-    async def main() -> None:
-        async with opened(tmp_path) as sea, aiohttp.ClientSession() as stranger:
-            async with stranger.get(sea.url + "foxglove.json") as answer:
-                assert answer.status == 403
-            await let_in(sea.session, sea.url)
-
-    asyncio.run(main())
+async def test_without_the_token_there_is_no_layout(tmp_path):
+    async with opened(tmp_path) as sea, aiohttp.ClientSession() as stranger:
+        async with stranger.get(sea.url + "foxglove.json") as answer:
+            assert answer.status == 403
+        await let_in(sea.session, sea.url)
 
 
 def test_a_plan_on_the_map_has_all_its_areas():

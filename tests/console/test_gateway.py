@@ -98,75 +98,63 @@ def boat_in(message: dict[str, Any], number: int) -> dict[str, Any]:
     return next((boat for boat in message.get("boats", []) if boat["id"] == number), {})
 
 
-def test_a_page_sees_both_boats_and_commands_one(tmp_path: Path) -> None:
-    async def main() -> None:
-        async with opened(tmp_path) as sea, sea.session.ws_connect(sea.url + "ws") as page:
-            assert (await page.receive_json())["t"] == "hello"
-            await sea.until(page, lambda m: boat_in(m, 1) and boat_in(m, 2))
-            await page.send_json({"t": "command", "seq": 7, "boat": 2, "command": "mode", "mode": "hold"})
-            answer = await sea.until(page, lambda m: m["t"] == "answer")
-            assert answer == {"t": "answer", "seq": 7, "ok": True, "reason": ""}
-            assert (sea.boats[0].mode, sea.boats[1].mode) == (4, 5)
-            await page.send_json({"t": "command", "seq": 8, "boat": "all", "command": "stop"})
-            await sea.until(page, lambda m: m["t"] == "answer" and m["seq"] == 8)
-            await page.send_json({"t": "command", "seq": 9, "boat": "all", "command": "play"})
-            assert (await sea.until(page, lambda m: m["t"] == "answer" and m["seq"] == 9))["ok"] is False
-
-    asyncio.run(main())
+async def test_a_page_sees_both_boats_and_commands_one(tmp_path: Path) -> None:
+    async with opened(tmp_path) as sea, sea.session.ws_connect(sea.url + "ws") as page:
+        assert (await page.receive_json())["t"] == "hello"
+        await sea.until(page, lambda m: boat_in(m, 1) and boat_in(m, 2))
+        await page.send_json({"t": "command", "seq": 7, "boat": 2, "command": "mode", "mode": "hold"})
+        answer = await sea.until(page, lambda m: m["t"] == "answer")
+        assert answer == {"t": "answer", "seq": 7, "ok": True, "reason": ""}
+        assert (sea.boats[0].mode, sea.boats[1].mode) == (4, 5)
+        await page.send_json({"t": "command", "seq": 8, "boat": "all", "command": "stop"})
+        await sea.until(page, lambda m: m["t"] == "answer" and m["seq"] == 8)
+        await page.send_json({"t": "command", "seq": 9, "boat": "all", "command": "play"})
+        assert (await sea.until(page, lambda m: m["t"] == "answer" and m["seq"] == 9))["ok"] is False
 
 
-def test_a_page_knows_where_boats_are_heard_and_plans_before_one_is(tmp_path: Path) -> None:
-    async def main() -> None:
-        async with opened(tmp_path) as sea, sea.session.ws_connect(sea.url + "ws") as page:
-            assert (await page.receive_json())["heard_on"] == sea.gateway.heard_on
-            assert re.fullmatch(r"127\.0\.0\.1:\d+", sea.gateway.heard_on[0])
-            at = {"latitude_deg": 38.69, "longitude_deg": -9.21, "speed_mps": 0, "acceptance_m": 0, "hold_s": 0}
-            mission = {"name": "early", "waypoints": [at], "fence": [], "obstacles": [], "home": None}
-            await page.send_json({"t": "mission", "seq": 1, "boat": 0, "do": "save", "mission": mission})
-            assert (await sea.until(page, lambda m: m["t"] == "answer"))["ok"]
-            await page.send_json({"t": "mission", "seq": 2, "boat": 0, "do": "load", "name": "early"})
-            loaded = await sea.until(page, lambda m: m["t"] == "mission" and m["boat"] == 0)
-            assert loaded["mission"]["waypoints"][0]["latitude_deg"] == 38.69
-            assert (await sea.until(page, lambda m: m["t"] == "answer" and m["seq"] == 2))["ok"]
-
-    asyncio.run(main())
+async def test_a_page_knows_where_boats_are_heard_and_plans_before_one_is(tmp_path: Path) -> None:
+    async with opened(tmp_path) as sea, sea.session.ws_connect(sea.url + "ws") as page:
+        assert (await page.receive_json())["heard_on"] == sea.gateway.heard_on
+        assert re.fullmatch(r"127\.0\.0\.1:\d+", sea.gateway.heard_on[0])
+        at = {"latitude_deg": 38.69, "longitude_deg": -9.21, "speed_mps": 0, "acceptance_m": 0, "hold_s": 0}
+        mission = {"name": "early", "waypoints": [at], "fence": [], "obstacles": [], "home": None}
+        await page.send_json({"t": "mission", "seq": 1, "boat": 0, "do": "save", "mission": mission})
+        assert (await sea.until(page, lambda m: m["t"] == "answer"))["ok"]
+        await page.send_json({"t": "mission", "seq": 2, "boat": 0, "do": "load", "name": "early"})
+        loaded = await sea.until(page, lambda m: m["t"] == "mission" and m["boat"] == 0)
+        assert loaded["mission"]["waypoints"][0]["latitude_deg"] == 38.69
+        assert (await sea.until(page, lambda m: m["t"] == "answer" and m["seq"] == 2))["ok"]
 
 
-def test_a_closed_page_releases_what_it_steered(tmp_path: Path) -> None:
-    async def main() -> None:
-        async with opened(tmp_path) as sea:
-            async with sea.session.ws_connect(sea.url + "ws") as page:
-                await sea.until(page, lambda m: boat_in(m, 1))
-                for n in range(3):
-                    await page.send_json({"t": "input", "boat": 1, "n": n, "port_pct": 30, "starboard_pct": 30})
-                async with asyncio.timeout(200):
-                    while len(sea.boats[0].thrust) < 3:
-                        await asyncio.sleep(0.01)
+async def test_a_closed_page_releases_what_it_steered(tmp_path: Path) -> None:
+    async with opened(tmp_path) as sea:
+        async with sea.session.ws_connect(sea.url + "ws") as page:
+            await sea.until(page, lambda m: boat_in(m, 1))
+            for n in range(3):
+                await page.send_json({"t": "input", "boat": 1, "n": n, "port_pct": 30, "starboard_pct": 30})
             async with asyncio.timeout(200):
-                while sea.boats[0].thrust[-1] != (0, 0):
+                while len(sea.boats[0].thrust) < 3:
                     await asyncio.sleep(0.01)
-            assert sea.boats[0].thrust == [(300, 0)] * 3 + [(0, 0)]
-            assert sea.boats[1].thrust == []
-
-    asyncio.run(main())
+        async with asyncio.timeout(200):
+            while sea.boats[0].thrust[-1] != (0, 0):
+                await asyncio.sleep(0.01)
+        assert sea.boats[0].thrust == [(300, 0)] * 3 + [(0, 0)]
+        assert sea.boats[1].thrust == []
 
 
 @pytest.mark.parametrize(
     "nonsense", ["{", "[]", '"x"', '{"t": "dance", "seq": 1}', '{"t": "command", "seq": 1}', '{"t": "input"}', "[" * 10_000]
 )
-def test_nonsense_of_a_page_is_answered_or_passed_over(tmp_path: Path, nonsense: str) -> None:
-    async def main() -> None:
-        async with opened(tmp_path) as sea, sea.session.ws_connect(sea.url + "ws") as page:
-            await page.send_str(nonsense)
-            await page.send_json({"t": "mission", "seq": 2, "boat": 1, "do": "list"})
-            answer = await sea.until(page, lambda m: m["t"] == "answer" and m["seq"] == 2)
-            assert answer["ok"]
-            assert [m["names"] for m in sea.heard if m["t"] == "missions"] == [[]]
-
-    asyncio.run(main())
+async def test_nonsense_of_a_page_is_answered_or_passed_over(tmp_path: Path, nonsense: str) -> None:
+    async with opened(tmp_path) as sea, sea.session.ws_connect(sea.url + "ws") as page:
+        await page.send_str(nonsense)
+        await page.send_json({"t": "mission", "seq": 2, "boat": 1, "do": "list"})
+        answer = await sea.until(page, lambda m: m["t"] == "answer" and m["seq"] == 2)
+        assert answer["ok"]
+        assert [m["names"] for m in sea.heard if m["t"] == "missions"] == [[]]
 
 
-def test_missions_are_saved_loaded_uploaded_and_compared(tmp_path: Path) -> None:
+async def test_missions_are_saved_loaded_uploaded_and_compared(tmp_path: Path) -> None:
     plan = {
         "name": "two points",
         "waypoints": [{"latitude_deg": 38.69, "longitude_deg": -9.21}, {"latitude_deg": 38.691, "longitude_deg": -9.21}],
@@ -174,48 +162,40 @@ def test_missions_are_saved_loaded_uploaded_and_compared(tmp_path: Path) -> None
         "obstacles": [],
         "home": None,
     }
+    async with opened(tmp_path) as sea, sea.session.ws_connect(sea.url + "ws") as page:
+        await sea.until(page, lambda m: boat_in(m, 1))
 
-    async def main() -> None:
-        async with opened(tmp_path) as sea, sea.session.ws_connect(sea.url + "ws") as page:
-            await sea.until(page, lambda m: boat_in(m, 1))
+        async def do(seq: int, what: str, **more: Any) -> dict[str, Any]:
+            await page.send_json({"t": "mission", "seq": seq, "boat": 1, "do": what, **more})
+            return await sea.until(page, lambda m: m["t"] == "answer" and m["seq"] == seq)
 
-            async def do(seq: int, what: str, **more: Any) -> dict[str, Any]:
-                await page.send_json({"t": "mission", "seq": seq, "boat": 1, "do": what, **more})
-                return await sea.until(page, lambda m: m["t"] == "answer" and m["seq"] == seq)
-
-            assert (await do(1, "save", mission=plan))["ok"]
-            assert (await do(2, "load", name="two points"))["ok"]
-            assert (await do(3, "upload"))["ok"]
-            shown = await sea.until(page, lambda m: boat_in(m, 1))
-            assert boat_in(shown, 1)["mission"]["state"] == "same"
-            assert "no name" in (await do(4, "load", name="../../etc/passwd"))["reason"]
-            assert not (await do(5, "save", mission=plan | {"waypoints": []}))["ok"]
-            assert not (await do(6, "put", mission={"waypoints": 3}))["ok"]
-
-    asyncio.run(main())
+        assert (await do(1, "save", mission=plan))["ok"]
+        assert (await do(2, "load", name="two points"))["ok"]
+        assert (await do(3, "upload"))["ok"]
+        shown = await sea.until(page, lambda m: boat_in(m, 1))
+        assert boat_in(shown, 1)["mission"]["state"] == "same"
+        assert "no name" in (await do(4, "load", name="../../etc/passwd"))["reason"]
+        assert not (await do(5, "save", mission=plan | {"waypoints": []}))["ok"]
+        assert not (await do(6, "put", mission={"waypoints": 3}))["ok"]
     assert "38.691" in (tmp_path / "missions" / "two points.toml").read_text()
 
 
-def test_a_dry_run_says_how_long_and_how_far(tmp_path: Path) -> None:
+async def test_a_dry_run_says_how_long_and_how_far(tmp_path: Path) -> None:
     corners = [(38.6901, -9.2152), (38.6905, -9.2152), (38.6905, -9.2148)]
     plan = {"name": "dry", "waypoints": [{"latitude_deg": a, "longitude_deg": b} for a, b in corners]}
-
-    async def main() -> None:
-        async with opened(tmp_path) as sea, sea.session.ws_connect(sea.url + "ws") as page:
-            await page.send_json({"t": "mission", "seq": 3, "boat": 1, "do": "dryrun", "mission": plan})
-            answer = await sea.until(page, lambda m: m["t"] == "dryrun")
-            assert (answer["end"], answer["well"], answer["boat"]) == ("mission done", True, 1)
-            assert 60.0 < answer["distance_m"] < 200.0
-            assert 30.0 < answer["time_s"] < 300.0
-            assert len(answer["track"]) > 20
-            await page.send_json(
-                {"t": "mission", "seq": 4, "boat": 1, "do": "dryrun", "mission": {"name": "none", "waypoints": []}}
-            )
-            answer = await sea.until(page, lambda m: m["t"] == "answer" and m["seq"] == 4)
-            assert not answer["ok"]
-            assert answer["reason"]
-
-    asyncio.run(main())
+    async with opened(tmp_path) as sea, sea.session.ws_connect(sea.url + "ws") as page:
+        await page.send_json({"t": "mission", "seq": 3, "boat": 1, "do": "dryrun", "mission": plan})
+        answer = await sea.until(page, lambda m: m["t"] == "dryrun")
+        assert (answer["end"], answer["well"], answer["boat"]) == ("mission done", True, 1)
+        assert 60.0 < answer["distance_m"] < 200.0
+        assert 30.0 < answer["time_s"] < 300.0
+        assert len(answer["track"]) > 20
+        await page.send_json(
+            {"t": "mission", "seq": 4, "boat": 1, "do": "dryrun", "mission": {"name": "none", "waypoints": []}}
+        )
+        answer = await sea.until(page, lambda m: m["t"] == "answer" and m["seq"] == 4)
+        assert not answer["ok"]
+        assert answer["reason"]
 
 
 HERE, LOCAL = "127.0.0.1:{port}", "localhost:{port}"
@@ -246,38 +226,32 @@ HERE, LOCAL = "127.0.0.1:{port}", "localhost:{port}"
         ("", None, True, 403),
     ],
 )
-def test_only_pages_of_this_console_speak_with_it(
+async def test_only_pages_of_this_console_speak_with_it(
     tmp_path: Path, host: str, origin: str | None, cookie: bool, status: int
 ) -> None:
-    async def main() -> None:
-        async with opened(tmp_path) as sea:
-            port = sea.url.rstrip("/").rpartition(":")[2]
-            headers = {"Host": host.format(port=port)} | ({} if origin is None else {"Origin": origin.format(port=port)})
-            headers |= {"Cookie": f"delfim-{port}={sea.gateway.token}"} if cookie else {}
-            async with aiohttp.ClientSession(cookie_jar=aiohttp.DummyCookieJar()) as stranger:
-                for place in ("api/boats", "background/none", "console.js"):
-                    async with stranger.get(sea.url + place, headers=headers) as answer:
-                        assert (answer.status == 403) == (status == 403), (place, answer.status, await answer.text())
-                refused = pytest.raises(aiohttp.WSServerHandshakeError, match="403")
-                with refused if status == 403 else contextlib.nullcontext():
-                    await stranger.ws_connect(sea.url + "ws", headers=headers)
-
-    asyncio.run(main())
+    async with opened(tmp_path) as sea:
+        port = sea.url.rstrip("/").rpartition(":")[2]
+        headers = {"Host": host.format(port=port)} | ({} if origin is None else {"Origin": origin.format(port=port)})
+        headers |= {"Cookie": f"delfim-{port}={sea.gateway.token}"} if cookie else {}
+        async with aiohttp.ClientSession(cookie_jar=aiohttp.DummyCookieJar()) as stranger:
+            for place in ("api/boats", "background/none", "console.js"):
+                async with stranger.get(sea.url + place, headers=headers) as answer:
+                    assert (answer.status == 403) == (status == 403), (place, answer.status, await answer.text())
+            refused = pytest.raises(aiohttp.WSServerHandshakeError, match="403")
+            with refused if status == 403 else contextlib.nullcontext():
+                await stranger.ws_connect(sea.url + "ws", headers=headers)
 
 
-def test_a_person_with_a_wrong_token_is_told_where_the_right_one_is(tmp_path: Path) -> None:
-    async def main() -> None:
-        async with opened(tmp_path) as sea, aiohttp.ClientSession(cookie_jar=aiohttp.DummyCookieJar()) as stranger:
-            async with stranger.get(f"{sea.url}?token=wrong", headers={"Accept": "text/html,*/*"}) as answer:
-                assert (answer.status, answer.content_type) == (403, "text/html")
-                text = await answer.text()
-            assert "?token=…" in text
-            assert "<style>" in text
-            assert sea.gateway.token not in text
-            async with stranger.get(f"{sea.url}api/boats?token=wrong") as answer:
-                assert (answer.status, answer.content_type) == (403, "text/plain"), "programs get a line"
-
-    asyncio.run(main())
+async def test_a_person_with_a_wrong_token_is_told_where_the_right_one_is(tmp_path: Path) -> None:
+    async with opened(tmp_path) as sea, aiohttp.ClientSession(cookie_jar=aiohttp.DummyCookieJar()) as stranger:
+        async with stranger.get(f"{sea.url}?token=wrong", headers={"Accept": "text/html,*/*"}) as answer:
+            assert (answer.status, answer.content_type) == (403, "text/html")
+            text = await answer.text()
+        assert "?token=…" in text
+        assert "<style>" in text
+        assert sea.gateway.token not in text
+        async with stranger.get(f"{sea.url}api/boats?token=wrong") as answer:
+            assert (answer.status, answer.content_type) == (403, "text/plain"), "programs get a line"
 
 
 def test_the_token_is_kept_so_that_a_page_finds_its_console_again(tmp_path: Path) -> None:
@@ -337,54 +311,44 @@ def test_a_console_draws_a_number_of_its_own_and_keeps_it(tmp_path: Path) -> Non
         "{}",
     ],
 )
-def test_whatever_a_page_says_wrong_is_answered_in_words(tmp_path: Path, said: str) -> None:
+async def test_whatever_a_page_says_wrong_is_answered_in_words(tmp_path: Path, said: str) -> None:
     """And the boat hears nothing of it; the socket goes on."""
-
-    async def main() -> None:
-        async with opened(tmp_path) as sea, sea.session.ws_connect(sea.url + "ws") as page:
-            await sea.until(page, lambda m: boat_in(m, 1))
-            await page.send_str(said.replace("{", '{"seq":5,', 1) if said.startswith('{"') else said)
-            if said.startswith('{"'):
-                answer = await sea.until(page, lambda m: m["t"] == "answer" and m["seq"] == 5)
-                assert not answer["ok"]
-                assert answer["reason"]
-            await page.send_json({"t": "mission", "seq": 6, "boat": 1, "do": "list"})
-            assert (await sea.until(page, lambda m: m["t"] == "answer" and m["seq"] == 6))["ok"]
-            assert (sea.boats[0].obeyed, sea.boats[0].thrust) == ([], [])
-
-    asyncio.run(main())
+    async with opened(tmp_path) as sea, sea.session.ws_connect(sea.url + "ws") as page:
+        await sea.until(page, lambda m: boat_in(m, 1))
+        await page.send_str(said.replace("{", '{"seq":5,', 1) if said.startswith('{"') else said)
+        if said.startswith('{"'):
+            answer = await sea.until(page, lambda m: m["t"] == "answer" and m["seq"] == 5)
+            assert not answer["ok"]
+            assert answer["reason"]
+        await page.send_json({"t": "mission", "seq": 6, "boat": 1, "do": "list"})
+        assert (await sea.until(page, lambda m: m["t"] == "answer" and m["seq"] == 6))["ok"]
+        assert (sea.boats[0].obeyed, sea.boats[0].thrust) == ([], [])
 
 
 @pytest.mark.parametrize("number", [math.nan, math.inf, -math.inf])
-def test_a_number_that_is_not_finite_is_not_known(tmp_path: Path, number: float) -> None:
+async def test_a_number_that_is_not_finite_is_not_known(tmp_path: Path, number: float) -> None:
     """Of one boat: pages hear of it and of the others all the same."""
-
-    async def main() -> None:
-        async with opened(tmp_path) as sea, sea.session.ws_connect(sea.url + "ws") as page:
-            boat = sea.boats[0]
-            boat.say(
-                mavlink.MAVLink_attitude_message(0, number, number, number, number, number, number),
-                mavlink.MAVLink_raw_rpm_message(0, number),
-                mavlink.MAVLink_position_target_global_int_message(0, 6, 0, 386900000, -92150000, *[number] * 9),
-                mavlink.MAVLink_nav_controller_output_message(number, number, 0, 90, 7, number, number, number),
-                mavlink.MAVLink_named_value_float_message(0, b"OVERRIDE", number),
-                mavlink.MAVLink_named_value_float_message(0, b"aws_mps", number),
-                mavlink.MAVLink_vfr_hud_message(number, number, 0, 33, number, number),
-            )
-            item = mavlink.MAVLink_mission_item_int_message(
-                250, 190, 0, 6, 16, 0, 1, *[number] * 4, 386900000, -92150000, number
-            )
-            boat.aboard[0] = [item]
-            await sea.until(page, lambda m: boat_in(m, 1).get("speed_pct") == 33 and boat_in(m, 2))
-            await page.send_json({"t": "mission", "seq": 1, "boat": 1, "do": "download"})
-            await sea.until(page, lambda m: m["t"] == "answer" and m["ok"])
-            shown = boat_in(await sea.until(page, lambda m: boat_in(m, 2)), 1)
-            assert (shown["roll_deg"], shown["rpm"][0], shown["reference"]["cross_track_m"]) == (None, None, None)
-            assert (shown["mission"]["count"], shown["measured"]) == (1, {})
-            async with sea.session.get(sea.url + "api/boats") as answer:
-                assert len(json.loads(await answer.text(), parse_constant=pytest.fail)) == 2
-
-    asyncio.run(main())
+    async with opened(tmp_path) as sea, sea.session.ws_connect(sea.url + "ws") as page:
+        boat = sea.boats[0]
+        boat.say(
+            mavlink.MAVLink_attitude_message(0, number, number, number, number, number, number),
+            mavlink.MAVLink_raw_rpm_message(0, number),
+            mavlink.MAVLink_position_target_global_int_message(0, 6, 0, 386900000, -92150000, *[number] * 9),
+            mavlink.MAVLink_nav_controller_output_message(number, number, 0, 90, 7, number, number, number),
+            mavlink.MAVLink_named_value_float_message(0, b"OVERRIDE", number),
+            mavlink.MAVLink_named_value_float_message(0, b"aws_mps", number),
+            mavlink.MAVLink_vfr_hud_message(number, number, 0, 33, number, number),
+        )
+        item = mavlink.MAVLink_mission_item_int_message(250, 190, 0, 6, 16, 0, 1, *[number] * 4, 386900000, -92150000, number)
+        boat.aboard[0] = [item]
+        await sea.until(page, lambda m: boat_in(m, 1).get("speed_pct") == 33 and boat_in(m, 2))
+        await page.send_json({"t": "mission", "seq": 1, "boat": 1, "do": "download"})
+        await sea.until(page, lambda m: m["t"] == "answer" and m["ok"])
+        shown = boat_in(await sea.until(page, lambda m: boat_in(m, 2)), 1)
+        assert (shown["roll_deg"], shown["rpm"][0], shown["reference"]["cross_track_m"]) == (None, None, None)
+        assert (shown["mission"]["count"], shown["measured"]) == (1, {})
+        async with sea.session.get(sea.url + "api/boats") as answer:
+            assert len(json.loads(await answer.text(), parse_constant=pytest.fail)) == 2
 
 
 def test_values_of_sensors_have_the_age_of_their_measurement() -> None:
@@ -411,40 +375,34 @@ def test_values_of_sensors_have_the_age_of_their_measurement() -> None:
     assert "aws_mps" not in says(named(b"aws_mps", math.nan, 300), 6.0)
 
 
-def test_stop_for_all_is_answered_when_every_boat_has_answered(tmp_path: Path) -> None:
-    async def main() -> None:
-        async with opened(tmp_path) as sea, sea.session.ws_connect(sea.url + "ws") as page:
-            await sea.until(page, lambda m: boat_in(m, 1) and boat_in(m, 2))
-            hear, sea.boats[1].hear = sea.boats[1].hear, lambda data: None  # type: ignore[method-assign]
-            await page.send_json({"t": "command", "seq": 1, "boat": "all", "command": "stop"})
-            for _ in range(5):
-                await sea.until(page, lambda m: m["t"] == "boats")
-            assert not [each for each in sea.heard if each["t"] == "answer"]
-            assert sea.boats[0].obeyed, "the first one stopped at once"
-            sea.boats[1].hear = hear  # type: ignore[method-assign]
-            assert (await sea.until(page, lambda m: m["t"] == "answer"))["ok"]
-
-    asyncio.run(main())
+async def test_stop_for_all_is_answered_when_every_boat_has_answered(tmp_path: Path) -> None:
+    async with opened(tmp_path) as sea, sea.session.ws_connect(sea.url + "ws") as page:
+        await sea.until(page, lambda m: boat_in(m, 1) and boat_in(m, 2))
+        hear, sea.boats[1].hear = sea.boats[1].hear, lambda data: None  # type: ignore[method-assign]
+        await page.send_json({"t": "command", "seq": 1, "boat": "all", "command": "stop"})
+        for _ in range(5):
+            await sea.until(page, lambda m: m["t"] == "boats")
+        assert not [each for each in sea.heard if each["t"] == "answer"]
+        assert sea.boats[0].obeyed, "the first one stopped at once"
+        sea.boats[1].hear = hear  # type: ignore[method-assign]
+        assert (await sea.until(page, lambda m: m["t"] == "answer"))["ok"]
 
 
-def test_two_hundred_pages_are_served_or_refused_in_words(tmp_path: Path) -> None:
-    async def main() -> None:
-        async with opened(tmp_path) as sea:
-            served, refused = [], []
-            for _ in range(200):
-                try:
-                    served.append(await sea.session.ws_connect(sea.url + "ws"))
-                except aiohttp.WSServerHandshakeError as error:
-                    refused.append(error.status)
-            assert (len(served), refused) == (PAGES_MAX, [503] * (200 - PAGES_MAX))
-            async with sea.session.get(sea.url + "ws") as answer:
-                assert await answer.text() == "too many pages are open: close one\n"
-            for page in served:
-                await page.close()
-            async with sea.session.ws_connect(sea.url + "ws") as page:
-                assert (await page.receive_json())["t"] == "hello", "there is room again"
-
-    asyncio.run(main())
+async def test_two_hundred_pages_are_served_or_refused_in_words(tmp_path: Path) -> None:
+    async with opened(tmp_path) as sea:
+        served, refused = [], []
+        for _ in range(200):
+            try:
+                served.append(await sea.session.ws_connect(sea.url + "ws"))
+            except aiohttp.WSServerHandshakeError as error:
+                refused.append(error.status)
+        assert (len(served), refused) == (PAGES_MAX, [503] * (200 - PAGES_MAX))
+        async with sea.session.get(sea.url + "ws") as answer:
+            assert await answer.text() == "too many pages are open: close one\n"
+        for page in served:
+            await page.close()
+        async with sea.session.ws_connect(sea.url + "ws") as page:
+            assert (await page.receive_json())["t"] == "hello", "there is room again"
 
 
 def test_two_hundred_sockets_that_say_nothing_or_nonsense_cost_bounded_memory_and_no_log(tmp_path: Path) -> None:
@@ -491,22 +449,18 @@ def test_a_port_that_is_taken_has_a_reason_and_what_to_do(tmp_path: Path) -> Non
             asyncio.run(serve(Gateway(SystemClock(), tmp_path), None, taken.getsockname(), lambda url: None))
 
 
-def test_a_page_learns_of_charts_and_of_those_that_are_wrong(tmp_path: Path) -> None:
+async def test_a_page_learns_of_charts_and_of_those_that_are_wrong(tmp_path: Path) -> None:
     Image.new("RGB", (20, 10)).save(tmp_path / "harbour.png")
     (tmp_path / "harbour.pgw").write_text("0.001 0 0 -0.001 -9.2195 38.6995")
     Image.new("RGB", (20, 10)).save(tmp_path / "lost.png")
-
-    async def main() -> None:
-        async with opened(tmp_path, charts=tmp_path) as sea, sea.session.ws_connect(sea.url + "ws") as page:
-            (chart,) = (await page.receive_json())["backgrounds"]
-            assert (chart["name"], chart["kind"]) == ("harbour", "image")
-            assert chart["extent"] == pytest.approx([-9.22, 38.69, -9.20, 38.70])
-            text = await sea.until(page, lambda m: m["t"] == "text")
-            assert "lost.png" in text["text"]
-            async with sea.session.get(sea.url + "background/harbour") as answer:
-                assert await answer.read() == (tmp_path / "harbour.png").read_bytes()
-
-    asyncio.run(main())
+    async with opened(tmp_path, charts=tmp_path) as sea, sea.session.ws_connect(sea.url + "ws") as page:
+        (chart,) = (await page.receive_json())["backgrounds"]
+        assert (chart["name"], chart["kind"]) == ("harbour", "image")
+        assert chart["extent"] == pytest.approx([-9.22, 38.69, -9.20, 38.70])
+        text = await sea.until(page, lambda m: m["t"] == "text")
+        assert "lost.png" in text["text"]
+        async with sea.session.get(sea.url + "background/harbour") as answer:
+            assert await answer.read() == (tmp_path / "harbour.png").read_bytes()
 
 
 def test_a_session_is_recorded_and_replayed_to_a_page(tmp_path: Path) -> None:
@@ -534,13 +488,10 @@ def test_a_session_is_recorded_and_replayed_to_a_page(tmp_path: Path) -> None:
     asyncio.run(replay())
 
 
-def test_a_radio_that_is_not_there_is_told_to_the_page(tmp_path: Path) -> None:
-    async def main() -> None:
-        async with opened(tmp_path, radios=[f"{tmp_path}/none:9600"]) as sea, sea.session.ws_connect(sea.url + "ws") as page:
-            text = await sea.until(page, lambda m: m["t"] == "text" and "No such file" in m["text"])
-            assert text["boat"] is None
-
-    asyncio.run(main())
+async def test_a_radio_that_is_not_there_is_told_to_the_page(tmp_path: Path) -> None:
+    async with opened(tmp_path, radios=[f"{tmp_path}/none:9600"]) as sea, sea.session.ws_connect(sea.url + "ws") as page:
+        text = await sea.until(page, lambda m: m["t"] == "text" and "No such file" in m["text"])
+        assert text["boat"] is None
 
 
 def test_a_gateway_that_is_killed_says_nothing_more(tmp_path: Path) -> None:
@@ -600,42 +551,38 @@ async def _steered(url: str, boat_end: socket.socket, gateway: "subprocess.Popen
     loop.remove_reader(boat_end)
 
 
-def test_a_gateway_that_slept_sends_nothing_old_when_it_wakes(tmp_path: Path) -> None:
+async def test_a_gateway_that_slept_sends_nothing_old_when_it_wakes(tmp_path: Path) -> None:
     """What the page said before the laptop slept, and what it goes on saying, is heard after it woke up."""
     clock = ManualClock(100.0)
+    async with opened(tmp_path, clock) as sea, sea.session.ws_connect(sea.url + "ws") as page:
+        boat = sea.boats[0]
 
-    async def main() -> None:
-        async with opened(tmp_path, clock) as sea, sea.session.ws_connect(sea.url + "ws") as page:
-            boat = sea.boats[0]
+        async def steer(count: int) -> None:
+            await page.send_json({"t": "input", "boat": 1, "n": count, "port_pct": 30, "starboard_pct": 30})
 
-            async def steer(count: int) -> None:
-                await page.send_json({"t": "input", "boat": 1, "n": count, "port_pct": 30, "starboard_pct": 30})
+        async def ask(command: str, **words: str) -> dict[str, Any]:
+            await page.send_json({"t": "command", "seq": 1, "boat": 1, "command": command, **words})
+            return await sea.until(page, lambda m: m["t"] == "answer")
 
-            async def ask(command: str, **words: str) -> dict[str, Any]:
-                await page.send_json({"t": "command", "seq": 1, "boat": 1, "command": command, **words})
-                return await sea.until(page, lambda m: m["t"] == "answer")
-
-            await sea.until(page, lambda m: boat_in(m, 1))
-            await ask("mode", mode="manual")
-            await steer(0)
-            async with asyncio.timeout(200):
-                while not boat.thrust:
-                    await asyncio.sleep(0.01)
-            clock.advance(8.0)
-            for count in range(1, 6):
-                await steer(count)
-            assert (await ask("play"))["reason"] == "the console's computer slept: give the command again"
-            await sea.until(page, lambda m: boat_in(m, 1).get("released"))
-            assert (await ask("stop"))["ok"]
-            assert boat.thrust == [(300, 0), (0, 0)]
-            assert boat.obeyed == [{"command": "mode", "mode": "manual"}, (176, 1, 4)], "manual before, and stop"
-            for _ in range(3):
-                clock.advance(0.5)
-                now_s = clock.time_ns() / 1e9
-                await sea.until(page, lambda m, now_s=now_s: m["t"] == "boats" and m["at_s"] >= round(now_s, 3))
-            assert (await ask("mode", mode="manual"))["ok"], "the operator took it again"
-
-    asyncio.run(main())
+        await sea.until(page, lambda m: boat_in(m, 1))
+        await ask("mode", mode="manual")
+        await steer(0)
+        async with asyncio.timeout(200):
+            while not boat.thrust:
+                await asyncio.sleep(0.01)
+        clock.advance(8.0)
+        for count in range(1, 6):
+            await steer(count)
+        assert (await ask("play"))["reason"] == "the console's computer slept: give the command again"
+        await sea.until(page, lambda m: boat_in(m, 1).get("released"))
+        assert (await ask("stop"))["ok"]
+        assert boat.thrust == [(300, 0), (0, 0)]
+        assert boat.obeyed == [{"command": "mode", "mode": "manual"}, (176, 1, 4)], "manual before, and stop"
+        for _ in range(3):
+            clock.advance(0.5)
+            now_s = clock.time_ns() / 1e9
+            await sea.until(page, lambda m, now_s=now_s: m["t"] == "boats" and m["at_s"] >= round(now_s, 3))
+        assert (await ask("mode", mode="manual"))["ok"], "the operator took it again"
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="CLOCK_BOOTTIME is Linux's")
@@ -665,19 +612,16 @@ def test_without_a_screen_nothing_is_opened(monkeypatch: pytest.MonkeyPatch) -> 
     browser.show("http://127.0.0.1:1/")
 
 
-def test_a_gateway_that_is_ended_in_order_says_zero_and_keeps_the_session(tmp_path: Path) -> None:
-    async def main() -> None:
-        async with opened(tmp_path, sessions=tmp_path / "sessions") as sea, sea.session.ws_connect(sea.url + "ws") as page:
-            await sea.until(page, lambda m: boat_in(m, 1))
-            await page.send_json({"t": "input", "boat": 1, "n": 0, "port_pct": 30, "starboard_pct": 30})
-            async with asyncio.timeout(200):
-                while not sea.boats[0].thrust:
-                    await asyncio.sleep(0.01)
-            sea.gateway.fleet.release_all("the console ended")
-            async with asyncio.timeout(200):
-                while sea.boats[0].thrust[-1] != (0, 0):
-                    await asyncio.sleep(0.01)
-
-    asyncio.run(main())
+async def test_a_gateway_that_is_ended_in_order_says_zero_and_keeps_the_session(tmp_path: Path) -> None:
+    async with opened(tmp_path, sessions=tmp_path / "sessions") as sea, sea.session.ws_connect(sea.url + "ws") as page:
+        await sea.until(page, lambda m: boat_in(m, 1))
+        await page.send_json({"t": "input", "boat": 1, "n": 0, "port_pct": 30, "starboard_pct": 30})
+        async with asyncio.timeout(200):
+            while not sea.boats[0].thrust:
+                await asyncio.sleep(0.01)
+        sea.gateway.fleet.release_all("the console ended")
+        async with asyncio.timeout(200):
+            while sea.boats[0].thrust[-1] != (0, 0):
+                await asyncio.sleep(0.01)
     (tape,) = open_tapes([tmp_path / "sessions"])
     assert tape.to_s > tape.from_s

@@ -1,37 +1,32 @@
 """What an operator sees of the boats at a glance, in a real browser against a stand-in gateway: on a desk, on a phone."""
 
-import asyncio
+import contextlib
 import json
-from collections.abc import Awaitable, Callable
+from collections.abc import AsyncIterator
 
 import pytest
 
 from tests.console.scenes import at_work, choose, opened, show, survey, waypoints
 from tests.console.standin import Message, Standin, boat, place, reference
-from tests.console.test_page import shown, text_of, two
+from tests.kit.page import shown, text_of, two
 from tests.services.browser import Page, tab
 
 DESK, PHONE, LANDSCAPE = (1440, 860), (390, 844), (844, 390)
 
-Story = Callable[[Page, Standin], Awaitable[None]]
 
-
-def look(gateway: Standin, size: tuple[int, int], story: Story, *, touch: bool = False) -> None:
-    """Runs a story with the page open in a window of this size."""
-
-    async def told() -> None:
-        async with gateway.serving(), tab() as page:
-            await page.call("Emulation.setTouchEmulationEnabled", enabled=touch)
-            await opened(page, gateway, width=size[0], height=size[1])
-            await story(page, gateway)
-            assert page.complaints == []
-
-    asyncio.run(told())
+@contextlib.asynccontextmanager
+async def look(gateway: Standin, size: tuple[int, int], *, touch: bool = False) -> AsyncIterator[tuple[Page, Standin]]:
+    """The page open in a window of this size."""
+    async with gateway.serving(), tab() as page:
+        await page.call("Emulation.setTouchEmulationEnabled", enabled=touch)
+        await opened(page, gateway, width=size[0], height=size[1])
+        yield page, gateway
+        assert page.complaints == []
 
 
 @pytest.mark.parametrize("size", [DESK, PHONE], ids=["desk", "phone"])
-def test_a_weak_link_is_amber_with_its_cause_and_with_what_it_means_for_a_stop(size: tuple[int, int]) -> None:
-    async def story(page: Page, gateway: Standin) -> None:
+async def test_a_weak_link_is_amber_with_its_cause_and_with_what_it_means_for_a_stop(size: tuple[int, int]) -> None:
+    async with look(Standin(two()), size) as (page, gateway):
         weak = "document.querySelector('[data-boat=\"1\"] .weak')"
         bars = "document.querySelector('[data-boat=\"1\"] .bars')"
         for link, words, count in (
@@ -51,17 +46,13 @@ def test_a_weak_link_is_amber_with_its_cause_and_with_what_it_means_for_a_stop(s
         gateway.boat(1)["link"].update(kind="log")
         await shown(page, gateway, f"{bars}.hidden && {text_of(1, '.weak')} === ''")
 
-    look(Standin(two()), size, story)
 
-
-def test_a_boat_that_tells_no_revolutions_has_no_graph_of_them() -> None:
-    async def story(page: Page, gateway: Standin) -> None:
+async def test_a_boat_that_tells_no_revolutions_has_no_graph_of_them() -> None:
+    async with look(Standin(two()), DESK) as (page, gateway):
         graphs = "document.querySelector('[data-boat=\"1\"] .graphs').hidden"
         await shown(page, gateway, f"{graphs} === false")
         gateway.boat(1)["age_s"]["rpm"] = None
         await shown(page, gateway, f"{graphs} === true")
-
-    look(Standin(two()), DESK, story)
 
 
 OUTSIDE = """[...document.querySelectorAll('.chip *, .popup *')].filter((each) => {
@@ -87,8 +78,8 @@ def three() -> list[Message]:
 
 
 @pytest.mark.parametrize("size", [DESK, PHONE, LANDSCAPE], ids=["desk", "phone", "landscape"])
-def test_three_boats_are_all_in_sight_and_no_words_run_over_their_boxes(size: tuple[int, int]) -> None:
-    async def story(page: Page, gateway: Standin) -> None:
+async def test_three_boats_are_all_in_sight_and_no_words_run_over_their_boxes(size: tuple[int, int]) -> None:
+    async with look(Standin(three()), size) as (page, gateway):
         await page.press("Tab")
         for name in ("Survey", "The-whole-bay-in-lines-of-five-metres"):
             for each in gateway.boats:
@@ -108,12 +99,10 @@ def test_three_boats_are_all_in_sight_and_no_words_run_over_their_boxes(size: tu
         for part in (".ages", ".link"):
             assert await page.value(f"document.querySelector('.selected {part}').getClientRects().length") == 1, part
 
-    look(Standin(three()), size, story)
-
 
 @pytest.mark.parametrize("touch", [False, True])
-def test_a_menu_on_a_touch_screen_shows_no_keys_and_leaves_a_part_of_the_map(touch: bool) -> None:
-    async def story(page: Page, gateway: Standin) -> None:
+async def test_a_menu_on_a_touch_screen_shows_no_keys_and_leaves_a_part_of_the_map(touch: bool) -> None:
+    async with look(Standin(two()), PHONE if touch else DESK, touch=touch) as (page, _gateway):
         await page.press("Enter")
         await page.until("document.querySelector('.item kbd') !== null")
         assert bool(await page.value("document.querySelector('.item kbd').getClientRects().length")) is not touch
@@ -121,11 +110,9 @@ def test_a_menu_on_a_touch_screen_shows_no_keys_and_leaves_a_part_of_the_map(tou
             assert await page.value("document.querySelector('.popup').offsetHeight") < 0.6 * PHONE[1]
         assert await page.value(OUTSIDE) == []
 
-    look(Standin(two()), PHONE if touch else DESK, story, touch=touch)
 
-
-def test_a_lost_boat_is_forgotten_and_leaves_nothing() -> None:
-    async def story(page: Page, gateway: Standin) -> None:
+async def test_a_lost_boat_is_forgotten_and_leaves_nothing() -> None:
+    async with look(Standin(two()), DESK) as (page, gateway):
         await page.press("Enter")
         await choose(page, "More")
         await page.until("document.querySelector('.popup').textContent.includes('Forget it')")
@@ -147,13 +134,10 @@ def test_a_lost_boat_is_forgotten_and_leaves_nothing() -> None:
         assert await page.value("document.querySelector('.selected').dataset.boat") == "2"
         assert await page.value("delfim.points(1)") == 0
 
-    look(Standin(two()), DESK, story)
 
-
-def test_of_five_hundred_waypoints_those_are_numbered_that_have_room_and_the_round_ones_first() -> None:
+async def test_of_five_hundred_waypoints_those_are_numbered_that_have_room_and_the_round_ones_first() -> None:
     """Near by all in sight have their numbers; from afar first, last and tens that do not lie upon each other."""
-
-    async def story(page: Page, gateway: Standin) -> None:
+    async with look(Standin(two()), DESK) as (page, gateway):
         lines = [(-200.0 + along, 5.0 * row) for row in range(250) for along in ((0, 400) if row % 2 == 0 else (400, 0))]
         mission = {**survey(), "waypoints": waypoints(lines)}
         await gateway.tell({"t": "mission", "boat": 1, "where": "here", "mission": mission})
@@ -164,11 +148,11 @@ def test_of_five_hundred_waypoints_those_are_numbered_that_have_room_and_the_rou
                 await page.value("delfim.fit(38.69018, -9.21502, 38.69022, -9.21498)")
             await page.until(f"delfim.numbers() >= {least} && delfim.numbers() <= {most}")
 
-    look(Standin(two()), DESK, story)
 
-
-def test_on_a_chart_words_stand_on_plates_and_before_a_boat_is_heard_the_chart_is_in_sight() -> None:
-    async def story(page: Page, gateway: Standin) -> None:
+async def test_on_a_chart_words_stand_on_plates_and_before_a_boat_is_heard_the_chart_is_in_sight() -> None:
+    gateway = at_work()
+    gateway.boats, gateway.plans, gateway.aboard = [], {}, {}
+    async with look(gateway, DESK) as (page, gateway):
         await page.until("document.documentElement.classList.contains('charted')")
         (south, west), (north, east) = place(-300, -620), place(360, 620)
         corners = await page.value(f"[delfim.pixel({south}, {west}), delfim.pixel({north}, {east})]")
@@ -185,14 +169,10 @@ def test_on_a_chart_words_stand_on_plates_and_before_a_boat_is_heard_the_chart_i
         await page.mouse((middle_x, middle_y))
         await choose(page, "Show the chart")
 
-    gateway = at_work()
-    gateway.boats, gateway.plans, gateway.aboard = [], {}, {}
-    look(gateway, DESK, story)
-
 
 @pytest.mark.parametrize("size", [DESK, (1000, 600), PHONE], ids=["desk", "small", "phone"])
-def test_all_of_the_card_of_keys_can_be_scrolled_to(size: tuple[int, int]) -> None:
-    async def story(page: Page, gateway: Standin) -> None:
+async def test_all_of_the_card_of_keys_can_be_scrolled_to(size: tuple[int, int]) -> None:
+    async with look(Standin(two()), size) as (page, _gateway):
         await page.press("F1")
         await page.until("document.querySelector('#card:not([hidden]) .line') !== null")
         await page.value("[...document.querySelectorAll('#card .line')].at(-1).scrollIntoView({ block: 'nearest' }), 0")
@@ -204,11 +184,9 @@ def test_all_of_the_card_of_keys_can_be_scrolled_to(size: tuple[int, int]) -> No
         assert (right <= most_right + 1, bottom <= most_bottom + 1) == (True, True)
         assert await page.value("document.querySelector('#card').scrollWidth <= document.querySelector('#card').clientWidth")
 
-    look(Standin(two()), size, story)
 
-
-def test_f6_reaches_the_buttons_that_have_no_key() -> None:
-    async def story(page: Page, gateway: Standin) -> None:
+async def test_f6_reaches_the_buttons_that_have_no_key() -> None:
+    async with look(Standin(two()), DESK) as (page, _gateway):
         await page.until("!document.getElementById('hint').hidden")
         for _ in range(9):
             await page.press("F6")
@@ -218,5 +196,3 @@ def test_f6_reaches_the_buttons_that_have_no_key() -> None:
         assert await page.value("document.getElementById('hint').hidden")
         await page.press("Enter")
         await page.until("document.querySelector('.item') !== null")
-
-    look(Standin(two()), DESK, story)

@@ -45,7 +45,7 @@ async def says(page: Page, place: str, words: str = MARK) -> None:
     await page.until(f"document.querySelector({place!r})?.textContent.includes({words!r})")
 
 
-def test_markup_in_names_and_texts_is_text(tmp_path: Path) -> None:
+async def test_markup_in_names_and_texts_is_text(tmp_path: Path) -> None:
     """The boat's name, what it says and why it refuses; names of missions, of their files, of charts and of a radio."""
     assert PROGRAM, "Chromium is missing: make system"
     for folder in ("missions", "charts"):
@@ -54,32 +54,28 @@ def test_markup_in_names_and_texts_is_text(tmp_path: Path) -> None:
     Image.new("RGB", (20, 10)).save(tmp_path / "charts" / f"{MARK}.png")
     (tmp_path / "charts" / f"{MARK}.pgw").write_text("0.001 0 0 -0.001 -9.2195 38.6995")
     Image.new("RGB", (20, 10)).save(tmp_path / "charts" / f"lost {MARK}.png")
-
-    async def main() -> None:
-        async with (
-            opened(tmp_path, charts=tmp_path / "charts", radios=[f"{MARK}:9600"]) as sea,
-            alive(sea.boats),
-            tab() as page,
-        ):
-            boat = sea.boats[0]
-            boat.name = boat.refuse = MARK
-            await put(sea)
-            await page.open(f"{sea.url}?token={sea.gateway.token}", width=1280, height=800, scale=1.0)
-            await page.call("Page.bringToFront")
-            await says(page, '[data-boat="1"] b')
-            await says(page, "#messages", f"lost {MARK}.png")
-            await page.press("h")
-            await says(page, "#messages", MARK)
-            await page.press("Enter")
-            await says(page, ".popup")
-            await choose(page, "Mission", "Load", MARK)
-            await says(page, "#messages", "is no name for a mission")
-            await page.press("Escape")
-            await page.mouse((500.0, 600.0))
-            await choose(page, "Screen")
-            await page.until(f"{ITEMS}.includes('Chart: {MARK}')")
-            await choose(page, "Log of the watch")
-            await says(page, "#log")
-            assert await page.value("[window.owned ?? 0, document.querySelectorAll('img, body script').length]") == [0, 0]
-
-    asyncio.run(main())
+    async with (
+        opened(tmp_path, charts=tmp_path / "charts", radios=[f"{MARK}:9600"]) as sea,
+        alive(sea.boats),
+        tab() as page,
+    ):
+        boat = sea.boats[0]
+        boat.name = boat.refuse = MARK
+        await put(sea)
+        await page.open(f"{sea.url}?token={sea.gateway.token}", width=1280, height=800, scale=1.0)
+        await page.call("Page.bringToFront")
+        await says(page, '[data-boat="1"] b')
+        await says(page, "#messages", f"lost {MARK}.png")
+        await page.press("h")
+        await says(page, "#messages", MARK)
+        await page.press("Enter")
+        await says(page, ".popup")
+        await choose(page, "Mission", "Load", MARK)
+        await says(page, "#messages", "is no name for a mission")
+        await page.press("Escape")
+        await page.mouse((500.0, 600.0))
+        await choose(page, "Screen")
+        await page.until(f"{ITEMS}.includes('Chart: {MARK}')")
+        await choose(page, "Log of the watch")
+        await says(page, "#log")
+        assert await page.value("[window.owned ?? 0, document.querySelectorAll('img, body script').length]") == [0, 0]

@@ -102,23 +102,19 @@ def test_the_gateway_keeps_no_more_after_thirty_hours_than_after_eleven(day: Day
     assert after - before < 500
 
 
-def test_the_page_holds_no_more_after_thirty_hours_than_after_eleven(tmp_path: Path) -> None:
+async def test_the_page_holds_no_more_after_thirty_hours_than_after_eleven(tmp_path: Path) -> None:
     """Of each hour it is told the tracks as the gateway tells them, a point a second, a mission and a warning of each boat, and
     thirty times all there is of the boats."""
-
-    async def told() -> None:
-        gateway = Standin(fleet(10))
-        async with gateway.serving(), browser(tmp_path) as page:
-            await opened(page, gateway)
-            await show(page, 1000, 1000, 1200, 1200)  # beside the boats: how fast they are drawn is another test's
-            after_11 = await later(page, gateway, 11)
-            after_30 = await later(page, gateway, 19)
-        print(f"the page: {after_11} after 11 hours, {after_30} after 30")
-        assert after_11["points"] == pytest.approx(TRACK_MAX, rel=0.02), "of a boat's track, as the gateway keeps it"
-        assert after_30["nodes"] <= after_11["nodes"] + 20
-        assert after_30["bytes"] < 1.1 * after_11["bytes"]
-
-    asyncio.run(told())
+    gateway = Standin(fleet(10))
+    async with gateway.serving(), browser(tmp_path) as page:
+        await opened(page, gateway)
+        await show(page, 1000, 1000, 1200, 1200)  # beside the boats: how fast they are drawn is another test's
+        after_11 = await later(page, gateway, 11)
+        after_30 = await later(page, gateway, 19)
+    print(f"the page: {after_11} after 11 hours, {after_30} after 30")
+    assert after_11["points"] == pytest.approx(TRACK_MAX, rel=0.02), "of a boat's track, as the gateway keeps it"
+    assert after_30["nodes"] <= after_11["nodes"] + 20
+    assert after_30["bytes"] < 1.1 * after_11["bytes"]
 
 
 async def later(page: Page, gateway: Standin, hours: int) -> dict[str, int]:

@@ -84,67 +84,60 @@ def test_the_check_says_what_is_on_no_chart_and_whose_limits_it_took() -> None:
     assert words.endswith("; on no chart: waypoints 1, 2, 3, 4, 5 and 7 more")
 
 
-def test_the_gateway_goes_on_while_a_mission_is_read_and_reads_none_that_is_too_long(tmp_path: Path) -> None:
-    async def main() -> None:
-        async with opened(tmp_path) as sea, sea.session.ws_connect(sea.url + "ws") as page:
-            folder = tmp_path / "missions"
-            folder.mkdir()
-            (folder / "endless.toml").write_text(ENDLESS)
-            (folder / "long.toml").write_text("#" * (TEXT_BYTES + 1))
-            os.mkfifo(folder / "pipe.toml")
-            answers: list[dict[str, Any]] = []
-            for number, name in enumerate(("endless", "long", "pipe")):
-                await page.send_json({"t": "mission", "seq": number, "boat": 0, "do": "load", "name": name})
-            await page.send_json({"t": "mission", "seq": 3, "boat": 0, "do": "check", "mission": plan(*INSIDE)})
-            while len(answers) < 4:
-                answers.append(await sea.until(page, lambda m: m["t"] == "answer"))
-            reasons = {each["seq"]: each["reason"] for each in answers}
-            assert answers[-1]["seq"] == 0, "the others were answered while it was read"
-            assert "too much time or memory" in reasons[0]
-            assert "are not read" in reasons[1]
-            assert "this is a pipe" in reasons[2]
-            assert reasons[3] == f"about {ABOUT}"
-
-    asyncio.run(main())
+async def test_the_gateway_goes_on_while_a_mission_is_read_and_reads_none_that_is_too_long(tmp_path: Path) -> None:
+    async with opened(tmp_path) as sea, sea.session.ws_connect(sea.url + "ws") as page:
+        folder = tmp_path / "missions"
+        folder.mkdir()
+        (folder / "endless.toml").write_text(ENDLESS)
+        (folder / "long.toml").write_text("#" * (TEXT_BYTES + 1))
+        os.mkfifo(folder / "pipe.toml")
+        answers: list[dict[str, Any]] = []
+        for number, name in enumerate(("endless", "long", "pipe")):
+            await page.send_json({"t": "mission", "seq": number, "boat": 0, "do": "load", "name": name})
+        await page.send_json({"t": "mission", "seq": 3, "boat": 0, "do": "check", "mission": plan(*INSIDE)})
+        while len(answers) < 4:
+            answers.append(await sea.until(page, lambda m: m["t"] == "answer"))
+        reasons = {each["seq"]: each["reason"] for each in answers}
+        assert answers[-1]["seq"] == 0, "the others were answered while it was read"
+        assert "too much time or memory" in reasons[0]
+        assert "are not read" in reasons[1]
+        assert "this is a pipe" in reasons[2]
+        assert reasons[3] == f"about {ABOUT}"
 
 
-def test_a_mission_with_a_fence_is_drawn_checked_saved_and_loaded_without_a_boat(tmp_path: Path) -> None:
+async def test_a_mission_with_a_fence_is_drawn_checked_saved_and_loaded_without_a_boat(tmp_path: Path) -> None:
     charts = tmp_path / "charts"
     charts.mkdir()
     Image.new("RGB", (8, 8)).save(charts / "harbour.png")
     (charts / "harbour.pgw").write_text(f"0.00125\n0\n0\n-0.00125\n{WEST}\n{NORTH}\n")
-
-    async def told() -> None:
-        async with console(tmp_path) as it:
-            page = it.page
-            await view(it)
-            await at(it, 0.5, 0.5, "Fence, obstacle, home", "Fence around here…")
-            await page.press("Enter")
-            await at(it, 0.47, 0.48, "Add waypoint")
-            await it.until(f"({CHECKED}).includes('1 waypoint ') && ({CHECKED}).includes('in order')")
-            await at(it, 0.9, 0.9, "Add waypoint")
-            await it.until(
-                f"({CHECKED}).includes('the leg to waypoint 2 leads out of the mission’s keep-in zone'.replace('’', \"'\"))"
-            )
-            assert await page.value("document.getElementById('check').dataset.state") == "wrong"
-            await page.press("z", ("Control",))
-            await at(it, 0.53, 0.52, "Add waypoint")
-            await it.until(f"({CHECKED}).includes('2 waypoints') && ({CHECKED}).includes('in order')")
-            assert NO_FILE in await page.value(CHECKED)
-            await at(it, 0.48, 0.55, "Fence, obstacle, home", "Set home here")
-            await named(it, "Yard", 0.1, 0.9, "Mission", "Save under a new name…")
-            await it.said("saved: Yard; its home is not in the file")
-            await page.open(it.url, width=1200, height=760, scale=1.0)
-            await page.until("delfim.online()")
-            await view(it)
-            assert await page.value(PLANNED) == 0
-            await at(it, 0.1, 0.9, "Mission", "Load", "Yard")
-            await it.until(f"{PLANNED} === 2")
-            await at(it, 0.9, 0.9, "Add waypoint")
-            await it.until(f"({CHECKED}).includes('keep-in zone')")
-            assert it.boats == []
-
-    asyncio.run(told())
+    async with console(tmp_path) as it:
+        page = it.page
+        await view(it)
+        await at(it, 0.5, 0.5, "Fence, obstacle, home", "Fence around here…")
+        await page.press("Enter")
+        await at(it, 0.47, 0.48, "Add waypoint")
+        await it.until(f"({CHECKED}).includes('1 waypoint ') && ({CHECKED}).includes('in order')")
+        await at(it, 0.9, 0.9, "Add waypoint")
+        await it.until(
+            f"({CHECKED}).includes('the leg to waypoint 2 leads out of the mission’s keep-in zone'.replace('’', \"'\"))"
+        )
+        assert await page.value("document.getElementById('check').dataset.state") == "wrong"
+        await page.press("z", ("Control",))
+        await at(it, 0.53, 0.52, "Add waypoint")
+        await it.until(f"({CHECKED}).includes('2 waypoints') && ({CHECKED}).includes('in order')")
+        assert NO_FILE in await page.value(CHECKED)
+        await at(it, 0.48, 0.55, "Fence, obstacle, home", "Set home here")
+        await named(it, "Yard", 0.1, 0.9, "Mission", "Save under a new name…")
+        await it.said("saved: Yard; its home is not in the file")
+        await page.open(it.url, width=1200, height=760, scale=1.0)
+        await page.until("delfim.online()")
+        await view(it)
+        assert await page.value(PLANNED) == 0
+        await at(it, 0.1, 0.9, "Mission", "Load", "Yard")
+        await it.until(f"{PLANNED} === 2")
+        await at(it, 0.9, 0.9, "Add waypoint")
+        await it.until(f"({CHECKED}).includes('keep-in zone')")
+        assert it.boats == []
 
 
 @pytest.mark.long

@@ -4,6 +4,7 @@ Boats, gateway and browser are started once; each story begins with idle boats.
 """
 
 import asyncio
+import contextlib
 import math
 import signal
 import statistics
@@ -14,7 +15,7 @@ from typing import Any
 import pytest
 
 from delfim.canproxy.dsor import messages
-from tests.console.chain import PATIENCE_S, Boat, Sea, afternoon, select, shown_mode, turning
+from tests.console.chain import PATIENCE_S, Boat, Sea, afternoon, select, shown_mode, turning, watched
 from tests.console.scenes import choose
 from tests.services.browser import Page, tab
 
@@ -42,20 +43,15 @@ ITEM = "[...document.querySelectorAll('.item')].find(i => i.querySelector('.titl
 WITHIN_M = 12.0  # of the last waypoint: its acceptance radius, and that of holding, and the way to stop
 
 
-Story = Callable[[Sea], Awaitable[None]]
-Sail = Callable[[Story], None]
-
-
 @pytest.fixture(scope="module")
-def sail(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Sail]:
-    """Runs a story."""
-    with afternoon(tmp_path_factory.mktemp("operating")) as (runner, sea):
+def afloat(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[asyncio.Runner, Sea]]:
+    with afternoon(tmp_path_factory.mktemp("operating")) as both:
+        yield both
 
-        async def told(story: Story) -> None:
-            await story(sea)
-            await sea.nothing_amiss()
 
-        yield lambda story: runner.run(told(story))
+@pytest.fixture
+def sea(runner: asyncio.Runner, afloat: tuple[asyncio.Runner, Sea]) -> contextlib.AbstractAsyncContextManager[Sea]:
+    return watched(afloat[1])
 
 
 def menu_titles() -> str:
@@ -70,110 +66,95 @@ async def pressed(page: Page, boat: Boat, key: str, mode: str) -> None:
 # Keys.
 
 
-def test_each_key_of_the_thesis_is_seen_at_the_vehicle(sail: Sail) -> None:
-    async def story(sea: Sea) -> None:
-        page, boat = await sea.at_rest(2)
-        await drawn(page, boat, [(60, -69), (60, 69), (-60, 69)])
-        await sent(page)
-        for key, mode in (("h", "heading"), ("g", "goto"), ("p", "path"), ("y", "play"), ("i", "idle")):
-            await pressed(page, boat, key, mode)
-        await page.press("r")
-        await page.press("x")
-        await page.until("document.getElementById('messages').textContent.includes('grex refused: ')")
-        assert "reset refused" not in await page.value("document.getElementById('messages').textContent")
+async def test_each_key_of_the_thesis_is_seen_at_the_vehicle(sea: Sea) -> None:
+    page, boat = await sea.at_rest(2)
+    await drawn(page, boat, [(60, -69), (60, 69), (-60, 69)])
+    await sent(page)
+    for key, mode in (("h", "heading"), ("g", "goto"), ("p", "path"), ("y", "play"), ("i", "idle")):
+        await pressed(page, boat, key, mode)
+    await page.press("r")
+    await page.press("x")
+    await page.until("document.getElementById('messages').textContent.includes('grex refused: ')")
+    assert "reset refused" not in await page.value("document.getElementById('messages').textContent")
+    await pressed(page, boat, "m", "manual")
+    for key, modifiers, port, starboard in THRUST:
+        await page.press(key, modifiers)
+        await boat.until(turning(port, starboard))
+    await page.press(" ")
+    await boat.until(lambda state: state["mode"] == "idle" and turning(0, 0)(state))
+    await shown_mode(page, 2, "idle")
+
+
+async def test_a_boat_that_falls_silent_under_way_leaves_the_map_to_all(sea: Sea) -> None:
+    page, boat = await sea.at_rest(1)
+    await drawn(page, boat, [(60, -69), (60, 69), (-60, 69)])
+    await sent(page)
+    await pressed(page, boat, "y", "play")
+    await page.until("document.querySelector('.selected .left').textContent.endsWith('to go')")
+    sea.radios[0].cut()
+    try:
+        await page.until("document.querySelector('[data-boat=\"1\"]').dataset.age === 'lost'")
+        await page.value("new Promise(done => setTimeout(done, 1100))")
+        assert await page.value("delfim.frames()") > 0, "of the last second"
+        assert await page.value("document.getElementById('failed').hidden")
+    finally:
+        sea.radios[0].mend()
+    await page.until("document.querySelector('[data-boat=\"1\"]').dataset.age === 'fresh'")
+
+
+async def test_a_boat_goes_home_along_its_track_though_no_home_is_planned(sea: Sea) -> None:
+    page, boat = await sea.at_rest(1)
+    await pressed(page, boat, "h", "heading")
+    await page.press("5")
+    await boat.until(lambda state: state["speed_mps"] > 0.5)
+    await boat.sails_on(20)
+    await pressed(page, boat, "l", "home")
+    await pressed(page, boat, "i", "idle")
+    await page.press("Enter")
+    assert (await page.value(menu_titles()))[:4] == ["Stop", "Pause: hold here", "Continue", "Go home"]
+    await page.until("delfim.wayHome(1).startsWith('home: ')", PATIENCE_S)  # drawn before it is ordered
+    await page.press("Escape")
+    await page.until("!delfim.wayHome(1)", PATIENCE_S)
+    await page.press("Enter")
+    await choose(page, "Go home")
+    await boat.until(lambda state: state["mode"] == "home")
+    await page.until("delfim.wayHome(1).startsWith('home: ')", PATIENCE_S)  # and while it is sailed
+    await pressed(page, boat, "i", "idle")
+    await page.until("!delfim.wayHome(1)")
+
+
+async def test_nobody_but_the_selected_boat_is_told_anything(sea: Sea) -> None:
+    for number in (1, 2):
+        page, boat = await sea.at_rest(number)
+        before = [len(radio.said) for radio in sea.radios]
         await pressed(page, boat, "m", "manual")
-        for key, modifiers, port, starboard in THRUST:
-            await page.press(key, modifiers)
-            await boat.until(turning(port, starboard))
-        await page.press(" ")
-        await boat.until(lambda state: state["mode"] == "idle" and turning(0, 0)(state))
-        await shown_mode(page, 2, "idle")
-
-    sail(story)
-
-
-def test_a_boat_that_falls_silent_under_way_leaves_the_map_to_all(sail: Sail) -> None:
-    async def story(sea: Sea) -> None:
-        page, boat = await sea.at_rest(1)
-        await drawn(page, boat, [(60, -69), (60, 69), (-60, 69)])
-        await sent(page)
-        await pressed(page, boat, "y", "play")
-        await page.until("document.querySelector('.selected .left').textContent.endsWith('to go')")
-        sea.radios[0].cut()
-        try:
-            await page.until("document.querySelector('[data-boat=\"1\"]').dataset.age === 'lost'")
-            await page.value("new Promise(done => setTimeout(done, 1100))")
-            assert await page.value("delfim.frames()") > 0, "of the last second"
-            assert await page.value("document.getElementById('failed').hidden")
-        finally:
-            sea.radios[0].mend()
-        await page.until("document.querySelector('[data-boat=\"1\"]').dataset.age === 'fresh'")
-
-    sail(story)
-
-
-def test_a_boat_goes_home_along_its_track_though_no_home_is_planned(sail: Sail) -> None:
-    async def story(sea: Sea) -> None:
-        page, boat = await sea.at_rest(1)
+        await page.press("2")
+        await boat.until(turning(20, 20))
+        await page.press("0")
+        await boat.until(turning(0, 0))
         await pressed(page, boat, "h", "heading")
-        await page.press("5")
-        await boat.until(lambda state: state["speed_mps"] > 0.5)
-        await boat.sails_on(20)
-        await pressed(page, boat, "l", "home")
+        await page.press("1")
+        await boat.until(lambda state: state["reference"]["speed_override_mps"])
         await pressed(page, boat, "i", "idle")
-        await page.press("Enter")
-        assert (await page.value(menu_titles()))[:4] == ["Stop", "Pause: hold here", "Continue", "Go home"]
-        await page.until("delfim.wayHome(1).startsWith('home: ')", PATIENCE_S)  # drawn before it is ordered
-        await page.press("Escape")
-        await page.until("!delfim.wayHome(1)", PATIENCE_S)
-        await page.press("Enter")
-        await choose(page, "Go home")
-        await boat.until(lambda state: state["mode"] == "home")
-        await page.until("delfim.wayHome(1).startsWith('home: ')", PATIENCE_S)  # and while it is sailed
-        await pressed(page, boat, "i", "idle")
-        await page.until("!delfim.wayHome(1)")
-
-    sail(story)
+        spoken = [{m.get_type() for m in radio.spoken(since)} for radio, since in zip(sea.radios, before, strict=True)]
+        assert spoken[number - 1] >= {"MANUAL_CONTROL", "COMMAND_LONG", "V2_EXTENSION"}
+        assert spoken[2 - number] <= {"HEARTBEAT", "TIMESYNC"}
+    for number, radio in enumerate(sea.radios, 1):
+        named = [(m.get_type(), addressee(m)) for m in radio.spoken(0)]
+        assert {whom for kind, whom in named if kind not in ("HEARTBEAT", "TIMESYNC")} == {number}
 
 
-def test_nobody_but_the_selected_boat_is_told_anything(sail: Sail) -> None:
-    async def story(sea: Sea) -> None:
-        for number in (1, 2):
-            page, boat = await sea.at_rest(number)
-            before = [len(radio.said) for radio in sea.radios]
-            await pressed(page, boat, "m", "manual")
-            await page.press("2")
-            await boat.until(turning(20, 20))
-            await page.press("0")
-            await boat.until(turning(0, 0))
-            await pressed(page, boat, "h", "heading")
-            await page.press("1")
-            await boat.until(lambda state: state["reference"]["speed_override_mps"])
-            await pressed(page, boat, "i", "idle")
-            spoken = [{m.get_type() for m in radio.spoken(since)} for radio, since in zip(sea.radios, before, strict=True)]
-            assert spoken[number - 1] >= {"MANUAL_CONTROL", "COMMAND_LONG", "V2_EXTENSION"}
-            assert spoken[2 - number] <= {"HEARTBEAT", "TIMESYNC"}
-        for number, radio in enumerate(sea.radios, 1):
-            named = [(m.get_type(), addressee(m)) for m in radio.spoken(0)]
-            assert {whom for kind, whom in named if kind not in ("HEARTBEAT", "TIMESYNC")} == {number}
-
-    sail(story)
-
-
-def test_a_refusal_of_the_boat_stands_once_and_in_its_own_words(sail: Sail) -> None:
-    async def story(sea: Sea) -> None:
-        page, boat = await sea.at_rest(1)
-        await page.press("x")
-        lines = "[...document.querySelectorAll('.message span')].map(line => line.textContent)"
-        told = f"{lines}.filter(line => line.includes('grex'))"
-        await page.until(f"{told}.length")
-        once = ["grex refused: no set point from the guest computer"]
-        assert await page.value(told) == once
-        await pressed(page, boat, "h", "heading")  # and so whatever else is said of it has come, too
-        assert await page.value(told) in (once, []), "a line goes after a while"
-        await pressed(page, boat, "i", "idle")
-
-    sail(story)
+async def test_a_refusal_of_the_boat_stands_once_and_in_its_own_words(sea: Sea) -> None:
+    page, boat = await sea.at_rest(1)
+    await page.press("x")
+    lines = "[...document.querySelectorAll('.message span')].map(line => line.textContent)"
+    told = f"{lines}.filter(line => line.includes('grex'))"
+    await page.until(f"{told}.length")
+    once = ["grex refused: no set point from the guest computer"]
+    assert await page.value(told) == once
+    await pressed(page, boat, "h", "heading")  # and so whatever else is said of it has come, too
+    assert await page.value(told) in (once, []), "a line goes after a while"
+    await pressed(page, boat, "i", "idle")
 
 
 def addressee(message: Any) -> int | None:
@@ -182,26 +163,20 @@ def addressee(message: Any) -> int | None:
     return found
 
 
-def test_from_the_key_to_the_vehicles_acknowledge(sail: Sail) -> None:
+async def test_from_the_key_to_the_vehicles_acknowledge(sea: Sea) -> None:
     """As the page has it: from the event of the key to the answer, which the gateway passes on when the vehicle has said it."""
-
-    async def story(sea: Sea) -> None:
-        page, _ = await sea.at_rest(1)
-        script = await page.call("Page.addScriptToEvaluateOnNewDocument", source=STOPWATCH)
-        await sea.load()
-        await page.call("Page.removeScriptToEvaluateOnNewDocument", **script)
-        await sea.at_rest(1)
-        for n in range(1, PRESSES + 1):
-            await page.press("i")
-            await page.until(f"took_ms.length === {n}")
-        took_ms = sorted(await page.value("took_ms"))
-        middle, late = statistics.median(took_ms), took_ms[math.ceil(0.95 * PRESSES) - 1]
-        print(
-            f"\nkey to acknowledge, {PRESSES} presses: median {middle:.1f} ms, 95 % {late:.1f} ms, worst {took_ms[-1]:.1f} ms"
-        )
-        assert middle < ACK_S * 1e3
-
-    sail(story)
+    page, _ = await sea.at_rest(1)
+    script = await page.call("Page.addScriptToEvaluateOnNewDocument", source=STOPWATCH)
+    await sea.load()
+    await page.call("Page.removeScriptToEvaluateOnNewDocument", **script)
+    await sea.at_rest(1)
+    for n in range(1, PRESSES + 1):
+        await page.press("i")
+        await page.until(f"took_ms.length === {n}")
+    took_ms = sorted(await page.value("took_ms"))
+    middle, late = statistics.median(took_ms), took_ms[math.ceil(0.95 * PRESSES) - 1]
+    print(f"\nkey to acknowledge, {PRESSES} presses: median {middle:.1f} ms, 95 % {late:.1f} ms, worst {took_ms[-1]:.1f} ms")
+    assert middle < ACK_S * 1e3
 
 
 STOPWATCH = """
@@ -229,38 +204,33 @@ window.WebSocket = class extends WebSocket {
 
 
 @pytest.mark.long
-def test_missions_by_touch_and_by_mouse_are_kept_sent_and_sailed_to_their_ends(sail: Sail) -> None:
-    async def story(sea: Sea) -> None:
-        page, one = await sea.at_rest(1)
-        ends = [await by_touch(page, one)]
-        await sea.load()
-        page, two = await sea.at_rest(2)
-        await loaded(page, "Mission-2")  # what was drawn for the other boat, and before the page was opened anew
-        await sent(page)
-        await page.until("document.querySelector('.selected .mission').textContent === 'Mission-2: 2 waypoints'")
-        await mission(page, "New mission")
-        ends.append(await drawn(page, two, ahead(two, [(12, 0), (24, 8), (34, -2)])))
-        await mission(page, "Save")
-        await page.until("document.getElementById('messages').textContent.includes('saved: Mission 2')")
-        await sent(page)
-        await pressed(page, two, "p", "path")
-        await select(page, 1)
-        await loaded(page, "Mission-2")
-        await sent(page)
-        await pressed(page, one, "y", "play")
-        for leg in (1, 2):
-            await page.until(
-                f"document.querySelector('.selected .mission').textContent === 'Mission-2: waypoint {leg} of 2'", 60
-            )
-        await page.until("document.getElementById('messages').textContent.includes('hold: play done')", 60)
-        for boat, end, done in zip((one, two), ends, ("play done", "path done"), strict=True):
-            await boat.until(lambda state: state["mode"] == "hold")
-            await shown_mode(page, boat.number, "hold")
-            state = await boat.sails_on(WATCHED)
-            assert (state["mode"], state["reason"]) == ("hold", done)
-            assert distance_m(state, end) < WITHIN_M
-
-    sail(story)
+async def test_missions_by_touch_and_by_mouse_are_kept_sent_and_sailed_to_their_ends(sea: Sea) -> None:
+    page, one = await sea.at_rest(1)
+    ends = [await by_touch(page, one)]
+    await sea.load()
+    page, two = await sea.at_rest(2)
+    await loaded(page, "Mission-2")  # what was drawn for the other boat, and before the page was opened anew
+    await sent(page)
+    await page.until("document.querySelector('.selected .mission').textContent === 'Mission-2: 2 waypoints'")
+    await mission(page, "New mission")
+    ends.append(await drawn(page, two, ahead(two, [(12, 0), (24, 8), (34, -2)])))
+    await mission(page, "Save")
+    await page.until("document.getElementById('messages').textContent.includes('saved: Mission 2')")
+    await sent(page)
+    await pressed(page, two, "p", "path")
+    await select(page, 1)
+    await loaded(page, "Mission-2")
+    await sent(page)
+    await pressed(page, one, "y", "play")
+    for leg in (1, 2):
+        await page.until(f"document.querySelector('.selected .mission').textContent === 'Mission-2: waypoint {leg} of 2'", 60)
+    await page.until("document.getElementById('messages').textContent.includes('hold: play done')", 60)
+    for boat, end, done in zip((one, two), ends, ("play done", "path done"), strict=True):
+        await boat.until(lambda state: state["mode"] == "hold")
+        await shown_mode(page, boat.number, "hold")
+        state = await boat.sails_on(WATCHED)
+        assert (state["mode"], state["reason"]) == ("hold", done)
+        assert distance_m(state, end) < WITHIN_M
 
 
 def ahead(boat: Boat, places: list[tuple[float, float]]) -> list[tuple[float, float]]:
@@ -350,39 +320,35 @@ async def sent(page: Page) -> None:
     await page.until("document.querySelector('.selected .badge').textContent === 'same'", 60)
 
 
-def test_two_pages_of_one_console_see_who_drives(sail: Sail) -> None:
+async def test_two_pages_of_one_console_see_who_drives(sea: Sea) -> None:
     """At two windows that both have the focus, as on two computers."""
     line = "document.querySelector('[data-boat=\"2\"] .trouble:not(.weak)')"
     speed = "document.querySelector('[data-boat=\"2\"] .speed').textContent"
-
-    async def story(sea: Sea) -> None:
-        page, boat = await sea.at_rest(2)
-        await page.call("Emulation.setFocusEmulationEnabled", enabled=True)
-        async with tab() as other:
-            await other.call("Emulation.setFocusEmulationEnabled", enabled=True)
-            await other.open(sea.url, width=1280, height=800, scale=1.0)
-            await other.until("document.querySelectorAll('.chip').length === 2")
-            await select(other, 2)
-            await pressed(page, boat, "m", "manual")
-            await page.press("3")
-            await boat.until(turning(30, 30))
-            await other.until(f"!{line}.hidden && {line}.textContent.includes('driven from another page')")
-            await other.until(f"{speed} === 'P 30 · S 30 %'")
-            await other.press("6")
-            await other.until("document.getElementById('messages').textContent.includes('press M here to take over')")
-            await boat.sails_on(WATCHED)
-            assert turning(30, 30)(boat.state())
-            await other.press("m")
-            await boat.until(turning(0, 0))
-            await other.press("6")
-            await boat.until(turning(60, 60))
-            await other.until(f"{speed} === 'P 60 · S 60 %' && {line}.hidden")
-            await page.until(f"{speed} === 'P 60 · S 60 %' && !{line}.hidden")
+    page, boat = await sea.at_rest(2)
+    await page.call("Emulation.setFocusEmulationEnabled", enabled=True)
+    async with tab() as other:
+        await other.call("Emulation.setFocusEmulationEnabled", enabled=True)
+        await other.open(sea.url, width=1280, height=800, scale=1.0)
+        await other.until("document.querySelectorAll('.chip').length === 2")
+        await select(other, 2)
+        await pressed(page, boat, "m", "manual")
+        await page.press("3")
+        await boat.until(turning(30, 30))
+        await other.until(f"!{line}.hidden && {line}.textContent.includes('driven from another page')")
+        await other.until(f"{speed} === 'P 30 · S 30 %'")
+        await other.press("6")
+        await other.until("document.getElementById('messages').textContent.includes('press M here to take over')")
+        await boat.sails_on(WATCHED)
+        assert turning(30, 30)(boat.state())
+        await other.press("m")
         await boat.until(turning(0, 0))
-        await page.call("Emulation.setFocusEmulationEnabled", enabled=False)
-        await page.call("Page.bringToFront")
-
-    sail(story)
+        await other.press("6")
+        await boat.until(turning(60, 60))
+        await other.until(f"{speed} === 'P 60 · S 60 %' && {line}.hidden")
+        await page.until(f"{speed} === 'P 60 · S 60 %' && !{line}.hidden")
+    await boat.until(turning(0, 0))
+    await page.call("Emulation.setFocusEmulationEnabled", enabled=False)
+    await page.call("Page.bringToFront")
 
 
 # The dead-man.
@@ -418,69 +384,56 @@ async def cut(sea: Sea, how: str, away: Callable[[], Awaitable[object]], back: C
     assert [each for each in all_ if max(stops) < each.t_ns < ended_ns and each.rpm] == []
 
 
-def test_a_hidden_tab_ends_thrust(sail: Sail) -> None:
-    sail(lambda sea: cut(sea, "tab hidden", sea.page.hide, sea.page.show))
+async def test_a_hidden_tab_ends_thrust(sea: Sea) -> None:
+    await cut(sea, "tab hidden", sea.page.hide, sea.page.show)
 
 
-def test_a_laptop_asleep_ends_thrust(sail: Sail) -> None:
-    async def story(sea: Sea) -> None:
-        async def away() -> None:
-            sea.page.sleep()
+async def test_a_laptop_asleep_ends_thrust(sea: Sea) -> None:
+    async def away() -> None:
+        sea.page.sleep()
 
-        async def back() -> None:
-            sea.page.wake()
-            await sea.page.value("document.title")
+    async def back() -> None:
+        sea.page.wake()
+        await sea.page.value("document.title")
 
-        try:
-            await cut(sea, "laptop asleep", away, back)
-        finally:
-            sea.page.wake()
-
-    sail(story)
+    try:
+        await cut(sea, "laptop asleep", away, back)
+    finally:
+        sea.page.wake()
 
 
-def test_a_radio_that_is_cut_ends_thrust(sail: Sail) -> None:
+async def test_a_radio_that_is_cut_ends_thrust(sea: Sea) -> None:
     """When it is back, what was said meanwhile arrives, and what is said now."""
+    radio = sea.radios[1]
 
-    async def story(sea: Sea) -> None:
-        radio = sea.radios[1]
+    async def away() -> None:
+        radio.cut()
 
-        async def away() -> None:
-            radio.cut()
+    async def back() -> None:
+        radio.mend()
+        await sea.page.until("document.querySelector('[data-boat=\"2\"]').dataset.age === 'fresh'")
 
-        async def back() -> None:
-            radio.mend()
-            await sea.page.until("document.querySelector('[data-boat=\"2\"]').dataset.age === 'fresh'")
-
-        await cut(sea, "radio cut", away, back)
-
-    sail(story)
+    await cut(sea, "radio cut", away, back)
 
 
 @pytest.mark.long
-def test_a_gateway_that_is_killed_ends_thrust(sail: Sail) -> None:
-    async def story(sea: Sea) -> None:
-        async def away() -> None:
-            await asyncio.to_thread(sea.gateway.end, signal.SIGKILL)
+async def test_a_gateway_that_is_killed_ends_thrust(sea: Sea) -> None:
+    async def away() -> None:
+        await asyncio.to_thread(sea.gateway.end, signal.SIGKILL)
 
-        async def back() -> None:
-            await asyncio.to_thread(sea.gateway.start)
-            await sea.page.until("document.getElementById('offline').hidden", 60)
-            await sea.found()
+    async def back() -> None:
+        await asyncio.to_thread(sea.gateway.start)
+        await sea.page.until("document.getElementById('offline').hidden", 60)
+        await sea.found()
 
-        await cut(sea, "gateway killed", away, back)
-        assert all("/ws" in each for each in sea.page.complaints), "it called for the gateway, and for nothing else"
-        sea.page.complaints.clear()
-
-    sail(story)
+    await cut(sea, "gateway killed", away, back)
+    assert all("/ws" in each for each in sea.page.complaints), "it called for the gateway, and for nothing else"
+    sea.page.complaints.clear()
 
 
 @pytest.mark.long
-def test_a_browser_that_is_killed_ends_thrust(sail: Sail) -> None:
-    async def story(sea: Sea) -> None:
-        async def away() -> None:
-            sea.page.kill()
+async def test_a_browser_that_is_killed_ends_thrust(sea: Sea) -> None:
+    async def away() -> None:
+        sea.page.kill()
 
-        await cut(sea, "browser killed", away, sea.browse)
-
-    sail(story)
+    await cut(sea, "browser killed", away, sea.browse)

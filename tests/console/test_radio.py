@@ -23,33 +23,30 @@ from delfim.console.link.radio import READ_BYTES, radio
 from tests.console.fakeboat import FakeBoat
 
 
-def test_a_boat_is_found_and_commanded_over_a_serial_line() -> None:
-    async def main() -> None:
-        boat_end, console_end = os.openpty()
-        tty.setraw(console_end)
-        os.set_blocking(boat_end, False)
-        clock, answers = SystemClock(), list[tuple[bool, str]]()
-        port = radio(f"{os.ttyname(console_end)}:57600", lambda address, data: fleet.receive(address, data))
-        fleet = Fleet(clock, lambda address, data: port.send(data), lambda message: None)
-        boat = FakeBoat(3, clock, lambda data: os.write(boat_end, data))  # type: ignore[arg-type]
-        loop = asyncio.get_running_loop()
-        loop.add_reader(boat_end, lambda: boat.hear(os.read(boat_end, 4096)))
-        port.start()
-        try:
-            await until(lambda: not port.reason)
-            os.write(boat_end, b"\xfd\x30noise of a modem that starts\xfd")
-            await until(lambda: (boat.tick(), 3 in fleet.boats)[1])
-            assert fleet.boats[3].snapshot(clock.monotonic_s())["link"]["kind"] == "serial"
-            fleet.command(3, "mode", {"mode": "hold"}, lambda well, why: answers.append((well, why)))
-            await until(lambda: answers)
-            assert (answers, boat.mode) == ([(True, "")], 5)
-        finally:
-            loop.remove_reader(boat_end)
-            await asyncio.to_thread(port.close)
-            os.close(boat_end)
-            os.close(console_end)
-
-    asyncio.run(main())
+async def test_a_boat_is_found_and_commanded_over_a_serial_line() -> None:
+    boat_end, console_end = os.openpty()
+    tty.setraw(console_end)
+    os.set_blocking(boat_end, False)
+    clock, answers = SystemClock(), list[tuple[bool, str]]()
+    port = radio(f"{os.ttyname(console_end)}:57600", lambda address, data: fleet.receive(address, data))
+    fleet = Fleet(clock, lambda address, data: port.send(data), lambda message: None)
+    boat = FakeBoat(3, clock, lambda data: os.write(boat_end, data))  # type: ignore[arg-type]
+    loop = asyncio.get_running_loop()
+    loop.add_reader(boat_end, lambda: boat.hear(os.read(boat_end, 4096)))
+    port.start()
+    try:
+        await until(lambda: not port.reason)
+        os.write(boat_end, b"\xfd\x30noise of a modem that starts\xfd")
+        await until(lambda: (boat.tick(), 3 in fleet.boats)[1])
+        assert fleet.boats[3].snapshot(clock.monotonic_s())["link"]["kind"] == "serial"
+        fleet.command(3, "mode", {"mode": "hold"}, lambda well, why: answers.append((well, why)))
+        await until(lambda: answers)
+        assert (answers, boat.mode) == ([(True, "")], 5)
+    finally:
+        loop.remove_reader(boat_end)
+        await asyncio.to_thread(port.close)
+        os.close(boat_end)
+        os.close(console_end)
 
 
 async def until(is_so: Callable[[], object]) -> None:
@@ -58,16 +55,13 @@ async def until(is_so: Callable[[], object]) -> None:
             await asyncio.sleep(0.02)
 
 
-def test_a_port_that_is_not_there_has_a_reason_and_drops(tmp_path: Path) -> None:
-    async def main() -> None:
-        port = radio(f"{tmp_path}/none:9600", lambda address, data: None)
-        port.start()
-        await until(lambda: "No such file" in port.reason)
-        port.send(b"x")
-        assert port.dropped == 1
-        await asyncio.to_thread(port.close)
-
-    asyncio.run(main())
+async def test_a_port_that_is_not_there_has_a_reason_and_drops(tmp_path: Path) -> None:
+    port = radio(f"{tmp_path}/none:9600", lambda address, data: None)
+    port.start()
+    await until(lambda: "No such file" in port.reason)
+    port.send(b"x")
+    assert port.dropped == 1
+    await asyncio.to_thread(port.close)
 
 
 @pytest.mark.parametrize("words", ["", ":", "/dev/ttyUSB0:fast", "/dev/ttyUSB0:1", ":9600"])
@@ -136,26 +130,22 @@ class EndlessPort:
 READ_ON = threading.Event()
 
 
-def test_bytes_that_the_loop_cannot_take_stay_in_the_port(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_bytes_that_the_loop_cannot_take_stay_in_the_port(monkeypatch: pytest.MonkeyPatch) -> None:
     """A radio that never stops would fill the memory, and the loop's turn would be as long as all that waits."""
     monkeypatch.setattr(serial, "Serial", EndlessPort)
     READ_ON.clear()
+    turns, over = list[tuple[int, bool]](), asyncio.Event()
 
-    async def main() -> None:
-        turns, over = list[tuple[int, bool]](), asyncio.Event()
+    def receive(address: Any, data: bytes) -> None:
+        turns.append((len(data), not turns and READ_ON.wait(0.2)))  # a slow turn
+        over.set()
 
-        def receive(address: Any, data: bytes) -> None:
-            turns.append((len(data), not turns and READ_ON.wait(0.2)))  # a slow turn
-            over.set()
-
-        port = radio("/dev/radio", receive)
-        port.start()
-        await over.wait()
-        await asyncio.to_thread(port.close)
-        assert turns[0][0] <= READ_BYTES + 1
-        assert not turns[0][1], "it was read on"
-
-    asyncio.run(main())
+    port = radio("/dev/radio", receive)
+    port.start()
+    await over.wait()
+    await asyncio.to_thread(port.close)
+    assert turns[0][0] <= READ_BYTES + 1
+    assert not turns[0][1], "it was read on"
 
 
 def test_whatever_comes_over_a_radio_the_console_shows_its_boats(mutations: int) -> None:

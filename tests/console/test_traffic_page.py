@@ -6,10 +6,9 @@ import pytest
 
 from tests.console.scenes import choose, pixel
 from tests.console.standin import Message, Standin, nearness, vessel
-from tests.console.test_page import Sail, sail, second_of_moving, shown
+from tests.kit.page import second_of_moving, shown
 from tests.services.browser import Page
 
-__all__ = ["sail"]
 LINE = "document.querySelector('#traffic .said').textContent"
 ROWS = "[...document.querySelectorAll('#traffic tr[data-vessel]')].map(row => row.dataset.vessel).join()"
 TONES = "window.tones"
@@ -40,131 +39,107 @@ def words(text: str) -> str:
     return f"document.querySelector('#traffic').textContent.includes({text!r})"
 
 
-def test_the_line_says_who_is_heard_and_that_silence_is_no_clear_water(sail: Sail) -> None:
-    async def story(page: Page, gateway: Standin) -> None:
-        await tell(gateway, reported_s=None)
-        await shown(page, gateway, f"{LINE} === 'AIS: nobody heard yet. Sees only who transmits.'")
-        await tell(gateway, vessel("MARIA", north_m=60), vessel("TEJO", north_m=80))
-        await shown(page, gateway, f"/^AIS: 2 targets, last report [0-9]+ s ago. Sees only who transmits.$/.test({LINE})")
-        await tell(gateway, reported_s=400.0)
-        await shown(page, gateway, f"{LINE} === 'AIS: 0 targets, last report 7 min ago. Sees only who transmits.'")
-        for each in gateway.boats:
-            each["link"]["profile"] = "lean"
-        await tell(gateway, reported_s=None)
-        await shown(page, gateway, f"{LINE} === 'AIS: not told on a lean link. Sees only who transmits.'")
-
-    sail(story)
+async def test_the_line_says_who_is_heard_and_that_silence_is_no_clear_water(page: Page, gateway: Standin) -> None:
+    await tell(gateway, reported_s=None)
+    await shown(page, gateway, f"{LINE} === 'AIS: nobody heard yet. Sees only who transmits.'")
+    await tell(gateway, vessel("MARIA", north_m=60), vessel("TEJO", north_m=80))
+    await shown(page, gateway, f"/^AIS: 2 targets, last report [0-9]+ s ago. Sees only who transmits.$/.test({LINE})")
+    await tell(gateway, reported_s=400.0)
+    await shown(page, gateway, f"{LINE} === 'AIS: 0 targets, last report 7 min ago. Sees only who transmits.'")
+    for each in gateway.boats:
+        each["link"]["profile"] = "lean"
+    await tell(gateway, reported_s=None)
+    await shown(page, gateway, f"{LINE} === 'AIS: not told on a lean link. Sees only who transmits.'")
 
 
-def test_the_table_is_in_the_order_of_the_gateway_and_a_row_tells_all(sail: Sail) -> None:
-    async def story(page: Page, gateway: Standin) -> None:
-        calm, near = vessel("ZULU"), vessel("BRAVO", size_known=False, kind="B", boats=[nearness(2, 20.0, 130.0, "near")])
-        await tell(gateway, near, calm)
-        await shown(page, gateway, f"{seen('near')} && {ROWS} === 'BRAVO'")
-        await page.value("document.querySelector('#traffic .said').click()")
-        await shown(page, gateway, f"{ROWS} === 'BRAVO,ZULU' && {words('size unknown')} && {words('in 130 s')}")
-        await asyncio.sleep(0.4)  # a menu that opened sooner is not meant
-        row = "document.querySelector('#traffic tr[data-vessel]')"
-        await page.value(f"{row}.dispatchEvent(new PointerEvent('pointerup', {{ bubbles: true, clientX: 500, clientY: 300 }}))")
-        told = "document.querySelector('.popup').textContent"
-        for each in (
-            "BRAVO",
-            "AIS class B",
-            "size unknown, taken as 40 × 8 m",
-            "DelfimX: CPA 20 m in 130 s",
-            "last report 4 s ago",
-        ):
-            await shown(page, gateway, f"{told}.includes({each!r})")
-
-    sail(story)
+async def test_the_table_is_in_the_order_of_the_gateway_and_a_row_tells_all(page: Page, gateway: Standin) -> None:
+    calm, near = vessel("ZULU"), vessel("BRAVO", size_known=False, kind="B", boats=[nearness(2, 20.0, 130.0, "near")])
+    await tell(gateway, near, calm)
+    await shown(page, gateway, f"{seen('near')} && {ROWS} === 'BRAVO'")
+    await page.value("document.querySelector('#traffic .said').click()")
+    await shown(page, gateway, f"{ROWS} === 'BRAVO,ZULU' && {words('size unknown')} && {words('in 130 s')}")
+    await asyncio.sleep(0.4)  # a menu that opened sooner is not meant
+    row = "document.querySelector('#traffic tr[data-vessel]')"
+    await page.value(f"{row}.dispatchEvent(new PointerEvent('pointerup', {{ bubbles: true, clientX: 500, clientY: 300 }}))")
+    told = "document.querySelector('.popup').textContent"
+    for each in (
+        "BRAVO",
+        "AIS class B",
+        "size unknown, taken as 40 × 8 m",
+        "DelfimX: CPA 20 m in 130 s",
+        "last report 4 s ago",
+    ):
+        await shown(page, gateway, f"{told}.includes({each!r})")
 
 
-def test_a_click_on_a_vessel_tells_of_it(sail: Sail) -> None:
-    async def story(page: Page, gateway: Standin) -> None:
-        await tell(gateway, vessel("MARIA", north_m=60, lost=True, age_s=90.0))
-        await shown(page, gateway, "delfim.vessels().length === 1")
-        await page.mouse(await pixel(page, 60, 0))
-        await shown(page, gateway, "document.querySelector('.popup b').textContent === 'MARIA'")
-        await shown(page, gateway, "document.querySelector('.popup').textContent.includes('LOST: last report 90 s ago')")
-
-    sail(story)
+async def test_a_click_on_a_vessel_tells_of_it(page: Page, gateway: Standin) -> None:
+    await tell(gateway, vessel("MARIA", north_m=60, lost=True, age_s=90.0))
+    await shown(page, gateway, "delfim.vessels().length === 1")
+    await page.mouse(await pixel(page, 60, 0))
+    await shown(page, gateway, "document.querySelector('.popup b').textContent === 'MARIA'")
+    await shown(page, gateway, "document.querySelector('.popup').textContent.includes('LOST: last report 90 s ago')")
 
 
 @pytest.mark.parametrize("by_key", [True, False])
-def test_a_danger_sounds_until_somebody_takes_note_and_stays_red(sail: Sail, by_key: bool) -> None:
-    async def story(page: Page, gateway: Standin) -> None:
-        await page.value(FAKE_SOUND)
-        await page.press("w")  # sounds are allowed once the page was touched
-        await page.press("Escape")
-        await tell(gateway, vessel("MARIA", boats=[nearness(1, 20.0, 300.0, "near")]))
-        await shown(page, gateway, f"{seen('near')} && {TONES} === 1")
-        await tell(gateway, vessel("MARIA", boats=[nearness(1, 20.0, 60.0, "danger")]))
-        await shown(page, gateway, f"{seen('alarm')} && {TONES} >= 5")
-        await shown(page, gateway, f"{TONES} >= 9")  # again
-        if by_key:
-            await page.press("k")
-        else:
-            await page.value("document.querySelector('#traffic .main').click()")
-        await shown(page, gateway, f"{seen('danger')} && document.querySelector('#traffic .main').hidden")
-        told = await page.value(TONES)
-        await tell(gateway, vessel("MARIA", boats=[nearness(1, 20.0, 50.0, "danger")]))
-        await shown(page, gateway, "delfim.vessels().join() === 'MARIA,danger'")
-        assert await page.value(TONES) == told
-        await tell(gateway, vessel("MARIA"))
-        await shown(page, gateway, seen("calm"))
-        await tell(gateway, vessel("MARIA", boats=[nearness(1, 20.0, 50.0, "danger")]))
-        await shown(page, gateway, f"{seen('alarm')} && {TONES} > {told}")  # it is another danger
-
-    sail(story)
+async def test_a_danger_sounds_until_somebody_takes_note_and_stays_red(page: Page, gateway: Standin, by_key: bool) -> None:
+    await page.value(FAKE_SOUND)
+    await page.press("w")  # sounds are allowed once the page was touched
+    await page.press("Escape")
+    await tell(gateway, vessel("MARIA", boats=[nearness(1, 20.0, 300.0, "near")]))
+    await shown(page, gateway, f"{seen('near')} && {TONES} === 1")
+    await tell(gateway, vessel("MARIA", boats=[nearness(1, 20.0, 60.0, "danger")]))
+    await shown(page, gateway, f"{seen('alarm')} && {TONES} >= 5")
+    await shown(page, gateway, f"{TONES} >= 9")  # again
+    if by_key:
+        await page.press("k")
+    else:
+        await page.value("document.querySelector('#traffic .main').click()")
+    await shown(page, gateway, f"{seen('danger')} && document.querySelector('#traffic .main').hidden")
+    told = await page.value(TONES)
+    await tell(gateway, vessel("MARIA", boats=[nearness(1, 20.0, 50.0, "danger")]))
+    await shown(page, gateway, "delfim.vessels().join() === 'MARIA,danger'")
+    assert await page.value(TONES) == told
+    await tell(gateway, vessel("MARIA"))
+    await shown(page, gateway, seen("calm"))
+    await tell(gateway, vessel("MARIA", boats=[nearness(1, 20.0, 50.0, "danger")]))
+    await shown(page, gateway, f"{seen('alarm')} && {TONES} > {told}")  # it is another danger
 
 
-def test_a_guard_zone_of_the_page_marks_whom_nobody_else_finds_near(sail: Sail) -> None:
-    async def story(page: Page, gateway: Standin) -> None:
-        await tell(gateway, vessel("MARIA", north_m=-60, east_m=-60))  # 30 m from Delfim
-        await shown(page, gateway, seen("calm"))
-        await page.mouse(await pixel(page, 80, 80))
-        await choose(page, "Screen", "Guard zone", "50 m")
-        await shown(page, gateway, f"{seen('near')} && delfim.vessels().join() === 'MARIA,near'")
-        await tell(gateway, vessel("MARIA", north_m=-37, east_m=-60))  # 53 m: at its edge nothing flickers
-        await shown(page, gateway, seen("near"))
-        await tell(gateway, vessel("MARIA", north_m=0, east_m=-60))
-        await shown(page, gateway, seen("calm"))
-
-    sail(story)
+async def test_a_guard_zone_of_the_page_marks_whom_nobody_else_finds_near(page: Page, gateway: Standin) -> None:
+    await tell(gateway, vessel("MARIA", north_m=-60, east_m=-60))  # 30 m from Delfim
+    await shown(page, gateway, seen("calm"))
+    await page.mouse(await pixel(page, 80, 80))
+    await choose(page, "Screen", "Guard zone", "50 m")
+    await shown(page, gateway, f"{seen('near')} && delfim.vessels().join() === 'MARIA,near'")
+    await tell(gateway, vessel("MARIA", north_m=-37, east_m=-60))  # 53 m: at its edge nothing flickers
+    await shown(page, gateway, seen("near"))
+    await tell(gateway, vessel("MARIA", north_m=0, east_m=-60))
+    await shown(page, gateway, seen("calm"))
 
 
-def test_the_order_of_a_boat_and_a_guard_that_is_off_are_said(sail: Sail) -> None:
-    async def story(page: Page, gateway: Standin) -> None:
-        order = "giving way to MARIA, head-on, port to port, CPA 62 m"
-        gateway.boat(1).update(order={"course_deg": 30.0, "words": order}, guard="on")
-        gateway.boat(2).update(order=None, guard="off", mode="manual")
-        await tell(gateway, vessel("MARIA", north_m=60))
-        await shown(page, gateway, words(f"Delfim: {order}"))
-        await shown(page, gateway, words("DelfimX: does not keep clear of others in manual"))
-        gateway.boat(1).update(order=None)
-        gateway.boat(2).update(guard="cannot avoid")
-        await shown(page, gateway, f"!{words(order)} && {words('DelfimX: cannot keep clear of others')}")
-
-    sail(story)
+async def test_the_order_of_a_boat_and_a_guard_that_is_off_are_said(page: Page, gateway: Standin) -> None:
+    order = "giving way to MARIA, head-on, port to port, CPA 62 m"
+    gateway.boat(1).update(order={"course_deg": 30.0, "words": order}, guard="on")
+    gateway.boat(2).update(order=None, guard="off", mode="manual")
+    await tell(gateway, vessel("MARIA", north_m=60))
+    await shown(page, gateway, words(f"Delfim: {order}"))
+    await shown(page, gateway, words("DelfimX: does not keep clear of others in manual"))
+    gateway.boat(1).update(order=None)
+    gateway.boat(2).update(guard="cannot avoid")
+    await shown(page, gateway, f"!{words(order)} && {words('DelfimX: cannot keep clear of others')}")
 
 
 @pytest.mark.long
 @pytest.mark.parametrize(("how", "wanted"), [("dragged", 30), ("zoomed", 15)])
-def test_the_map_with_two_hundred_vessels_follows_the_hand(sail: Sail, how: str, wanted: int) -> None:
+async def test_the_map_with_two_hundred_vessels_follows_the_hand(page: Page, gateway: Standin, how: str, wanted: int) -> None:
     """Each second they come anew. It waits for a second with so many drawings, as the test of ten boats does."""
-
-    async def story(page: Page, gateway: Standin) -> None:
-        near = [nearness(1, 20.0, 60.0, "near")]
-        crowd = [
-            vessel(f"V{i}", north_m=60 * (i // 20) - 300, east_m=60 * (i % 20) - 600, course_deg=float(i)) for i in range(200)
-        ]
-        await tell(gateway, *(each | ({"boats": near} if i % 4 == 0 else {}) for i, each in enumerate(crowd)))
-        await shown(page, gateway, "delfim.vessels().length === 200")
-        drawn = [0]
-        async with asyncio.timeout(200):
-            while max(drawn) < wanted:
-                await gateway.look()
-                drawn.append(await second_of_moving(page, gateway, how))
-        print(f"{how}: {max(drawn)} drawings of the map in a second")
-
-    sail(story)
+    near = [nearness(1, 20.0, 60.0, "near")]
+    crowd = [vessel(f"V{i}", north_m=60 * (i // 20) - 300, east_m=60 * (i % 20) - 600, course_deg=float(i)) for i in range(200)]
+    await tell(gateway, *(each | ({"boats": near} if i % 4 == 0 else {}) for i, each in enumerate(crowd)))
+    await shown(page, gateway, "delfim.vessels().length === 200")
+    drawn = [0]
+    async with asyncio.timeout(200):
+        while max(drawn) < wanted:
+            await gateway.look()
+            drawn.append(await second_of_moving(page, gateway, how))
+    print(f"{how}: {max(drawn)} drawings of the map in a second")

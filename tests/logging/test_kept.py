@@ -133,22 +133,18 @@ def test_a_pipe_that_is_full_does_not_hold_the_caller(tmp_path):
     asyncio.run(keeper.close(60.0))
 
 
-def test_the_loop_turns_while_the_child_writes_its_last(tmp_path):
+async def test_the_loop_turns_while_the_child_writes_its_last(tmp_path):
     """The child is stopped, with more in hand than the pipe holds, and goes on when the loop says so."""
     keeper, child = keeping(tmp_path)
     os.kill(child.pid, 19)
     last = bytes(4 << 20)
     assert keeper.put(last)
-
-    async def end() -> None:
-        closing = asyncio.create_task(keeper.close(60.0))
-        for _ in range(10):
-            await asyncio.sleep(0)
-        assert not closing.done()
-        os.kill(child.pid, 18)
-        await closing
-
-    asyncio.run(end())
+    closing = asyncio.create_task(keeper.close(60.0))
+    for _ in range(10):
+        await asyncio.sleep(0)
+    assert not closing.done()
+    os.kill(child.pid, 18)
+    await closing
     assert child.returncode == 0
     assert newest([str(tmp_path)], "voyage", KEY)[1] == last
 

@@ -53,54 +53,42 @@ async def fetched_twice(url: str, place: Path, link: Radio) -> None:
     assert "0 files to fetch" in await fetched(url, place)
 
 
-def test_by_ftp(tmp_path: Path) -> None:
+async def test_by_ftp(tmp_path: Path) -> None:
     users = {"ana": FtpUser(password=hashed("sesame"))}
     table = Ftpd(listen="127.0.0.1:0", root=str(tmp_path / "log"), users=users)
-
-    async def main() -> None:
-        async with (
-            served(vehicle_file(tmp_path, ftpd=table), ftpd.serve, "ftpd") as runtime,
-            radio(port_of(runtime, "ftpd"), BREAKS_AFTER) as (link, port),
-        ):
-            await fetched_twice(f"ftp://ana:sesame@127.0.0.1:{port}/", tmp_path, link)
-
     log_files(tmp_path)
-    asyncio.run(main())
+    async with (
+        served(vehicle_file(tmp_path, ftpd=table), ftpd.serve, "ftpd") as runtime,
+        radio(port_of(runtime, "ftpd"), BREAKS_AFTER) as (link, port),
+    ):
+        await fetched_twice(f"ftp://ana:sesame@127.0.0.1:{port}/", tmp_path, link)
 
 
-def test_what_is_being_written_on_the_boat_is_not_called_cut(tmp_path: Path) -> None:
+async def test_what_is_being_written_on_the_boat_is_not_called_cut(tmp_path: Path) -> None:
     users = {"ana": FtpUser(password=hashed("sesame"))}
     table = Ftpd(listen="127.0.0.1:0", root=str(tmp_path / "log"), users=users)
     old, new = (f"20100101/can0/09{minute}000.log.gz" for minute in (3, 4))
-
-    async def main() -> None:
-        async with served(vehicle_file(tmp_path, ftpd=table), ftpd.serve, "ftpd") as runtime:
-            told = await fetched(f"ftp://ana:sesame@127.0.0.1:{port_of(runtime, 'ftpd')}/", tmp_path)
-        assert f"{old}: incomplete on the boat, too; run delfim log repair on it" in told
-        assert f"{new}: still being written on the boat; run the same command again for the rest" in told
-
     log_files(tmp_path)
     for path in (old, new):
         (tmp_path / "log" / path).write_bytes(gz(b"frames", cut=True))
     os.utime(tmp_path / "log" / old, ns=(T0_NS, T0_NS))
-    asyncio.run(main())
+    async with served(vehicle_file(tmp_path, ftpd=table), ftpd.serve, "ftpd") as runtime:
+        told = await fetched(f"ftp://ana:sesame@127.0.0.1:{port_of(runtime, 'ftpd')}/", tmp_path)
+    assert f"{old}: incomplete on the boat, too; run delfim log repair on it" in told
+    assert f"{new}: still being written on the boat; run the same command again for the rest" in told
 
 
-def test_by_ftp_with_tls(tmp_path: Path, certificate: Path) -> None:
+async def test_by_ftp_with_tls(tmp_path: Path, certificate: Path) -> None:
     users = {"ana": FtpUser(password=hashed("sesame"))}
     table = Ftpd(listen="127.0.0.1:0", root=str(tmp_path / "log"), users=users, certificate=str(certificate))
-
-    async def main() -> None:
-        async with served(vehicle_file(tmp_path, ftpd=table), ftpd.serve, "ftpd") as runtime:
-            url = f"ftps://ana:sesame@127.0.0.1:{port_of(runtime, 'ftpd')}/"
-            await fetched(url, tmp_path, SSL_CERT_FILE=str(certificate))
-            assert arrived(tmp_path / "here") == LOGS
-
     log_files(tmp_path)
-    asyncio.run(main())
+    async with served(vehicle_file(tmp_path, ftpd=table), ftpd.serve, "ftpd") as runtime:
+        url = f"ftps://ana:sesame@127.0.0.1:{port_of(runtime, 'ftpd')}/"
+        await fetched(url, tmp_path, SSL_CERT_FILE=str(certificate))
+        assert arrived(tmp_path / "here") == LOGS
 
 
-def test_by_sftp(tmp_path: Path) -> None:
+async def test_by_sftp(tmp_path: Path) -> None:
     home = tmp_path / "home/.ssh"
     home.mkdir(parents=True)
     key = asyncssh.generate_private_key("ssh-ed25519")
@@ -108,15 +96,11 @@ def test_by_sftp(tmp_path: Path) -> None:
     host_key = tmp_path / "log/.keys/host"
     users = {"ana": SshUser(keys=(key.export_public_key().decode(),))}
     table = Sshd(listen="127.0.0.1:0", root=str(tmp_path / "log"), host_key=str(host_key), users=users)
-
-    async def main() -> None:
-        async with (
-            served(vehicle_file(tmp_path, sshd=table), sshd.serve, "sshd") as runtime,
-            radio(port_of(runtime, "sshd"), BREAKS_AFTER) as (link, port),
-        ):
-            theirs = asyncssh.read_private_key(host_key).export_public_key().decode()
-            (home / "known_hosts").write_text(f"[127.0.0.1]:{port} {theirs}")
-            await fetched_twice(f"sftp://ana@127.0.0.1:{port}/", tmp_path, link)
-
     log_files(tmp_path)
-    asyncio.run(main())
+    async with (
+        served(vehicle_file(tmp_path, sshd=table), sshd.serve, "sshd") as runtime,
+        radio(port_of(runtime, "sshd"), BREAKS_AFTER) as (link, port),
+    ):
+        theirs = asyncssh.read_private_key(host_key).export_public_key().decode()
+        (home / "known_hosts").write_text(f"[127.0.0.1]:{port} {theirs}")
+        await fetched_twice(f"sftp://ana@127.0.0.1:{port}/", tmp_path, link)

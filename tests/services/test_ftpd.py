@@ -116,20 +116,12 @@ async def files(tmp_path: Path, **limits: Any) -> AsyncIterator[Files]:
         await asyncio.sleep(0.05)
 
 
-def run(tmp_path: Path, test: Callable[[Files], Any], **limits: Any) -> None:
-    async def main() -> None:
-        async with files(tmp_path, **limits) as there:
-            await test(there)
-
-    asyncio.run(main())
-
-
 needs = pytest.mark.skipif(not shutil.which("curl") or not shutil.which("lftp"), reason="needs curl and lftp")
 
 
 @needs
-def test_curl_lists_reads_resumes_and_asks(tmp_path):
-    async def test(there: Files) -> None:
+async def test_curl_lists_reads_resumes_and_asks(tmp_path):
+    async with files(tmp_path) as there:
         assert "20260101" in await there.curl("/")
         assert (await there.curl("/", "-l")).split() == ["20260101", "upload"]
         assert "a b.log" in await there.curl("/20260101/", "-X", "MLSD")
@@ -146,12 +138,10 @@ def test_curl_lists_reads_resumes_and_asks(tmp_path):
         await there.curl("/gone", code=78)
         await there.curl("/", user="reader:wrong", code=67)
 
-    run(tmp_path, test)
-
 
 @needs
-def test_curl_uploads_and_resumes_an_upload(tmp_path):
-    async def test(there: Files) -> None:
+async def test_curl_uploads_and_resumes_an_upload(tmp_path):
+    async with files(tmp_path) as there:
         source = there.root.parent / "source"
         source.write_bytes(CONTENT)
         await there.curl("/upload/image.bin", "-T", str(source), user="writer:open")
@@ -165,12 +155,10 @@ def test_curl_uploads_and_resumes_an_upload(tmp_path):
             await there.curl(path, "-T", str(source), user="writer:open", code=25)
         await there.curl("/upload/reader.bin", "-T", str(source), code=25)
 
-    run(tmp_path, test)
-
 
 @needs
-def test_lftp_lists_mirrors_and_puts(tmp_path):
-    async def test(there: Files) -> None:
+async def test_lftp_lists_mirrors_and_puts(tmp_path):
+    async with files(tmp_path) as there:
         here = there.root.parent
         (here / "new.bin").write_bytes(CONTENT)
         script = (
@@ -185,12 +173,10 @@ def test_lftp_lists_mirrors_and_puts(tmp_path):
         assert (here / "parts").read_bytes() == CONTENT
         assert list(there.staging.iterdir()) == []
 
-    run(tmp_path, test)
-
 
 @pytest.mark.skipif(not shutil.which("wget") or not shutil.which("tnftp"), reason="needs wget and tnftp")
-def test_wget_and_tnftp(tmp_path):
-    async def test(there: Files) -> None:
+async def test_wget_and_tnftp(tmp_path):
+    async with files(tmp_path) as there:
         url = f"ftp://writer:open@127.0.0.1:{there.port}/"
         for program, option in (("wget", "-qO"), ("tnftp", "-Vo")):
             await there.tool(program, option, "got", f"{url}20260101/a%20b.log")
@@ -228,10 +214,8 @@ def test_wget_and_tnftp(tmp_path):
         assert (tmp_path / "a b.log").read_bytes() == (tmp_path / "begun").read_bytes() == CONTENT
         assert list(there.staging.iterdir()) == []
 
-    run(tmp_path, test)
 
-
-def test_pythons_ftplib(tmp_path):
+async def test_pythons_ftplib(tmp_path):
     def use(ftp: ftplib.FTP) -> None:
         assert ftp.nlst() == ["20260101", "upload"]
         assert ftp.nlst("2026*") == ["20260101"]
@@ -253,13 +237,13 @@ def test_pythons_ftplib(tmp_path):
         ftp.retrbinary("RETR 20260101/a b.log", got.write, rest=1000)
         assert got.getvalue() == CONTENT[1000:]
 
-    run(tmp_path, lambda there: there.ftplib(use))
+    async with files(tmp_path) as there:
+        await there.ftplib(use)
 
 
-def test_the_words_of_a_graphical_client(tmp_path):
+async def test_the_words_of_a_graphical_client(tmp_path):
     """As FileZilla says them."""
-
-    async def test(there: Files) -> None:
+    async with files(tmp_path) as there:
         ftp = await there.raw()
         assert (await ftp.answer()).startswith("220")
         assert (await ftp.say("AUTH TLS")).startswith("502")
@@ -279,11 +263,9 @@ def test_the_words_of_a_graphical_client(tmp_path):
             assert (await ftp.say(word)).startswith(code), word
         assert await ftp.answer() == ""
 
-    run(tmp_path, test)
 
-
-def test_a_list_shows_the_time_of_day_for_half_a_year_and_then_the_year(tmp_path):
-    async def test(there: Files) -> None:
+async def test_a_list_shows_the_time_of_day_for_half_a_year_and_then_the_year(tmp_path):
+    async with files(tmp_path) as there:
         (there.root / "new").write_text("")
         lines: list[str] = []
         await there.ftplib(lambda ftp: ftp.retrlines("LIST", lines.append))
@@ -293,14 +275,12 @@ def test_a_list_shows_the_time_of_day_for_half_a_year_and_then_the_year(tmp_path
         await there.ftplib(lambda ftp: ftp.retrlines("LIST", lines.append))
         assert "Jan  1  1970 new" in "\n".join(lines)
 
-    run(tmp_path, test)
-
 
 @pytest.mark.parametrize(
     "path", ["../secret", "/../secret", "link", "folder/secret", "//../secret", "20260101/../../secret", "pipe"]
 )
-def test_no_path_leads_out(tmp_path, path):
-    async def test(there: Files) -> None:
+async def test_no_path_leads_out(tmp_path, path):
+    async with files(tmp_path) as there:
         (tmp_path / "secret").write_text("secret")
         (there.root / "link").symlink_to(tmp_path / "secret")
         (there.root / "folder").symlink_to(tmp_path)
@@ -314,11 +294,9 @@ def test_no_path_leads_out(tmp_path, path):
         assert "link" not in names
         assert "folder" not in names
 
-    run(tmp_path, test)
 
-
-def test_a_link_in_the_staging_area_leads_nowhere(tmp_path):
-    async def test(there: Files) -> None:
+async def test_a_link_in_the_staging_area_leads_nowhere(tmp_path):
+    async with files(tmp_path) as there:
         (there.staging / "logs").symlink_to(there.root / "20260101")
         (there.staging / "x.part").symlink_to(tmp_path / "victim")
         ftp = await (await there.raw()).login("writer", "open")
@@ -327,11 +305,9 @@ def test_a_link_in_the_staging_area_leads_nowhere(tmp_path):
         assert (await ftp.say("STOR upload/x")).startswith("550")
         assert not (tmp_path / "victim").exists()
 
-    run(tmp_path, test)
 
-
-def test_an_upload_that_breaks_off_is_not_there_but_can_be_resumed(tmp_path):
-    async def test(there: Files) -> None:
+async def test_an_upload_that_breaks_off_is_not_there_but_can_be_resumed(tmp_path):
+    async with files(tmp_path) as there:
         (there.staging / "x").write_text("old")
         ftp = await (await there.raw()).login("writer", "open")
         _, data = await ftp.passive()
@@ -352,13 +328,11 @@ def test_an_upload_that_breaks_off_is_not_there_but_can_be_resumed(tmp_path):
         await there.ftplib(lambda ftp: ftp.storbinary("STOR upload/x", io.BytesIO(CONTENT[5000:]), rest=5000), "writer", "open")
         assert (there.staging / "x").read_bytes() == CONTENT
 
-    run(tmp_path, test)
 
-
-def test_an_upload_stops_where_the_room_of_uploads_ends(tmp_path, monkeypatch):
+async def test_an_upload_stops_where_the_room_of_uploads_ends(tmp_path, monkeypatch):
     monkeypatch.setattr(uploads, "upload_room", lambda folder, bytes_max: guard.upload_room(folder, 2 << 20))
+    async with files(tmp_path) as there:
 
-    async def test(there: Files) -> None:
         def put(ftp: ftplib.FTP) -> None:
             ftp.storbinary("STOR upload/x", io.BytesIO(bytes(3 << 20)))
 
@@ -371,11 +345,9 @@ def test_an_upload_stops_where_the_room_of_uploads_ends(tmp_path, monkeypatch):
             assert await writer.say(word) == "452 the disk is full\r\n"
         assert [path.name for path in there.staging.iterdir()] == ["x.part"]
 
-    run(tmp_path, test)
 
-
-def test_an_upload_has_a_name_that_can_be_shown(tmp_path):
-    async def test(there: Files) -> None:
+async def test_an_upload_has_a_name_that_can_be_shown(tmp_path):
+    async with files(tmp_path) as there:
         writer = await (await there.raw()).login("writer", "open")
         for word in (b"STOR", b"MKD", b"APPE"):
             for name in (b"\xff\xfe", b"bell\x07", b"\x1b[2J"):
@@ -387,13 +359,10 @@ def test_an_upload_has_a_name_that_can_be_shown(tmp_path):
         assert "printable" in await writer.answer()
         assert [path.name for path in there.staging.iterdir()] == ["x"]
 
-    run(tmp_path, test)
 
-
-def test_wrong_passwords_are_slowed_and_logged_without_the_password(tmp_path, monkeypatch, caplog):
+async def test_wrong_passwords_are_slowed_and_logged_without_the_password(tmp_path, monkeypatch, caplog):
     monkeypatch.setattr(door, "PAUSE_S", 0.2)
-
-    async def test(there: Files) -> None:
+    async with files(tmp_path) as there:
         began_s = time.monotonic()
         ftp = await there.raw()
         await ftp.answer()
@@ -405,26 +374,22 @@ def test_wrong_passwords_are_slowed_and_logged_without_the_password(tmp_path, mo
         monkeypatch.setattr(door, "PAUSE_S", 1000.0)
         monkeypatch.setattr(door, "PAUSE_MAX_S", 1000.0)
         await (await there.raw("127.0.0.2")).login()  # who did nothing wrong does not wait
-
-    run(tmp_path, test)
     assert "wrong password for 'nobody' from 127.0.0.1" in caplog.text
     assert "mistake" not in caplog.text
     assert "sesame" not in caplog.text
 
 
-def test_nothing_is_done_before_the_login(tmp_path):
-    async def test(there: Files) -> None:
+async def test_nothing_is_done_before_the_login(tmp_path):
+    async with files(tmp_path) as there:
         ftp = await there.raw()
         await ftp.answer()
         for word in ("LIST", "RETR x", "PASV", "EPSV", "STOR upload/x", "CWD /", "SIZE x", "STAT", "DELE x", "MLST", "REST 1"):
             assert (await ftp.say(word)).startswith("530"), word
         assert (await ftp.say("PASS sesame")).startswith("503")
 
-    run(tmp_path, test)
 
-
-def test_a_data_connection_is_only_for_who_asked(tmp_path):
-    async def test(there: Files) -> None:
+async def test_a_data_connection_is_only_for_who_asked(tmp_path):
+    async with files(tmp_path) as there:
         ftp = await (await there.raw()).login()
         port = int((await ftp.say("EPSV")).split("|")[3])
         thief, writer = await asyncio.open_connection("127.0.0.1", port, local_addr=("127.0.0.2", 0))
@@ -438,13 +403,10 @@ def test_a_data_connection_is_only_for_who_asked(tmp_path):
         assert (await ftp.answer()).startswith("226")
         owner.transport.abort()
 
-    run(tmp_path, test)
 
-
-def test_no_data_connection_is_told_and_commands_go_on(tmp_path, monkeypatch):
+async def test_no_data_connection_is_told_and_commands_go_on(tmp_path, monkeypatch):
     monkeypatch.setattr(ftpdata, "DATA_S", 0.1)
-
-    async def test(there: Files) -> None:
+    async with files(tmp_path) as there:
         ftp = await (await there.raw()).login()
         assert (await ftp.say("LIST")).startswith("425")
         await ftp.say("EPSV")
@@ -452,29 +414,23 @@ def test_no_data_connection_is_told_and_commands_go_on(tmp_path, monkeypatch):
         assert (await ftp.answer()).startswith("425")
         assert (await ftp.say("NOOP")).startswith("200")
 
-    run(tmp_path, test)
 
-
-def test_a_data_connection_that_sent_its_last_bytes_after_it_was_closed_has_ended_in_order():
+async def test_a_data_connection_that_sent_its_last_bytes_after_it_was_closed_has_ended_in_order():
     """Its transport is not to be aborted any more; an exception there hung up on a client that had all of its file."""
-
-    async def test() -> None:
-        near, far = socket.socketpair()
-        with far:
-            _, writer = await asyncio.open_connection(sock=near)
-            writer.write(bytes(1 << 20))
-            writer.close()
-            far.setblocking(False)
-            while await asyncio.get_running_loop().sock_recv(far, 1 << 16):
-                pass
-            await writer.wait_closed()
-            ftpdata.cut(writer.transport)
-
-    asyncio.run(test())
+    near, far = socket.socketpair()
+    with far:
+        _, writer = await asyncio.open_connection(sock=near)
+        writer.write(bytes(1 << 20))
+        writer.close()
+        far.setblocking(False)
+        while await asyncio.get_running_loop().sock_recv(far, 1 << 16):
+            pass
+        await writer.wait_closed()
+        ftpdata.cut(writer.transport)
 
 
-def test_commands_sent_all_at_once_are_carried_out_one_after_the_other(tmp_path):
-    async def test(there: Files) -> None:
+async def test_commands_sent_all_at_once_are_carried_out_one_after_the_other(tmp_path):
+    async with files(tmp_path) as there:
         ftp = await (await there.raw()).login()
         reader, data = await ftp.passive()
         ftp.writer.write(b"CWD 20260101\r\nREST 7\r\nRETR a b.log\r\nNOOP\r\nPWD\r\n")
@@ -483,25 +439,20 @@ def test_commands_sent_all_at_once_are_carried_out_one_after_the_other(tmp_path)
         assert answers == ["250", "350", "150", "226", "200", "257"]
         data.transport.abort()
 
-    run(tmp_path, test)
-
 
 @pytest.mark.parametrize("line", [b"A" * 100_000, b"\xff\xfe\x00\r\n" * 3, b"\r\n\r\n", b"USER " + b"x" * 3000 + b"\r\n"])
-def test_nonsense_costs_only_its_own_connection(tmp_path, line):
-    async def test(there: Files) -> None:
+async def test_nonsense_costs_only_its_own_connection(tmp_path, line):
+    async with files(tmp_path) as there:
         ftp = await there.raw()
         ftp.writer.write(line)
         await (await there.raw()).login()
 
-    run(tmp_path, test)
 
-
-def test_who_says_nothing_or_reads_nothing_is_hung_up(tmp_path, monkeypatch):
+async def test_who_says_nothing_or_reads_nothing_is_hung_up(tmp_path, monkeypatch):
     """Slow-loris: half a line, again and again, does not hold a connection; nor do answers that nobody reads."""
     monkeypatch.setattr(ftpd, "LOGIN_S", 0.3)
     monkeypatch.setattr(ftpdata, "STALL_S", 0.3)
-
-    async def test(there: Files) -> None:
+    async with files(tmp_path) as there:
         slow = await there.raw()
         await slow.answer()
         async with asyncio.timeout(200):
@@ -512,24 +463,19 @@ def test_who_says_nothing_or_reads_nothing_is_hung_up(tmp_path, monkeypatch):
                     if b"421" in await slow.reader.read(1000):
                         break
 
-    run(tmp_path, test)
 
-
-def test_connections_are_limited(tmp_path):
-    async def test(there: Files) -> None:
+async def test_connections_are_limited(tmp_path):
+    async with files(tmp_path, connections=4, connections_per_address=2) as there:
         held = [await there.raw("127.0.0.2") for _ in range(3)]
         assert [(await each.answer())[:3] for each in held] == ["220", "220", "421"]
         await (await there.raw()).login()
         with pytest.raises(ConnectionRefusedError):
             await asyncio.open_connection("127.0.0.2", there.port)
 
-    run(tmp_path, test, connections=4, connections_per_address=2)
 
-
-def test_it_goes_on_when_a_download_is_not_read(tmp_path, monkeypatch):
+async def test_it_goes_on_when_a_download_is_not_read(tmp_path, monkeypatch):
     monkeypatch.setattr(ftpdata, "STALL_S", 0.3)
-
-    async def test(there: Files) -> None:
+    async with files(tmp_path) as there:
         (there.root / "big").write_bytes(bytes(30 << 20))
         ftp = await (await there.raw()).login()
         _, data = await ftp.passive()
@@ -539,10 +485,8 @@ def test_it_goes_on_when_a_download_is_not_read(tmp_path, monkeypatch):
         assert (await ftp.say("NOOP")).startswith("200")
         data.transport.abort()
 
-    run(tmp_path, test)
 
-
-def test_ftps_with_curl_lftp_and_pythons_ftplib(tmp_path, certificate):
+async def test_ftps_with_curl_lftp_and_pythons_ftplib(tmp_path, certificate):
     def use(port: int) -> None:
         with ftplib.FTP_TLS(context=ssl.create_default_context(cafile=certificate), timeout=10) as ftp:
             ftp.connect("127.0.0.1", port)
@@ -558,7 +502,7 @@ def test_ftps_with_curl_lftp_and_pythons_ftplib(tmp_path, certificate):
             ftp.retrbinary("RETR upload/new", got.write)
             assert got.getvalue() == CONTENT
 
-    async def test(there: Files) -> None:
+    async with files(tmp_path, certificate=str(certificate)) as there:
         await there.curl("/20260101/a%20b.log", "--ssl-reqd", "--cacert", str(certificate), "-o", "got")
         assert (tmp_path / "got").read_bytes() == CONTENT
         script = (
@@ -572,39 +516,33 @@ def test_ftps_with_curl_lftp_and_pythons_ftplib(tmp_path, certificate):
         await asyncio.to_thread(use, there.port)
         assert (there.staging / "new").read_bytes() == CONTENT
 
-    run(tmp_path, test, certificate=str(certificate))
 
-
-def test_what_is_said_before_the_handshake_does_not_count(tmp_path, certificate):
-    async def test(there: Files) -> None:
+async def test_what_is_said_before_the_handshake_does_not_count(tmp_path, certificate):
+    async with files(tmp_path, certificate=str(certificate)) as there:
         ftp = await there.raw()
         await ftp.answer()
         assert "AUTH TLS" in await ftp.say("FEAT")
         ftp.writer.write(b"AUTH TLS\r\nUSER reader\r\n")
         assert await ftp.answer() == ""
 
-    run(tmp_path, test, certificate=str(certificate))
 
-
-def test_who_does_not_shake_hands_is_hung_up(tmp_path, certificate, monkeypatch):
+async def test_who_does_not_shake_hands_is_hung_up(tmp_path, certificate, monkeypatch):
     monkeypatch.setattr(ftpd, "HANDSHAKE_S", 0.2)
-
-    async def test(there: Files) -> None:
+    async with files(tmp_path, certificate=str(certificate)) as there:
         ftp = await there.raw()
         await ftp.answer()
         assert (await ftp.say("AUTH TLS")).startswith("234")
         assert await ftp.answer() == ""
 
-    run(tmp_path, test, certificate=str(certificate))
 
-
-def test_a_certificate_that_is_none_is_said_and_not_tried_again(tmp_path, certificate):
+async def test_a_certificate_that_is_none_is_said_and_not_tried_again(tmp_path, certificate):
     for file, reason in ((certificate.parent / "key", "certificate"), (tmp_path / "gone", "No such file")):
         with pytest.raises(PermanentFailure, match=reason):
-            run(tmp_path, lambda there: there.raw(), certificate=str(file))
+            async with files(tmp_path, certificate=str(file)):
+                pass
 
 
-def test_no_way_leads_back_from_tls(tmp_path, certificate, monkeypatch):
+async def test_no_way_leads_back_from_tls(tmp_path, certificate, monkeypatch):
     """Whoever sits in between strips AUTH, asks for data in the clear, or takes the cipher off again: 60 tries."""
 
     monkeypatch.setattr(ftpdata, "DATA_S", 0.5)
@@ -612,8 +550,7 @@ def test_no_way_leads_back_from_tls(tmp_path, certificate, monkeypatch):
         "USER reader", "PASS sesame", "LIST", "RETR 20260101/a b.log", "PASV", "EPSV", "CWD 20260101", "STOR upload/x",
         "SIZE 20260101/a b.log", "MKD upload/x", "CCC", "REIN", "user reader", "\xffUSER reader",
     )  # fmt: skip
-
-    async def test(there: Files) -> None:
+    async with files(tmp_path, certificate=str(certificate)) as there:
         clear = await there.raw()
         await clear.answer()
         for word in ("AUTH NONE", "AUTH", "AUTH KERBEROS_V4", "PBSZ 0", "PROT P"):
@@ -641,5 +578,3 @@ def test_no_way_leads_back_from_tls(tmp_path, certificate, monkeypatch):
         assert b"a b.log" not in await reader.read(1000)
         assert [path.name for path in there.staging.iterdir()] == ["x.part"]
         assert (there.staging / "x.part").stat().st_size == 0
-
-    run(tmp_path, test, certificate=str(certificate))

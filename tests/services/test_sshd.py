@@ -9,7 +9,7 @@ import signal
 import stat
 import sys
 import time
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator
 from pathlib import Path
 from typing import Any
 
@@ -79,16 +79,8 @@ async def boat(place: Path, keys: dict[str, asyncssh.SSHKey], **limits: Any) -> 
         yield Boat(int(str(runtime.board["sshd"]()["address"]).rpartition(":")[2]), place)
 
 
-def run(place: Path, keys: dict[str, asyncssh.SSHKey], test: Callable[[Boat], Any], **limits: Any) -> None:
-    async def main() -> None:
-        async with boat(place, keys, **limits) as there:
-            await test(there)
-
-    asyncio.run(main())
-
-
-def test_a_program_runs_with_its_input_output_errors_and_exit_status(tmp_path, keys):
-    async def test(there: Boat) -> None:
+async def test_a_program_runs_with_its_input_output_errors_and_exit_status(tmp_path, keys):
+    async with boat(tmp_path, keys) as there:
         assert await there.ssh("cat; echo wrong >&2; exit 7", stdin=CONTENT) == (7, CONTENT, b"wrong\n")
         assert (await there.ssh("kill -9 $$"))[0] == 255
         assert (await there.ssh("no-such-program"))[0] == 127
@@ -96,23 +88,18 @@ def test_a_program_runs_with_its_input_output_errors_and_exit_status(tmp_path, k
         assert Path((await there.ssh("command -v delfim"))[1].decode().strip()).name == "delfim", "as the documents use it"
         assert (await there.ssh("pwd"))[1].decode().strip() == pwd.getpwuid(os.getuid()).pw_dir
 
-    run(tmp_path, keys, test)
 
-
-def test_whatever_is_run_the_log_has_a_line_for_it(tmp_path, keys, caplog):
-    async def test(there: Boat) -> None:
+async def test_whatever_is_run_the_log_has_a_line_for_it(tmp_path, keys, caplog):
+    async with boat(tmp_path, keys) as there:
         assert (await there.ssh("true\nsshd: eve from 127.0.0.1 logged in"))[0] != 255
         await there.batch('put known_hosts "two\\nlines"')
-
-    run(tmp_path, keys, test)
     assert "runs 'true\\nsshd: eve from" in caplog.text
     assert not [record for record in caplog.records if "\n" in record.getMessage()]
 
 
-def test_output_comes_while_the_program_runs(tmp_path, keys):
+async def test_output_comes_while_the_program_runs(tmp_path, keys):
     """And input goes in while it runs: a conversation, in real time."""
-
-    async def test(there: Boat) -> None:
+    async with boat(tmp_path, keys) as there:
         words = "while read x; do echo got $x; done; echo over"
         child = await there.start("ssh", *there.options(), "-p", str(there.port), "ana@127.0.0.1", words)
         assert child.stdin is not None
@@ -126,19 +113,15 @@ def test_output_comes_while_the_program_runs(tmp_path, keys):
             assert await child.wait() == 0
         await child.communicate()
 
-    run(tmp_path, keys, test)
 
-
-def test_much_output_to_a_slow_reader_is_whole(tmp_path, keys):
-    async def test(there: Boat) -> None:
+async def test_much_output_to_a_slow_reader_is_whole(tmp_path, keys):
+    async with boat(tmp_path, keys) as there:
         code, out, _ = await there.ssh(f"{sys.executable} -c 'import sys; sys.stdout.buffer.write(bytes(20_000_000))'")
         assert (code, len(out)) == (0, 20_000_000)
 
-    run(tmp_path, keys, test)
 
-
-def test_a_shell_on_a_terminal(tmp_path, keys):
-    async def test(there: Boat) -> None:
+async def test_a_shell_on_a_terminal(tmp_path, keys):
+    async with boat(tmp_path, keys) as there:
         child = await there.start("ssh", "-tt", *there.options(), "-p", str(there.port), "ana@127.0.0.1", env={"TERM": "vt100"})
         words = b"echo $TERM; tty; stty size; ps -o tty= -p $$; exit 3\n"
         async with asyncio.timeout(200):
@@ -147,11 +130,9 @@ def test_a_shell_on_a_terminal(tmp_path, keys):
         assert b"vt100" in out
         assert b"/dev/pts/" in out
 
-    run(tmp_path, keys, test)
 
-
-def test_a_terminal_can_interrupt_and_changes_its_size(tmp_path, keys):
-    async def test(there: Boat) -> None:
+async def test_a_terminal_can_interrupt_and_changes_its_size(tmp_path, keys):
+    async with boat(tmp_path, keys) as there:
         options: Any = {"known_hosts": None, "client_keys": [keys["key"]], "username": "ana"}
         async with asyncssh.connect("127.0.0.1", there.port, **options) as link:
             shell = await link.create_process(term_type="xterm", term_size=(80, 24), encoding=None)
@@ -170,11 +151,9 @@ def test_a_terminal_can_interrupt_and_changes_its_size(tmp_path, keys):
                 shell.stdin.write(b"exit 4\n")
                 assert (await shell.wait()).exit_status == 4
 
-    run(tmp_path, keys, test)
 
-
-def test_programs_end_when_their_client_goes_away(tmp_path, keys):
-    async def test(there: Boat) -> None:
+async def test_programs_end_when_their_client_goes_away(tmp_path, keys):
+    async with boat(tmp_path, keys) as there:
         mark = tmp_path / "pid"
         words = f"trap '' HUP; echo $$ > {mark}; while true; do sleep 0.1; done"
         child = await there.start("ssh", *there.options(), "-p", str(there.port), "ana@127.0.0.1", words)
@@ -189,13 +168,10 @@ def test_programs_end_when_their_client_goes_away(tmp_path, keys):
                     os.kill(pid, 0)
                     await asyncio.sleep(0.05)
 
-    run(tmp_path, keys, test)
 
-
-def test_a_flood_of_window_sizes_and_signals_is_heeded_at_once_and_keeps_nothing(tmp_path, keys):
+async def test_a_flood_of_window_sizes_and_signals_is_heeded_at_once_and_keeps_nothing(tmp_path, keys):
     """5,000 sizes, possible and impossible, to a program that reads nothing of the megabyte that was typed before them."""
-
-    async def test(there: Boat) -> None:
+    async with boat(tmp_path, keys) as there:
         options: dict[str, Any] = {"username": "ana", "client_keys": [keys["key"]], "known_hosts": None, "config": None}
         async with asyncssh.connect("127.0.0.1", there.port, **options) as link:
             words = "stty raw -echo; echo ready; until [ \"$(stty size)\" = '77 99' ]; do sleep 0.05; done; echo done"
@@ -212,8 +188,6 @@ def test_a_flood_of_window_sizes_and_signals_is_heeded_at_once_and_keeps_nothing
                     assert (await shell.stdout.readline()).strip() == b"done"
         assert (await there.ssh("echo served"))[1] == b"served\n"
 
-    run(tmp_path, keys, test)
-
 
 def runs(pid: int) -> bool:
     """And is no zombie that waits for the first process of a container."""
@@ -229,31 +203,26 @@ SLEEPS = "sleep 1000 >/dev/null 2>&1 </dev/null"
 @pytest.mark.parametrize(
     "words", [(f"{SLEEPS} & echo $!",), (f"nohup {SLEEPS} & echo $!",), ("-tt", f"set -m; {SLEEPS} & echo $!")]
 )
-def test_what_is_in_the_background_ends_with_its_session(tmp_path, keys, monkeypatch, words):
+async def test_what_is_in_the_background_ends_with_its_session(tmp_path, keys, monkeypatch, words):
     monkeypatch.setattr(sshprograms, "HANG_UP_S", 0.2)  # which nohup waits for
     monkeypatch.setattr(sshprograms, "LEAVE_S", 0.2)
-
-    async def test(there: Boat) -> None:
+    async with boat(tmp_path, keys) as there:
         code, out, _ = await there.ssh(*words)
         assert code == 0
         async with asyncio.timeout(20.0):
             while runs(int(out.split()[-1])):  # it was killed, and dies when the machine comes to it
                 await asyncio.sleep(0.01)
 
-    run(tmp_path, keys, test)
 
-
-def test_what_has_a_session_of_its_own_stays(tmp_path, keys):
-    async def test(there: Boat) -> None:
+async def test_what_has_a_session_of_its_own_stays(tmp_path, keys):
+    async with boat(tmp_path, keys) as there:
         code, out, _ = await there.ssh(f"setsid {SLEEPS} & echo $!")
         assert code == 0
         os.kill(int(out), signal.SIGKILL)  # it is there
 
-    run(tmp_path, keys, test)
 
-
-def test_sftp(tmp_path, keys):
-    async def test(there: Boat) -> None:
+async def test_sftp(tmp_path, keys):
+    async with boat(tmp_path, keys) as there:
         (there.root / "20260101").mkdir()
         (there.root / "20260101/x.log").write_bytes(CONTENT)
         (tmp_path / "new").write_bytes(CONTENT[::-1])
@@ -282,15 +251,13 @@ def test_sftp(tmp_path, keys):
         assert (tmp_path / "got").read_bytes() == CONTENT
         assert not (there.root / "upload/named").exists()
 
-    run(tmp_path, keys, test)
-
 
 @pytest.mark.parametrize(
     "command", ["put new", "put new 20260101/x.log", "rm 20260101/x.log", "rename 20260101/x.log y.log", "mkdir sub",
                 "chmod 600 20260101/x.log", "rmdir 20260101", "rename 20260101/x.log upload/x.log"]
 )  # fmt: skip
-def test_the_logs_are_for_reading_only(tmp_path, keys, command):
-    async def test(there: Boat) -> None:
+async def test_the_logs_are_for_reading_only(tmp_path, keys, command):
+    async with boat(tmp_path, keys) as there:
         (there.root / "20260101").mkdir()
         (there.root / "20260101/x.log").write_bytes(CONTENT)
         before = (there.root / "20260101/x.log").stat()
@@ -301,23 +268,18 @@ def test_the_logs_are_for_reading_only(tmp_path, keys, command):
         assert sorted(path.name for path in there.root.iterdir()) == [".keys", "20260101", "upload"]
         assert not list((there.root / "upload").iterdir())
 
-    run(tmp_path, keys, test)
 
-
-def test_an_upload_stops_where_the_room_of_uploads_ends(tmp_path, keys, monkeypatch):
+async def test_an_upload_stops_where_the_room_of_uploads_ends(tmp_path, keys, monkeypatch):
     monkeypatch.setattr(uploads, "upload_room", lambda folder, bytes_max: guard.upload_room(folder, len(CONTENT) // 2))
-
-    async def test(there: Boat) -> None:
+    async with boat(tmp_path, keys) as there:
         (tmp_path / "new").write_bytes(CONTENT)
         assert (await there.batch("put new upload/new"))[0] != 0
         assert guard.used(str(there.root / "upload"))[0] <= len(CONTENT) // 2
 
-    run(tmp_path, keys, test)
-
 
 @pytest.mark.parametrize("legacy", [(), ("-O",)], ids=["over SFTP", "the old protocol"])
-def test_scp(tmp_path, keys, legacy):
-    async def test(there: Boat) -> None:
+async def test_scp(tmp_path, keys, legacy):
+    async with boat(tmp_path, keys) as there:
         (there.root / "x.log").write_bytes(CONTENT)
         words = ("-q", *legacy, *there.options(), "-P", str(there.port))
         for source, target in (("ana@127.0.0.1:/x.log", "got"), ("got", "ana@127.0.0.1:/upload/back.log")):
@@ -330,14 +292,12 @@ def test_scp(tmp_path, keys, legacy):
         assert not (tmp_path / "escaped").exists()
         assert not (tmp_path.parent / "escaped").exists()
 
-    run(tmp_path, keys, test)
-
 
 @pytest.mark.parametrize(
     "path", ["../secret", "/../secret", "link", "folder/secret", "20260101/../../secret", "pipe", ".keys/host"]
 )
-def test_no_path_leads_out(tmp_path, keys, path):
-    async def test(there: Boat) -> None:
+async def test_no_path_leads_out(tmp_path, keys, path):
+    async with boat(tmp_path, keys) as there:
         (tmp_path / "secret").write_text("secret")
         (there.root / "link").symlink_to(tmp_path / "secret")
         (there.root / "folder").symlink_to(tmp_path)
@@ -354,13 +314,10 @@ def test_no_path_leads_out(tmp_path, keys, path):
         code, told = await there.batch("ln -s /etc/passwd here")
         assert code != 0
 
-    run(tmp_path, keys, test)
 
-
-def test_only_the_keys_of_the_file_open_and_others_are_slowed_and_logged(tmp_path, keys, monkeypatch, caplog):
+async def test_only_the_keys_of_the_file_open_and_others_are_slowed_and_logged(tmp_path, keys, monkeypatch, caplog):
     monkeypatch.setattr(door, "PAUSE_S", 0.4)
-
-    async def test(there: Boat) -> None:
+    async with boat(tmp_path, keys) as there:
         assert (await there.ssh("true"))[0] == 0
         code, _, told = await there.ssh("true", key="stranger")
         assert code == 255
@@ -372,8 +329,6 @@ def test_only_the_keys_of_the_file_open_and_others_are_slowed_and_logged(tmp_pat
         began_s = time.monotonic()
         assert (await there.ssh("echo in"))[1] == b"in\n"
         assert time.monotonic() - began_s > 0.3
-
-    run(tmp_path, keys, test)
     assert f"wrong key {keys['stranger'].get_fingerprint()} for 'ana' from 127.0.0.1" in caplog.text
     assert "wrong key" in caplog.text.partition("'nobody'")[0]
     assert "ana from 127.0.0.1 logged in" in caplog.text
@@ -381,26 +336,26 @@ def test_only_the_keys_of_the_file_open_and_others_are_slowed_and_logged(tmp_pat
     assert "PRIVATE" not in caplog.text
 
 
-def test_the_host_key_is_made_once_kept_and_nobody_elses_business(tmp_path, keys):
-    async def test(there: Boat) -> None:
+async def test_the_host_key_is_made_once_kept_and_nobody_elses_business(tmp_path, keys):
+    async with boat(tmp_path, keys) as there:
         assert (await there.ssh("true"))[0] == 0
-
-    run(tmp_path, keys, test)
     file = tmp_path / "log/.keys/host"
     first = file.read_bytes()
     assert stat.S_IMODE(file.stat().st_mode) == 0o600
     assert stat.S_IMODE(file.parent.stat().st_mode) == 0o700
     assert asyncssh.read_private_key(file).algorithm == b"ssh-ed25519"
-    run(tmp_path, keys, test)
+    async with boat(tmp_path, keys) as there:
+        assert (await there.ssh("true"))[0] == 0
     assert file.read_bytes() == first
     for text in ("torn", "-----BEGIN OPENSSH( PRIVATE KEY-----\nAAAA\n-----END OPENSSH( PRIVATE KEY-----\n"):
         file.write_text(text)
         with pytest.raises(PermanentFailure, match="host_key"):
-            run(tmp_path, keys, test)
+            async with boat(tmp_path, keys):
+                pass
 
 
-def test_nothing_is_forwarded(tmp_path, keys):
-    async def test(there: Boat) -> None:
+async def test_nothing_is_forwarded(tmp_path, keys):
+    async with boat(tmp_path, keys) as there:
         options: Any = {"known_hosts": None, "client_keys": [keys["key"]], "username": "ana"}
         async with asyncssh.connect("127.0.0.1", there.port, **options) as link:
             with pytest.raises(asyncssh.ChannelOpenError):
@@ -408,31 +363,25 @@ def test_nothing_is_forwarded(tmp_path, keys):
             with pytest.raises(asyncssh.ChannelListenError):
                 await link.forward_remote_port("127.0.0.1", 0, "127.0.0.1", there.port)
 
-    run(tmp_path, keys, test)
 
-
-def test_clients_are_told_to_read_files_in_small_blocks(tmp_path, keys):
-    async def test(there: Boat) -> None:
+async def test_clients_are_told_to_read_files_in_small_blocks(tmp_path, keys):
+    async with boat(tmp_path, keys) as there:
         options: Any = {"known_hosts": None, "client_keys": [keys["key"]], "username": "ana"}
         async with asyncssh.connect("127.0.0.1", there.port, **options) as link, link.start_sftp_client() as files:
             assert files.limits.max_read_len == sshfiles.READ_BYTES
 
-    run(tmp_path, keys, test)
 
-
-def test_key_exchanges_that_cost_the_loop_are_not_offered(tmp_path, keys):
-    async def test(there: Boat) -> None:
+async def test_key_exchanges_that_cost_the_loop_are_not_offered(tmp_path, keys):
+    async with boat(tmp_path, keys) as there:
         for kex, code in (("curve25519-sha256", 0), ("diffie-hellman-group18-sha512", 255)):
             words = ("-o", f"KexAlgorithms={kex}", *there.options(), "-p", str(there.port), "ana@127.0.0.1", "true")
             child = await there.start("ssh", *words)
             await child.communicate()
             assert child.returncode == code, kex
 
-    run(tmp_path, keys, test)
 
-
-def test_connections_and_programs_are_limited(tmp_path, keys):
-    async def test(there: Boat) -> None:
+async def test_connections_and_programs_are_limited(tmp_path, keys):
+    async with boat(tmp_path, keys, connections=4, connections_per_address=2, sessions=2) as there:
         held = [await asyncio.open_connection("127.0.0.1", there.port, local_addr=("127.0.0.2", 0)) for _ in range(3)]
         async with asyncio.timeout(200):
             hellos = [await reader.readline() for reader, _ in held[:2]]
@@ -453,14 +402,11 @@ def test_connections_and_programs_are_limited(tmp_path, keys):
             writer.transport.abort()
         await asyncio.sleep(0)
 
-    run(tmp_path, keys, test, connections=4, connections_per_address=2, sessions=2)
 
-
-def test_who_does_not_log_in_is_hung_up_while_others_work(tmp_path, keys, monkeypatch):
+async def test_who_does_not_log_in_is_hung_up_while_others_work(tmp_path, keys, monkeypatch):
     """Slow-loris."""
     monkeypatch.setattr(sshd, "LOGIN_S", 0.5)
-
-    async def test(there: Boat) -> None:
+    async with boat(tmp_path, keys) as there:
         reader, writer = await asyncio.open_connection("127.0.0.1", there.port)
         began_s = time.monotonic()
         writer.write(b"SSH-2.0-slow")
@@ -472,24 +418,17 @@ def test_who_does_not_log_in_is_hung_up_while_others_work(tmp_path, keys, monkey
         writer.transport.abort()
         await asyncio.sleep(0)
 
-    run(tmp_path, keys, test)
 
-
-def test_it_answers_where_the_file_says_and_nowhere_else(tmp_path, keys):
-    async def test(there: Boat) -> None:
+async def test_it_answers_where_the_file_says_and_nowhere_else(tmp_path, keys):
+    async with boat(tmp_path, keys) as there:
         with pytest.raises(ConnectionRefusedError):
             await asyncio.open_connection("127.0.0.2", there.port)
 
-    run(tmp_path, keys, test)
 
-
-@pytest.mark.parametrize("limits", [{"user": "no-such-user"}], ids=["user"])
-def test_what_cannot_be_done_is_said_and_not_tried_again(tmp_path, keys, limits):
-    async def test(there: Boat) -> None:
-        raise AssertionError("it must not start")
-
+async def test_what_cannot_be_done_is_said_and_not_tried_again(tmp_path, keys):
     with pytest.raises(PermanentFailure, match="no such user"):
-        run(tmp_path, keys, test, **limits)
+        async with boat(tmp_path, keys, user="no-such-user"):
+            pytest.fail("it must not start")
 
 
 def test_a_public_key_that_is_none_is_refused():

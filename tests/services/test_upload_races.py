@@ -20,7 +20,7 @@ from delfim.services.page import files as webfiles
 from delfim.services.page import httpd
 from delfim.services.tables import Httpd
 from tests.services.boat import served, vehicle_file
-from tests.services.test_ftpd import CONTENT, Files, run
+from tests.services.test_ftpd import CONTENT, files
 
 NEW = os.O_RDWR | os.O_CREAT
 QUOTA, BLOCK = 3 << 20, 64 << 10
@@ -97,8 +97,8 @@ def test_the_part_of_somebody_else_does_not_get_the_name(tmp_path):
     assert sorted(path.name for path in (tmp_path / "upload/d").iterdir()) == ["x.part"]
 
 
-def test_an_upload_of_the_name_of_a_part_does_not_get_into_it(tmp_path):
-    async def test(there: Files) -> None:
+async def test_an_upload_of_the_name_of_a_part_does_not_get_into_it(tmp_path):
+    async with files(tmp_path) as there:
         first, second = [await (await there.raw()).login("writer", "open") for _ in range(2)]
         links = [await client.passive() for client in (first, second)]
         for client, name in ((first, "x"), (second, "x.part")):
@@ -111,13 +111,10 @@ def test_an_upload_of_the_name_of_a_part_does_not_get_into_it(tmp_path):
         assert (await first.answer()).startswith("226")
         assert (there.staging / "x").read_bytes() == CONTENT
 
-    run(tmp_path, test)
 
-
-def test_an_upload_whose_client_is_killed_is_a_part(tmp_path):
+async def test_an_upload_whose_client_is_killed_is_a_part(tmp_path):
     """Its computer ends both connections at once, and of a data connection that is how a whole file ends, too."""
-
-    async def test(there: Files) -> None:
+    async with files(tmp_path) as there:
         for number in range(3):
             client = await (await there.raw()).login("writer", "open")
             _, data = await client.passive()
@@ -130,8 +127,6 @@ def test_an_upload_whose_client_is_killed_is_a_part(tmp_path):
             while in_use(there.staging):
                 await asyncio.sleep(0.01)
         assert {path.name for path in there.staging.iterdir()} == {f"{number}.part" for number in range(3)}
-
-    run(tmp_path, test)
 
 
 async def vanished(client: asyncio.StreamWriter, doing: threading.Event, go_on: threading.Event) -> None:
@@ -155,11 +150,10 @@ def held(do, doing, go_on):  # type: ignore[no-untyped-def]
     return slow
 
 
-def test_a_client_that_vanishes_while_its_file_is_opened_leaves_it_to_the_next(tmp_path, monkeypatch):
+async def test_a_client_that_vanishes_while_its_file_is_opened_leaves_it_to_the_next(tmp_path, monkeypatch):
     doing, go_on = threading.Event(), threading.Event()
     monkeypatch.setattr(Uploads, "_name", held(Uploads._name, doing, go_on))
-
-    async def test(there: Files) -> None:
+    async with files(tmp_path) as there:
         first = await (await there.raw()).login("writer", "open")
         _, data = await first.passive()
         first.writer.write(b"STOR upload/x\r\n")
@@ -171,8 +165,6 @@ def test_a_client_that_vanishes_while_its_file_is_opened_leaves_it_to_the_next(t
         data.transport.abort()
         assert not in_use(there.staging)
 
-    run(tmp_path, test)
-
 
 def in_use(folder: Path) -> list[str]:
     """The files below a folder that this process has open."""
@@ -183,27 +175,23 @@ def in_use(folder: Path) -> list[str]:
     return found
 
 
-def test_a_visitor_who_vanishes_while_his_file_is_opened_leaves_nothing_open(tmp_path, monkeypatch):
+async def test_a_visitor_who_vanishes_while_his_file_is_opened_leaves_nothing_open(tmp_path, monkeypatch):
     """It is the vehicle's process that would have no descriptors left."""
     doing, go_on = threading.Event(), threading.Event()
     monkeypatch.setattr(webfiles, "opened", held(webfiles.opened, doing, go_on))
-
-    async def main() -> None:
-        settings = vehicle_file(tmp_path, httpd=Httpd(listen="127.0.0.1:0"))
-        (tmp_path / "log/x.log").write_bytes(CONTENT)
-        async with served(settings, httpd.serve, "httpd") as runtime:
-            port = int(str(runtime.board["httpd"]()["address"]).strip("/").rpartition(":")[2])
-            _, writer = await asyncio.open_connection("127.0.0.1", port)
-            writer.write(b"GET /logs/x.log HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n")
-            await vanished(writer, doing, go_on)
-            async with asyncio.timeout(200):
-                while in_use(tmp_path / "log"):
-                    await asyncio.sleep(0.01)
-
-    asyncio.run(main())
+    settings = vehicle_file(tmp_path, httpd=Httpd(listen="127.0.0.1:0"))
+    (tmp_path / "log/x.log").write_bytes(CONTENT)
+    async with served(settings, httpd.serve, "httpd") as runtime:
+        port = int(str(runtime.board["httpd"]()["address"]).strip("/").rpartition(":")[2])
+        _, writer = await asyncio.open_connection("127.0.0.1", port)
+        writer.write(b"GET /logs/x.log HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n")
+        await vanished(writer, doing, go_on)
+        async with asyncio.timeout(200):
+            while in_use(tmp_path / "log"):
+                await asyncio.sleep(0.01)
 
 
-def test_who_is_cancelled_waits_for_the_call_that_has_begun_and_takes_back_the_others():
+async def test_who_is_cancelled_waits_for_the_call_that_has_begun_and_takes_back_the_others():
     """A descriptor that is closed during a write is somebody else's file at the end of it."""
     began, go_on, ended = threading.Event(), threading.Event(), list[str]()
 
@@ -212,20 +200,17 @@ def test_who_is_cancelled_waits_for_the_call_that_has_begun_and_takes_back_the_o
         go_on.wait(200)
         ended.append(name)
 
-    async def main() -> None:
-        with ThreadPoolExecutor(1) as workers:
-            first, second = (asyncio.create_task(worked(workers, call, name)) for name in ("first", "second"))
-            await asyncio.to_thread(began.wait, 60)
-            first.cancel()
-            second.cancel()
-            await asyncio.wait([second])
-            assert not first.done()
-            go_on.set()
-            await asyncio.wait([first])
-        assert first.cancelled()
-        assert ended == ["first"]
-
-    asyncio.run(main())
+    with ThreadPoolExecutor(1) as workers:
+        first, second = (asyncio.create_task(worked(workers, call, name)) for name in ("first", "second"))
+        await asyncio.to_thread(began.wait, 60)
+        first.cancel()
+        second.cancel()
+        await asyncio.wait([second])
+        assert not first.done()
+        go_on.set()
+        await asyncio.wait([first])
+    assert first.cancelled()
+    assert ended == ["first"]
 
 
 class Client:

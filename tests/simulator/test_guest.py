@@ -1,10 +1,11 @@
 """The guest computer: what it asks for, and how it holds on to the vehicle over a real TCP connection."""
 
 import asyncio
+import contextlib
 import json
 import logging
 import math
-from collections.abc import Awaitable, Callable
+from collections.abc import AsyncIterator
 
 import pytest
 from hypothesis import given
@@ -99,42 +100,40 @@ def test_what_is_written_is_what_the_vehicle_reads() -> None:
     assert (asked.heading_deg, asked.speed_mps) == (270.0, 1.5)
 
 
-def over_tcp(
-    story: Callable[[int, asyncio.Server, asyncio.Queue[tuple[asyncio.StreamReader, asyncio.StreamWriter]]], Awaitable[None]],
-) -> None:
-    """A guest that zigzags, and the vehicle's end of its connections as the story takes them."""
+Connections = asyncio.Queue[tuple[asyncio.StreamReader, asyncio.StreamWriter]]
 
-    async def play() -> None:
-        connections: asyncio.Queue[tuple[asyncio.StreamReader, asyncio.StreamWriter]] = asyncio.Queue()
-        opened = []
 
-        def accept(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-            opened.append(writer)
-            connections.put_nowait((reader, writer))
+@contextlib.asynccontextmanager
+async def over_tcp() -> AsyncIterator[tuple[int, asyncio.Server, Connections]]:
+    """A guest that zigzags, and the vehicle's end of its connections."""
+    connections, opened = Connections(), []
 
-        server = await asyncio.start_server(accept, "127.0.0.1", 0)
-        port = server.sockets[0].getsockname()[1]
-        running = asyncio.create_task(guest("127.0.0.1", port, ZIGZAG, backoff_s=AT_ONCE))
-        try:
-            await asyncio.wait_for(story(port, server, connections), 20)
-            assert not running.done()
-        finally:
-            running.cancel()
-            await asyncio.gather(running, return_exceptions=True)
-            for writer in opened:
-                writer.close()
-            server.close()
-            await server.wait_closed()
+    def accept(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        opened.append(writer)
+        connections.put_nowait((reader, writer))
 
-    asyncio.run(play())
+    server = await asyncio.start_server(accept, "127.0.0.1", 0)
+    port = server.sockets[0].getsockname()[1]
+    running = asyncio.create_task(guest("127.0.0.1", port, ZIGZAG, backoff_s=AT_ONCE))
+    try:
+        async with asyncio.timeout(20):
+            yield port, server, connections
+        assert not running.done()
+    finally:
+        running.cancel()
+        await asyncio.gather(running, return_exceptions=True)
+        for writer in opened:
+            writer.close()
+        server.close()
+        await server.wait_closed()
 
 
 def navigation(after_s: float) -> bytes:
     return json.dumps({"utc_ns": START_NS + round(after_s * 1e9), "mode": "grex", "heading_deg": 5.0}).encode() + b"\n"
 
 
-def test_every_line_is_answered_and_the_plan_survives_a_lost_connection() -> None:
-    async def story(port: int, server: asyncio.Server, connections: asyncio.Queue) -> None:
+async def test_every_line_is_answered_and_the_plan_survives_a_lost_connection() -> None:
+    async with over_tcp() as (_port, _server, connections):
         reader, writer = await connections.get()
         for after_s, heading_deg in ((100, 10.0), (105, 10.0), (110, 330.0)):
             writer.write(navigation(after_s))
@@ -144,25 +143,22 @@ def test_every_line_is_answered_and_the_plan_survives_a_lost_connection() -> Non
         writer.write(navigation(115))
         assert json.loads(await reader.readline())["heading_deg"] == pytest.approx(330.0), "still the second leg"
 
-    over_tcp(story)
-
 
 @pytest.mark.parametrize("nonsense", [b"hello\n", b"[]\n", b"x" * 100_000 + b"\n"], ids=["text", "list", "endless"])
-def test_a_vehicle_that_talks_nonsense_is_left_and_tried_again(nonsense: bytes, caplog: pytest.LogCaptureFixture) -> None:
-    async def story(port: int, server: asyncio.Server, connections: asyncio.Queue) -> None:
+async def test_a_vehicle_that_talks_nonsense_is_left_and_tried_again(nonsense: bytes, caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level(logging.INFO, "delfim.simulator.guest")
+    async with over_tcp() as (_port, _server, connections):
         reader, writer = await connections.get()
         writer.write(nonsense)
         reader, writer = await connections.get()
         writer.write(navigation(0))
         assert json.loads(await reader.readline())["speed_mps"] == 1.2
-
-    caplog.set_level(logging.INFO, "delfim.simulator.guest")
-    over_tcp(story)
     assert any("again in" in message for message in caplog.messages)
 
 
-def test_it_waits_for_a_vehicle_that_is_not_there_yet(caplog: pytest.LogCaptureFixture) -> None:
-    async def story(port: int, server: asyncio.Server, connections: asyncio.Queue) -> None:
+async def test_it_waits_for_a_vehicle_that_is_not_there_yet(caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level(logging.INFO, "delfim.simulator.guest")
+    async with over_tcp() as (port, server, connections):
         _, writer = await connections.get()
         writer.transport.abort()
         server.close()
@@ -175,9 +171,6 @@ def test_it_waits_for_a_vehicle_that_is_not_there_yet(caplog: pytest.LogCaptureF
         assert await reader.readline()
         writer.close()
         again.close()
-
-    caplog.set_level(logging.INFO, "delfim.simulator.guest")
-    over_tcp(story)
     pauses = [message.rpartition(" in ")[2] for message in caplog.messages]
     assert pauses[:5] == ["0.001 s", "0.002 s", "0.004 s", "0.008 s", "0.01 s"]
 

@@ -1,11 +1,12 @@
 """The guest computer's door over real TCP on loopback: who is let in, and that a refused visitor changes nothing."""
 
 import asyncio
+import contextlib
 import json
 import re
 import subprocess
 import sys
-from collections.abc import Awaitable, Callable
+from collections.abc import AsyncIterator, Awaitable, Callable
 from pathlib import Path
 
 import msgspec
@@ -47,25 +48,24 @@ class Link:
 Opened = Callable[..., Awaitable[Link]]
 
 
-def at_the_door(boat, table: GuestTable, story: Callable[[Opened, GuestDoor, int], Awaitable[None]]) -> None:
-    async def play() -> None:
-        door = GuestDoor(table, boat.guest, boat.state, boat.clock)
-        server = await asyncio.get_running_loop().create_server(door.visitor, HOME, 0)
-        port, links = server.sockets[0].getsockname()[1], []
+@contextlib.asynccontextmanager
+async def at_the_door(boat, table: GuestTable) -> AsyncIterator[tuple[Opened, GuestDoor, int]]:
+    door = GuestDoor(table, boat.guest, boat.state, boat.clock)
+    server = await asyncio.get_running_loop().create_server(door.visitor, HOME, 0)
+    port, links = server.sockets[0].getsockname()[1], []
 
-        async def opened(host: str = HOME) -> Link:
-            links.append(Link(*await asyncio.open_connection(HOME, port, local_addr=(host, 0))))
-            return links[-1]
+    async def opened(host: str = HOME) -> Link:
+        links.append(Link(*await asyncio.open_connection(HOME, port, local_addr=(host, 0))))
+        return links[-1]
 
-        try:
-            await story(opened, door, port)
-        finally:
-            for link in links:
-                link.writer.close()
-            server.close()
-            door.close()
-
-    asyncio.run(asyncio.wait_for(play(), 30))
+    try:
+        async with asyncio.timeout(30):
+            yield opened, door, port
+    finally:
+        for link in links:
+            link.writer.close()
+        server.close()
+        door.close()
 
 
 async def until(condition: Callable[[], object]) -> None:
@@ -84,10 +84,9 @@ def locked(key_file: Path) -> GuestTable:
     return GuestTable(enabled=True, key=str(key_file))
 
 
-def test_the_holder_of_the_key_is_the_guest(boat, locked):
+async def test_the_holder_of_the_key_is_the_guest(boat, locked):
     key = read_key(locked.key)
-
-    async def story(opened: Opened, door: GuestDoor, port: int) -> None:
+    async with at_the_door(boat, locked) as (opened, door, _port):
         link = await opened()
         answer = json.dumps({"proof": proof(key, await link.challenge())}).encode() + b"\n"
         link.say(answer + REFERENCE)  # the set point may come with the proof
@@ -95,8 +94,6 @@ def test_the_holder_of_the_key_is_the_guest(boat, locked):
         boat.navigate()
         assert json.loads(await link.reader.readline())["mode"] == "idle"
         assert not door.waiting
-
-    at_the_door(boat, locked, story)
 
 
 @pytest.mark.parametrize(
@@ -112,37 +109,31 @@ def test_the_holder_of_the_key_is_the_guest(boat, locked):
         b"x" * 300,
     ],
 )
-def test_who_has_no_key_is_shut_out_and_moves_nothing(boat, locked, answer, caplog):
-    async def story(opened: Opened, door: GuestDoor, port: int) -> None:
+async def test_who_has_no_key_is_shut_out_and_moves_nothing(boat, locked, answer, caplog):
+    async with at_the_door(boat, locked) as (opened, _door, _port):
         link = await opened()
         challenge = await link.challenge()
         link.say(answer + b"\n" + REFERENCE)
         assert await link.is_shut()
         assert (len(challenge), boat.state.setpoint.guest_heading_rad) == (32, None)
         assert not boat.guest.is_connected
-
-    at_the_door(boat, locked, story)
     assert boat.state.counts["guest_refused"] == 1
     assert "guest: 127.0.0.1 refused: " in caplog.text
 
 
-def test_a_proof_is_good_for_one_connection(boat, locked):
+async def test_a_proof_is_good_for_one_connection(boat, locked):
     key = read_key(locked.key)
-
-    async def story(opened: Opened, door: GuestDoor, port: int) -> None:
+    async with at_the_door(boat, locked) as (opened, _door, _port):
         first, second = await opened(), await opened()
         heard = json.dumps({"proof": proof(key, await first.challenge())}).encode() + b"\n"
         await second.challenge()
         second.say(heard)
         assert await second.is_shut()
 
-    at_the_door(boat, locked, story)
 
-
-def test_a_stranger_neither_replaces_the_guest_nor_hears_the_boat(boat, locked):
+async def test_a_stranger_neither_replaces_the_guest_nor_hears_the_boat(boat, locked):
     key = read_key(locked.key)
-
-    async def story(opened: Opened, door: GuestDoor, port: int) -> None:
+    async with at_the_door(boat, locked) as (opened, _door, _port):
         link = await opened()
         link.say(json.dumps({"proof": proof(key, await link.challenge())}).encode() + b"\n")
         await until(lambda: boat.guest.is_connected)
@@ -154,13 +145,10 @@ def test_a_stranger_neither_replaces_the_guest_nor_hears_the_boat(boat, locked):
         assert await stranger.is_shut()
         assert boat.guest.is_connected
 
-    at_the_door(boat, locked, story)
 
-
-def test_who_does_not_answer_has_five_seconds_and_four_places_an_address(boat, locked, monkeypatch):
+async def test_who_does_not_answer_has_five_seconds_and_four_places_an_address(boat, locked, monkeypatch):
     monkeypatch.setattr(guestdoor, "ANSWER_S", 0.2)
-
-    async def story(opened: Opened, door: GuestDoor, port: int) -> None:
+    async with at_the_door(boat, locked) as (opened, door, _port):
         slow = [await opened() for _ in range(4)]
         for link in slow:
             await link.challenge()
@@ -174,23 +162,18 @@ def test_who_does_not_answer_has_five_seconds_and_four_places_an_address(boat, l
         assert not door.waiting
         assert await (await opened()).challenge()
 
-    at_the_door(boat, locked, story)
 
-
-def test_a_network_that_is_not_named_is_shut_out_with_the_key_and_without(boat, key_file):
+async def test_a_network_that_is_not_named_is_shut_out_with_the_key_and_without(boat, key_file):
     for key in ("", str(key_file)):
         table = GuestTable(enabled=True, key=key, networks=("127.0.0.2",))
-
-        async def story(opened: Opened, door: GuestDoor, port: int) -> None:
+        async with at_the_door(boat, table) as (opened, _door, _port):
             assert await (await opened()).is_shut()
             assert not boat.guest.is_connected
-
-        at_the_door(boat, table, story)
     assert boat.state.counts["guest_refused"] == 2
 
 
-def test_delfims_own_guest_proves_its_key(boat, locked):
-    async def story(opened: Opened, door: GuestDoor, port: int) -> None:
+async def test_delfims_own_guest_proves_its_key(boat, locked):
+    async with at_the_door(boat, locked) as (_opened, _door, port):
         running = asyncio.create_task(guest(HOME, port, Zigzag(course_deg=90.0), key=read_key(locked.key)))
         try:
             await until(lambda: boat.guest.is_connected)
@@ -200,13 +183,10 @@ def test_delfims_own_guest_proves_its_key(boat, locked):
             running.cancel()
             await asyncio.gather(running, return_exceptions=True)
 
-    at_the_door(boat, locked, story)
 
-
-def test_the_guest_of_the_document_is_let_in(boat, locked, key_file):
+async def test_the_guest_of_the_document_is_let_in(boat, locked, key_file):
     program = re.findall(r"```python\n(.*?)```", Path("docs/guest.md").read_text(), re.DOTALL)[-1]
-
-    async def story(opened: Opened, door: GuestDoor, port: int) -> None:
+    async with at_the_door(boat, locked) as (_opened, _door, port):
         text = program.replace("192.168.1.10", HOME).replace("4747", str(port))
         words = (sys.executable, "-c", text)
         process = await asyncio.create_subprocess_exec(*words, cwd=key_file.parent, stderr=subprocess.DEVNULL)
@@ -218,8 +198,6 @@ def test_the_guest_of_the_document_is_let_in(boat, locked, key_file):
         finally:
             process.kill()
             await process.wait()
-
-    at_the_door(boat, locked, story)
 
 
 @pytest.mark.parametrize(
@@ -241,12 +219,10 @@ def test_beyond_this_computer_the_file_must_name_a_key(table, is_refused):
         assert msgspec.structs.asdict(tables.decode(table, GuestTable, "boat.toml"))["listen"] == table["listen"]
 
 
-def test_steering_from_ros_that_the_door_refuses_says_where_the_reason_is(boat, locked):
-    async def story(opened: Opened, door: GuestDoor, port: int) -> None:
+async def test_steering_from_ros_that_the_door_refuses_says_where_the_reason_is(boat, locked):
+    async with at_the_door(boat, msgspec.structs.replace(locked, networks=("10.0.0.0/8",))) as (_opened, _door, port):
         line = GuestLine(msgspec.structs.replace(locked, listen=f"{HOME}:{port}"))
         following = asyncio.create_task(line.follow())
         await until(lambda: line.reason != "not connected yet")
         following.cancel()
         assert line.reason == "the vehicle closed the connection: its log says why"
-
-    at_the_door(boat, msgspec.structs.replace(locked, networks=("10.0.0.0/8",)), story)

@@ -48,21 +48,9 @@ def test_a_text_that_takes_too_much_is_given_up_in_words(text, cpu_s):
     assert str(told) == "mission: its text takes too much time or memory to read; make it shorter"
 
 
-def test_a_stop_ends_the_reading(boat, tmp_path):
+async def test_a_stop_ends_the_reading(boat, tmp_path):
     """The process, too: otherwise the worker would not end."""
     boat.ready()
-
-    async def both() -> None:
-        def obey(command, operator="local"):
-            reviews.hear(command, operator)
-            return boat.vehicle.on_command(command, operator)
-
-        reviews = Reviews(boat.vehicle, obey, asyncio.get_running_loop())
-        server = CommandServer(obey, reviews, lambda: in_json(boat.vehicle.report()), 4)
-        listening = await asyncio.get_running_loop().create_unix_server(server.connection, str(tmp_path / "command"))
-        await asyncio.to_thread(talk)
-        server.close()
-        listening.close()
 
     def talk() -> None:
         def ask() -> str:
@@ -76,4 +64,13 @@ def test_a_stop_ends_the_reading(boat, tmp_path):
                 link.ask("stop")
             assert asked.result() == "refused: a stop was commanded"
 
-    asyncio.run(both())
+    def obey(command, operator="local"):
+        reviews.hear(command, operator)
+        return boat.vehicle.on_command(command, operator)
+
+    reviews = Reviews(boat.vehicle, obey, asyncio.get_running_loop())
+    server = CommandServer(obey, reviews, lambda: in_json(boat.vehicle.report()), 4)
+    listening = await asyncio.get_running_loop().create_unix_server(server.connection, str(tmp_path / "command"))
+    await asyncio.to_thread(talk)
+    server.close()
+    listening.close()

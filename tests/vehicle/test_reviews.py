@@ -235,20 +235,12 @@ def test_what_was_looked_at_for_another_state_is_looked_at_again(sea):
     assert answers[1:] == ["refused: the boat's settings kept changing meanwhile: send it again"] * 3
 
 
-def test_over_the_command_socket_a_long_text_comes_in_parts(boat, tmp_path, counted, monkeypatch):
+async def test_over_the_command_socket_a_long_text_comes_in_parts(boat, tmp_path, counted, monkeypatch):
     """The real socket, the real client, the real loop, the real worker. The boat's own process reads no TOML."""
     monkeypatch.setattr(tomllib, "loads", lambda text: pytest.fail("the loop waits for who reads this"))
     boat.ready()
     large = canonical(mission(1000, 1000))
     assert len(large) > 3 * console.PART
-
-    async def both() -> None:
-        reviews = Reviews(boat.vehicle, boat.vehicle.on_command, asyncio.get_running_loop())
-        server = CommandServer(boat.vehicle.on_command, reviews, lambda: in_json(boat.vehicle.report()), 4)
-        listening = await asyncio.get_running_loop().create_unix_server(server.connection, str(tmp_path / "command"))
-        await asyncio.to_thread(talk)
-        server.close()
-        listening.close()
 
     def talk() -> None:
         with Link(tmp_path / "command", 20.0) as link:
@@ -261,7 +253,12 @@ def test_over_the_command_socket_a_long_text_comes_in_parts(boat, tmp_path, coun
             link._socket.sendall(b"".join(json.dumps(line).encode() + b"\n" for line in lines))
             assert [link._reply()["state"]["mode"] for _ in lines] == ["idle", "play", "play"]
 
-    asyncio.run(both())
+    reviews = Reviews(boat.vehicle, boat.vehicle.on_command, asyncio.get_running_loop())
+    server = CommandServer(boat.vehicle.on_command, reviews, lambda: in_json(boat.vehicle.report()), 4)
+    listening = await asyncio.get_running_loop().create_unix_server(server.connection, str(tmp_path / "command"))
+    await asyncio.to_thread(talk)
+    server.close()
+    listening.close()
     assert max(counted) <= MOST_AT_ONCE
 
 

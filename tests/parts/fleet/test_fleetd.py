@@ -142,32 +142,28 @@ def test_a_boat_that_is_gone_is_told_by_its_last_will(tmp_path: Path) -> None:
 
 
 @needs_mosquitto
-def test_nothing_is_kept_for_a_broker_that_is_away_but_the_newest_state(tmp_path: Path) -> None:
+async def test_nothing_is_kept_for_a_broker_that_is_away_but_the_newest_state(tmp_path: Path) -> None:
     """It is killed and started again, twice."""
-
-    async def main() -> None:
-        port = free_port()
-        line, frames = line_of(port, boat="Otter", held=4), list[bytes]()
-        listener = line_of(port, hear=lambda topic, data: frames.append(data))
-        follow = asyncio.gather(line.follow(), listener.follow())
-        await until(lambda: "refused" in line.reason)
-        for life in range(2):
-            for number in range(20):
-                line.put("tagus/Otter/up", b"old %d" % number)
-                line.keep("tagus/Otter/state", b"state %d of %d" % (number, life))
-            assert line.counts["dropped"] == 20 * (life + 1)
-            with broker(tmp_path, port):
-                await until(lambda: not line.reason and not listener.reason)
-                assert (await heard(port, "tagus/Otter/state", 1))[0][1:] == (b"state 19 of %d" % life, True)
-                line.put("tagus/Otter/up", b"new %d" % life)
-                await until(lambda life=life: len(frames) > life)
-            await until(lambda: line.reason and listener.reason)
-        follow.cancel()
-        with contextlib.suppress(asyncio.CancelledError):
-            await follow
-        assert frames == [b"new 0", b"new 1"]
-
-    asyncio.run(main())
+    port = free_port()
+    line, frames = line_of(port, boat="Otter", held=4), list[bytes]()
+    listener = line_of(port, hear=lambda topic, data: frames.append(data))
+    follow = asyncio.gather(line.follow(), listener.follow())
+    await until(lambda: "refused" in line.reason)
+    for life in range(2):
+        for number in range(20):
+            line.put("tagus/Otter/up", b"old %d" % number)
+            line.keep("tagus/Otter/state", b"state %d of %d" % (number, life))
+        assert line.counts["dropped"] == 20 * (life + 1)
+        with broker(tmp_path, port):
+            await until(lambda: not line.reason and not listener.reason)
+            assert (await heard(port, "tagus/Otter/state", 1))[0][1:] == (b"state 19 of %d" % life, True)
+            line.put("tagus/Otter/up", b"new %d" % life)
+            await until(lambda life=life: len(frames) > life)
+        await until(lambda: line.reason and listener.reason)
+    follow.cancel()
+    with contextlib.suppress(asyncio.CancelledError):
+        await follow
+    assert frames == [b"new 0", b"new 1"]
 
 
 @needs_mosquitto
@@ -199,7 +195,7 @@ def test_on_a_link_that_is_away_no_more_waits_than_the_bound_and_it_is_told(
         asyncio.run(main(port, int((tmp_path / f"mosquitto-{port}.pid").read_text())))
 
 
-def test_a_line_that_cannot_say_goodbye_is_cancelled_at_once_all_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_a_line_that_cannot_say_goodbye_is_cancelled_at_once_all_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
     begun = asyncio.Event()
 
     class Client:
@@ -216,19 +212,16 @@ def test_a_line_that_cannot_say_goodbye_is_cancelled_at_once_all_the_same(monkey
             begun.set()
             await asyncio.Event().wait()
 
-    async def main() -> None:
-        following = asyncio.create_task(line_of(1).follow())
-        await begun.wait()
-        following.cancel()
-        async with asyncio.timeout(200):
-            await asyncio.wait([following])
-        assert following.cancelled()
-
     monkeypatch.setattr(aiomqtt, "Client", Client)
-    asyncio.run(main())
+    following = asyncio.create_task(line_of(1).follow())
+    await begun.wait()
+    following.cancel()
+    async with asyncio.timeout(200):
+        await asyncio.wait([following])
+    assert following.cancelled()
 
 
-def test_a_cancellation_that_comes_with_an_answer_is_not_lost() -> None:
+async def test_a_cancellation_that_comes_with_an_answer_is_not_lost() -> None:
     """asyncio.wait_for of Python 3.11, with which the client waits, then gives the answer."""
 
     class Client:
@@ -236,41 +229,35 @@ def test_a_cancellation_that_comes_with_an_answer_is_not_lost() -> None:
             with contextlib.suppress(asyncio.CancelledError):
                 await asyncio.Event().wait()
 
-    async def main() -> None:
-        line = line_of(1)
-        line.keep("tagus/Otter/state", b"state")
-        sending = asyncio.create_task(line._send(Client()))  # type: ignore[arg-type]
-        await until(lambda: not line._kept)
-        sending.cancel()
-        async with asyncio.timeout(200):
-            await asyncio.wait([sending])
-
-    asyncio.run(main())
+    line = line_of(1)
+    line.keep("tagus/Otter/state", b"state")
+    sending = asyncio.create_task(line._send(Client()))  # type: ignore[arg-type]
+    await until(lambda: not line._kept)
+    sending.cancel()
+    async with asyncio.timeout(200):
+        await asyncio.wait([sending])
 
 
-def test_a_frame_that_waited_too_long_is_not_sent_and_a_slow_broker_costs_the_oldest() -> None:
-    async def main() -> None:
-        clock, sent = ManualClock(), list[bytes]()
-        line = line_of(1, clock, held=3)
-        line.reason = ""
+async def test_a_frame_that_waited_too_long_is_not_sent_and_a_slow_broker_costs_the_oldest() -> None:
+    clock, sent = ManualClock(), list[bytes]()
+    line = line_of(1, clock, held=3)
+    line.reason = ""
 
-        async def publish(topic: str, frame: bytes, qos: int) -> None:
-            sent.append(frame)
-            if frame == b"last":
-                raise aiomqtt.MqttError("enough")
+    async def publish(topic: str, frame: bytes, qos: int) -> None:
+        sent.append(frame)
+        if frame == b"last":
+            raise aiomqtt.MqttError("enough")
 
-        for number in range(5):
-            line.put("t", b"old %d" % number)
-        assert line.counts["dropped"] == 2
-        clock.advance(STALE_S + 0.1)
-        line.put("t", b"new")
-        line.put("t", b"last")
-        with pytest.raises(aiomqtt.MqttError):
-            await line._send(SimpleNamespace(publish=publish))  # type: ignore[arg-type]
-        assert sent == [b"new", b"last"]
-        assert line.counts["dropped"] == 5
-
-    asyncio.run(main())
+    for number in range(5):
+        line.put("t", b"old %d" % number)
+    assert line.counts["dropped"] == 2
+    clock.advance(STALE_S + 0.1)
+    line.put("t", b"new")
+    line.put("t", b"last")
+    with pytest.raises(aiomqtt.MqttError):
+        await line._send(SimpleNamespace(publish=publish))  # type: ignore[arg-type]
+    assert sent == [b"new", b"last"]
+    assert line.counts["dropped"] == 5
 
 
 @needs_mosquitto
@@ -298,25 +285,22 @@ def test_a_retained_order_is_an_old_one_and_a_huge_one_is_none(tmp_path: Path) -
     ids=["256 MB", "just too long", "to be asked about"],
 )
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # paho drops a socket that failed, unclosed
-def test_a_broker_that_sends_more_than_anybody_asked_for_is_left_at_once(packet: bytes) -> None:
+async def test_a_broker_that_sends_more_than_anybody_asked_for_is_left_at_once(packet: bytes) -> None:
     """A broker that says yes to everything, and then announces a message: nothing of that is read, or kept."""
 
-    async def main() -> None:
-        async def talk(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-            answers = {0x10: b"\x20\2\0\0", 0x82: b"\x90\3\0\1\0" + packet}
-            while data := await reader.read(1000):
-                writer.write(answers.get(data[0], b""))
-            writer.close()
+    async def talk(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        answers = {0x10: b"\x20\2\0\0", 0x82: b"\x90\3\0\1\0" + packet}
+        while data := await reader.read(1000):
+            writer.write(answers.get(data[0], b""))
+        writer.close()
 
-        server = await asyncio.start_server(talk, "127.0.0.1", 0)
-        line = line_of(server.sockets[0].getsockname()[1])
-        async with server, asyncio.timeout(200), asyncio.TaskGroup() as group:
-            following = group.create_task(line.follow())
-            await until(lambda: line.counts["connected"] == 2 and line.reason)
-            following.cancel()
-        assert line.counts["heard"] == line.counts["refused"] == 0
-
-    asyncio.run(main())
+    server = await asyncio.start_server(talk, "127.0.0.1", 0)
+    line = line_of(server.sockets[0].getsockname()[1])
+    async with server, asyncio.timeout(200), asyncio.TaskGroup() as group:
+        following = group.create_task(line.follow())
+        await until(lambda: line.counts["connected"] == 2 and line.reason)
+        following.cancel()
+    assert line.counts["heard"] == line.counts["refused"] == 0
 
 
 @needs_mosquitto

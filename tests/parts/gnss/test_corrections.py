@@ -113,26 +113,23 @@ async def begun(port: int, links: contextlib.ExitStack) -> Base:
 
 
 @needs_str2str
-def test_bytes_of_a_caster_come_to_the_receiver_also_after_the_caster_was_gone(tmp_path):
-    async def test() -> None:
-        port = free_port()
-        async with roving(tmp_path, f"ntrip://127.0.0.1:{port}/BASE") as rover:
-            await rover.until(lambda f: f["troubles"]["caster"] == f"127.0.0.1:{port}: Connection refused")
-            for _ in range(2):
-                with contextlib.ExitStack() as links:
-                    base = await begun(port, links)
-                    first, rest = frame(1005, 19), [frame(1077, 400), frame(1087, 300)]
-                    await rover.receives(first, lambda base=base, first=first: base.say(first))
-                    base.say(b"noise" + rest[0] + b"\xd3\xff" + rest[1])
-                    found = await rover.receives(rest[1])
-                    assert found.replace(first, b"") == b"".join(rest), "whole frames alone"
-                    assert rover.figures["troubles"] == {}
-                await rover.until(lambda f: f["troubles"].get("caster"))
-            told = rover.figures
-            assert {"1005", "1077", "1087"} == set(told["caster"]["messages"])
-            assert told["receiver"]["dropped"] == 0
-
-    asyncio.run(test())
+async def test_bytes_of_a_caster_come_to_the_receiver_also_after_the_caster_was_gone(tmp_path):
+    port = free_port()
+    async with roving(tmp_path, f"ntrip://127.0.0.1:{port}/BASE") as rover:
+        await rover.until(lambda f: f["troubles"]["caster"] == f"127.0.0.1:{port}: Connection refused")
+        for _ in range(2):
+            with contextlib.ExitStack() as links:
+                base = await begun(port, links)
+                first, rest = frame(1005, 19), [frame(1077, 400), frame(1087, 300)]
+                await rover.receives(first, lambda base=base, first=first: base.say(first))
+                base.say(b"noise" + rest[0] + b"\xd3\xff" + rest[1])
+                found = await rover.receives(rest[1])
+                assert found.replace(first, b"") == b"".join(rest), "whole frames alone"
+                assert rover.figures["troubles"] == {}
+            await rover.until(lambda f: f["troubles"].get("caster"))
+        told = rover.figures
+        assert {"1005", "1077", "1087"} == set(told["caster"]["messages"])
+        assert told["receiver"]["dropped"] == 0
 
 
 @needs_str2str
@@ -140,16 +137,13 @@ def test_bytes_of_a_caster_come_to_the_receiver_also_after_the_caster_was_gone(t
     ("mountpoint", "credentials", "words"),
     [("BASE", "ana:wrong", "it refuses user and password"), ("NOWHERE", SECRET, "it has no mountpoint NOWHERE")],
 )
-def test_a_refusal_of_the_caster_is_said_in_words(tmp_path, mountpoint, credentials, words):
-    async def test() -> None:
-        with contextlib.ExitStack() as links:
-            base = await begun(port := free_port(), links)
-            async with roving(tmp_path, f"ntrip://127.0.0.1:{port}/{mountpoint}", credentials) as rover:
-                await rover.until(lambda f: f["troubles"] == {"caster": f"127.0.0.1:{port}: {words}"})
-                base.say(frame(1005))
-                assert rover.receiver.heard() == b""
-
-    asyncio.run(test())
+async def test_a_refusal_of_the_caster_is_said_in_words(tmp_path, mountpoint, credentials, words):
+    with contextlib.ExitStack() as links:
+        base = await begun(port := free_port(), links)
+        async with roving(tmp_path, f"ntrip://127.0.0.1:{port}/{mountpoint}", credentials) as rover:
+            await rover.until(lambda f: f["troubles"] == {"caster": f"127.0.0.1:{port}: {words}"})
+            base.say(frame(1005))
+            assert rover.receiver.heard() == b""
 
 
 @pytest.mark.parametrize(
@@ -159,172 +153,146 @@ def test_a_refusal_of_the_caster_is_said_in_words(tmp_path, mountpoint, credenti
         ("ntrips://127.0.0.1:PORT/BASE", "its certificate is not to be trusted: self-signed certificate"),
     ],
 )
-def test_a_caster_that_cannot_be_reached_is_told_in_words(tmp_path, certificate, caster, words):
-    async def test() -> None:
-        context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
-        context.load_cert_chain(certificate)
-        server = await asyncio.start_server(lambda reader, writer: writer.close(), "127.0.0.1", 0, ssl=context)
-        place = caster.replace("PORT", str(server.sockets[0].getsockname()[1]))
-        async with server, roving(tmp_path, place) as rover:
-            figures = await rover.until(lambda f: "not connected yet" not in f["troubles"]["caster"])
-            assert words in figures["troubles"]["caster"]
-
-    asyncio.run(test())
+async def test_a_caster_that_cannot_be_reached_is_told_in_words(tmp_path, certificate, caster, words):
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+    context.load_cert_chain(certificate)
+    server = await asyncio.start_server(lambda reader, writer: writer.close(), "127.0.0.1", 0, ssl=context)
+    place = caster.replace("PORT", str(server.sockets[0].getsockname()[1]))
+    async with server, roving(tmp_path, place) as rover:
+        figures = await rover.until(lambda f: "not connected yet" not in f["troubles"]["caster"])
+        assert words in figures["troubles"]["caster"]
 
 
-def test_the_caster_is_told_where_the_boat_is(tmp_path):
+async def test_the_caster_is_told_where_the_boat_is(tmp_path):
     """In the head for version 2, and in the stream again and again."""
+    heard = bytearray()
 
-    async def test() -> None:
-        heard = bytearray()
+    async def caster(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        writer.write(b"ICY 200 OK\r\n\r\n")
+        while data := await reader.read(4096):
+            heard.extend(data)
+            writer.write(frame(1005))
+        writer.close()
 
-        async def caster(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-            writer.write(b"ICY 200 OK\r\n\r\n")
-            while data := await reader.read(4096):
-                heard.extend(data)
-                writer.write(frame(1005))
-            writer.close()
-
-        server = await asyncio.start_server(caster, "127.0.0.1", 0)
-        async with server, roving(tmp_path, f"ntrip://127.0.0.1:{server.sockets[0].getsockname()[1]}/VRS", gga_s=0.05) as rover:
-            async with asyncio.timeout(200):
-                while heard.count(b"$GPGGA,") < 3:
-                    await asyncio.sleep(0.01)
-            assert b",3841.441088,N,00912.917844,W,4,10," in heard
-            await rover.until(lambda f: not f["troubles"])
-
-    asyncio.run(test())
+    server = await asyncio.start_server(caster, "127.0.0.1", 0)
+    async with server, roving(tmp_path, f"ntrip://127.0.0.1:{server.sockets[0].getsockname()[1]}/VRS", gga_s=0.05) as rover:
+        async with asyncio.timeout(200):
+            while heard.count(b"$GPGGA,") < 3:
+                await asyncio.sleep(0.01)
+        assert b",3841.441088,N,00912.917844,W,4,10," in heard
+        await rover.until(lambda f: not f["troubles"])
 
 
-def test_what_comes_by_radio_is_put_together_and_rests_while_the_caster_sends(tmp_path):
-    async def test() -> None:
-        async def caster(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-            await sends.wait()
-            writer.write(b"ICY 200 OK\r\n" + observed)
-            await reader.read()
-            writer.close()
+async def test_what_comes_by_radio_is_put_together_and_rests_while_the_caster_sends(tmp_path):
+    async def caster(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        await sends.wait()
+        writer.write(b"ICY 200 OK\r\n" + observed)
+        await reader.read()
+        writer.close()
 
-        sends, observed, whole = asyncio.Event(), frame(1077), frame(1087, 500)
-        server = await asyncio.start_server(caster, "127.0.0.1", 0)
-        place = f"ntrip://127.0.0.1:{server.sockets[0].getsockname()[1]}/BASE"
-        async with server, roving(tmp_path, place, gga_s=0.0) as rover:
-            for at in range(0, len(whole), 180):
-                rover.radio(whole[at : at + 180])
-            assert await rover.receives(whole) == whole
-            sends.set()
-            await rover.receives(observed)
-            rover.radio(frame(1097))
-            figures = await rover.until(lambda f: f["receiver"]["unused"])
-            assert figures["radio"]["messages"] == {"1087": 1, "1097": 1}
-            assert rover.receiver.heard() == b""
-
-    asyncio.run(test())
+    sends, observed, whole = asyncio.Event(), frame(1077), frame(1087, 500)
+    server = await asyncio.start_server(caster, "127.0.0.1", 0)
+    place = f"ntrip://127.0.0.1:{server.sockets[0].getsockname()[1]}/BASE"
+    async with server, roving(tmp_path, place, gga_s=0.0) as rover:
+        for at in range(0, len(whole), 180):
+            rover.radio(whole[at : at + 180])
+        assert await rover.receives(whole) == whole
+        sends.set()
+        await rover.receives(observed)
+        rover.radio(frame(1097))
+        figures = await rover.until(lambda f: f["receiver"]["unused"])
+        assert figures["radio"]["messages"] == {"1087": 1, "1097": 1}
+        assert rover.receiver.heard() == b""
 
 
-def test_a_receiver_that_is_pulled_out_and_comes_back_is_served_again(tmp_path):
-    async def test() -> None:
-        async with roving(tmp_path) as rover:
-            rover.receiver.name.unlink()
-            rover.receiver.close()
-            figures = await rover.until(lambda f: "receiver" in f["troubles"])
-            assert figures["troubles"]["receiver"].startswith(str(rover.receiver.name))
-            rover.receiver = Receiver(rover.receiver.name)
-            await rover.until(lambda f: not f["troubles"])
-            again = frame(1005)
-            rover.radio(again)
-            assert await rover.receives(again) == again
-
-    asyncio.run(test())
+async def test_a_receiver_that_is_pulled_out_and_comes_back_is_served_again(tmp_path):
+    async with roving(tmp_path) as rover:
+        rover.receiver.name.unlink()
+        rover.receiver.close()
+        figures = await rover.until(lambda f: "receiver" in f["troubles"])
+        assert figures["troubles"]["receiver"].startswith(str(rover.receiver.name))
+        rover.receiver = Receiver(rover.receiver.name)
+        await rover.until(lambda f: not f["troubles"])
+        again = frame(1005)
+        rover.radio(again)
+        assert await rover.receives(again) == again
 
 
-def test_a_shared_port_keeps_its_settings_and_what_came_for_the_vehicle(tmp_path):
+async def test_a_shared_port_keeps_its_settings_and_what_came_for_the_vehicle(tmp_path):
     """The vehicle reads it at its own speed; another one that sets it up again would throw away what waits there."""
-
-    async def test() -> None:
-        receiver = Receiver(tmp_path / "gnss")
-        line = os.open(receiver.name, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
-        before = termios.tcgetattr(line)
-        os.write(receiver._end, b"$GPGGA")
-        select.select([line], [], [], 30)
-        port = ReceiverPort(str(receiver.name), 9600, shared=True)
-        port.look()
-        assert port.trouble == ""
-        assert termios.tcgetattr(line) == before
-        assert os.read(line, 100) == b"$GPGGA"
-        port.close()
-        os.close(line)
-        receiver.close()
-
-    asyncio.run(test())
+    receiver = Receiver(tmp_path / "gnss")
+    line = os.open(receiver.name, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+    before = termios.tcgetattr(line)
+    os.write(receiver._end, b"$GPGGA")
+    select.select([line], [], [], 30)
+    port = ReceiverPort(str(receiver.name), 9600, shared=True)
+    port.look()
+    assert port.trouble == ""
+    assert termios.tcgetattr(line) == before
+    assert os.read(line, 100) == b"$GPGGA"
+    port.close()
+    os.close(line)
+    receiver.close()
 
 
 @pytest.mark.parametrize(("sources", "is_read"), [(("nmea0183",), True), (("dsor",), False)])
-def test_a_port_that_nobody_reads_is_set_up_at_the_speed_of_its_table(tmp_path, sources, is_read):
-    async def test() -> None:
-        receiver = Receiver(tmp_path / "gnss")
-        settings = vehicle_file(
-            tmp_path,
-            navigation=config.NavigationTable(sources=sources),
-            nmea0183=Nmea0183(ports={"gnss": Nmea0183Port(device=str(receiver.name), baud=57_600)}),
-            corrections=Corrections(to="gnss", baud=9600),
-        )
-        port = corrections.receiver_port(settings)
-        port.look()
-        assert (termios.tcgetattr(receiver._port)[5] == termios.B57600) is not is_read
+async def test_a_port_that_nobody_reads_is_set_up_at_the_speed_of_its_table(tmp_path, sources, is_read):
+    receiver = Receiver(tmp_path / "gnss")
+    settings = vehicle_file(
+        tmp_path,
+        navigation=config.NavigationTable(sources=sources),
+        nmea0183=Nmea0183(ports={"gnss": Nmea0183Port(device=str(receiver.name), baud=57_600)}),
+        corrections=Corrections(to="gnss", baud=9600),
+    )
+    port = corrections.receiver_port(settings)
+    port.look()
+    assert (termios.tcgetattr(receiver._port)[5] == termios.B57600) is not is_read
+    port.close()
+    receiver.close()
+
+
+async def test_a_receiver_that_does_not_take_corrections_gets_the_newest_and_holds_up_nobody(tmp_path):
+    receiver = Receiver(tmp_path / "gnss")
+    port = ReceiverPort(str(receiver.name), 9600, shared=True)
+    port.look()
+    pieces = [frame(1077, 900) for _ in range(100)]
+    for each in pieces:
+        port.put(each)
+    assert port.dropped > 60
+    assert sum(map(len, port._waiting)) <= WAITING_BYTES
+    found = b""
+    async with asyncio.timeout(200):
+        while not found.endswith(pieces[-1]):
+            found += receiver.heard()
+            await asyncio.sleep(0)
+    while found:  # whole pieces, in their order
+        first = next(each for each in pieces if found.startswith(each))
+        pieces, found = pieces[pieces.index(first) + 1 :], found[len(first) :]
+    port.close()
+    receiver.close()
+
+
+async def test_a_connection_to_the_receiver_is_made_anew(tmp_path):
+    heard = asyncio.Queue[bytes]()
+
+    async def receiver(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        writer.write(b"$GNGGA\r\n" * 1000)  # nobody here reads it
+        await heard.put(await reader.read(4096))
+        writer.close()
+
+    server = await asyncio.start_server(receiver, "127.0.0.1", 0)
+    async with server, asyncio.timeout(200):
+        port = ReceiverPort(f"tcp:127.0.0.1:{server.sockets[0].getsockname()[1]}", 9600, shared=False)
+        for _ in range(2):
+            while port.trouble:
+                port.look()
+                await asyncio.sleep(0.01)
+            port.put(again := frame(1005))
+            assert await heard.get() == again
+            while not port.trouble:
+                port.look()
+                await asyncio.sleep(0.01)
         port.close()
-        receiver.close()
-
-    asyncio.run(test())
-
-
-def test_a_receiver_that_does_not_take_corrections_gets_the_newest_and_holds_up_nobody(tmp_path):
-    async def test() -> None:
-        receiver = Receiver(tmp_path / "gnss")
-        port = ReceiverPort(str(receiver.name), 9600, shared=True)
-        port.look()
-        pieces = [frame(1077, 900) for _ in range(100)]
-        for each in pieces:
-            port.put(each)
-        assert port.dropped > 60
-        assert sum(map(len, port._waiting)) <= WAITING_BYTES
-        found = b""
-        async with asyncio.timeout(200):
-            while not found.endswith(pieces[-1]):
-                found += receiver.heard()
-                await asyncio.sleep(0)
-        while found:  # whole pieces, in their order
-            first = next(each for each in pieces if found.startswith(each))
-            pieces, found = pieces[pieces.index(first) + 1 :], found[len(first) :]
-        port.close()
-        receiver.close()
-
-    asyncio.run(test())
-
-
-def test_a_connection_to_the_receiver_is_made_anew(tmp_path):
-    async def test() -> None:
-        heard = asyncio.Queue[bytes]()
-
-        async def receiver(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-            writer.write(b"$GNGGA\r\n" * 1000)  # nobody here reads it
-            await heard.put(await reader.read(4096))
-            writer.close()
-
-        server = await asyncio.start_server(receiver, "127.0.0.1", 0)
-        async with server, asyncio.timeout(200):
-            port = ReceiverPort(f"tcp:127.0.0.1:{server.sockets[0].getsockname()[1]}", 9600, shared=False)
-            for _ in range(2):
-                while port.trouble:
-                    port.look()
-                    await asyncio.sleep(0.01)
-                port.put(again := frame(1005))
-                assert await heard.get() == again
-                while not port.trouble:
-                    port.look()
-                    await asyncio.sleep(0.01)
-            port.close()
-
-    asyncio.run(test())
 
 
 @pytest.mark.parametrize(
@@ -357,11 +325,8 @@ device = "udp:127.0.0.1:10110"
         config.load(file, values)
 
 
-def test_it_does_not_run_beside_navigation(tmp_path):
-    async def test() -> None:
-        runtime = Runtime(vehicle_file(tmp_path, corrections=Corrections(to="/dev/gnss")), SystemClock())
-        runtime.status["corrections"] = ServiceStatus("corrections", "runtime", Account("corrections", 0.1), 0, 0.0)
-        with pytest.raises(PermanentFailure, match="place = 'process'"):
-            await corrections.serve(runtime)
-
-    asyncio.run(test())
+async def test_it_does_not_run_beside_navigation(tmp_path):
+    runtime = Runtime(vehicle_file(tmp_path, corrections=Corrections(to="/dev/gnss")), SystemClock())
+    runtime.status["corrections"] = ServiceStatus("corrections", "runtime", Account("corrections", 0.1), 0, 0.0)
+    with pytest.raises(PermanentFailure, match="place = 'process'"):
+        await corrections.serve(runtime)

@@ -3,7 +3,7 @@
 import asyncio
 import contextlib
 import ssl
-from collections.abc import AsyncIterator, Awaitable, Callable
+from collections.abc import AsyncIterator
 from pathlib import Path
 
 import pytest
@@ -43,13 +43,6 @@ async def heard(place: Caster, credentials: str = "") -> bytes:
         stream.writer.close()
 
 
-def run(test: Callable[[], Awaitable[None]]) -> None:
-    async def bounded() -> None:
-        await test()
-
-    asyncio.run(bounded())
-
-
 @pytest.mark.parametrize(
     "answer",
     [
@@ -58,12 +51,9 @@ def run(test: Callable[[], Awaitable[None]]) -> None:
         b"HTTP/1.1 200 OK\r\nTransfer-Encoding: chunked\r\n\r\n5\r\n12345\r\n3;x=y\r\n678\r\n0\r\n\r\n",
     ],
 )
-def test_both_versions_are_heard(answer):
-    async def test() -> None:
-        async with caster(answer) as (place, _):
-            assert await heard(place) == b"12345678"
-
-    run(test)
+async def test_both_versions_are_heard(answer):
+    async with caster(answer) as (place, _):
+        assert await heard(place) == b"12345678"
 
 
 @pytest.mark.parametrize(
@@ -85,14 +75,11 @@ def test_both_versions_are_heard(answer):
         (b"HTTP/1.1 200 OK\r\nTransfer-Encoding: chunked\r\n\r\n5\r\n12345\r\n", "", "it ended the connection"),
     ],
 )
-def test_a_caster_that_does_not_send_is_told_in_words(answer, credentials, words):
-    async def test() -> None:
-        async with caster(answer) as (place, _):
-            with pytest.raises(CasterRefusal) as refused:
-                await heard(place, credentials)
-            assert str(refused.value) == words
-
-    run(test)
+async def test_a_caster_that_does_not_send_is_told_in_words(answer, credentials, words):
+    async with caster(answer) as (place, _):
+        with pytest.raises(CasterRefusal) as refused:
+            await heard(place, credentials)
+        assert str(refused.value) == words
 
 
 def test_the_request_is_of_version_2_with_user_place_and_program():
@@ -109,22 +96,18 @@ def test_a_place_of_the_vehicles_file():
     assert Caster.of("ntrips://[fe80::1]:443/a/b?c") == Caster("fe80::1", 443, "a/b?c", tls=True)
 
 
-def test_tls_asks_for_a_certificate_that_is_the_casters(certificate, monkeypatch):
+async def test_tls_asks_for_a_certificate_that_is_the_casters(certificate, monkeypatch):
     """The test's own one says "boat", and nobody vouches for it."""
-
-    async def test() -> None:
-        context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
-        context.load_cert_chain(certificate)
-        async with caster(b"ICY 200 OK\r\n1234", context) as (place, asked):
-            with pytest.raises(ssl.SSLCertVerificationError):
-                await heard(place, "ana:secret")
-            assert asked == [], "nobody hears the password"
-            monkeypatch.setattr(ssl, "create_default_context", lambda: unverified)
-            unverified = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
-            unverified.check_hostname, unverified.verify_mode = False, ssl.CERT_NONE
-            assert await heard(place, "ana:secret") == b"1234"
-
-    run(test)
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+    context.load_cert_chain(certificate)
+    async with caster(b"ICY 200 OK\r\n1234", context) as (place, asked):
+        with pytest.raises(ssl.SSLCertVerificationError):
+            await heard(place, "ana:secret")
+        assert asked == [], "nobody hears the password"
+        monkeypatch.setattr(ssl, "create_default_context", lambda: unverified)
+        unverified = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
+        unverified.check_hostname, unverified.verify_mode = False, ssl.CERT_NONE
+        assert await heard(place, "ana:secret") == b"1234"
 
 
 @pytest.mark.parametrize(

@@ -73,10 +73,6 @@ async def carried(tmp_path: Path, **programs: tuple[str, ...] | PayloadTable) ->
         yield Suite(runtime, state, commands.publish)
 
 
-def run(test: Callable[[], Any]) -> None:
-    asyncio.run(test())
-
-
 def logged(tmp_path: Path, name: str) -> list[dict[str, Any]]:
     """The log of a program that has ended."""
     (file,) = tmp_path.glob(f"log/*/payload-{name}/*.jsonl.gz")
@@ -112,61 +108,50 @@ for line in sys.stdin:
 
 
 @needs_python
-def test_a_program_has_no_network_unless_its_table_says_so_and_is_told_and_heard_all_the_same(tmp_path: Path) -> None:
+async def test_a_program_has_no_network_unless_its_table_says_so_and_is_told_and_heard_all_the_same(tmp_path: Path) -> None:
     """Neither a door on this computer, nor a socket without a file, as the canloop of a simulation is."""
-
-    async def test() -> None:
-        hidden = f"\0payload {os.getpid()}"
-        with socket.create_server(("127.0.0.1", 0)) as door, socket.socket(socket.AF_UNIX) as abstract:
-            abstract.bind(hidden)
-            abstract.listen()
-            words = (
-                PYTHON,
-                "-c",
-                KNOCKS.replace("sys.argv[1]", str(door.getsockname()[1])).replace("sys.argv[2]", repr(hidden)),
-            )
-            open_one = PayloadTable(command=words, network=True)
-            async with carried(tmp_path, alone=words, open=open_one) as suite:
-                figures = await suite.until(lambda it: {"alone told", "open told"} <= it["values"].keys())
-        reached = {name: each["value"] for name, each in figures["values"].items() if "AF_" in name}
-        assert reached == {"alone AF_INET": False, "alone AF_UNIX": False, "open AF_INET": True, "open AF_UNIX": True}
-
-    run(test)
+    hidden = f"\0payload {os.getpid()}"
+    with socket.create_server(("127.0.0.1", 0)) as door, socket.socket(socket.AF_UNIX) as abstract:
+        abstract.bind(hidden)
+        abstract.listen()
+        words = (
+            PYTHON,
+            "-c",
+            KNOCKS.replace("sys.argv[1]", str(door.getsockname()[1])).replace("sys.argv[2]", repr(hidden)),
+        )
+        open_one = PayloadTable(command=words, network=True)
+        async with carried(tmp_path, alone=words, open=open_one) as suite:
+            figures = await suite.until(lambda it: {"alone told", "open told"} <= it["values"].keys())
+    reached = {name: each["value"] for name, each in figures["values"].items() if "AF_" in name}
+    assert reached == {"alone AF_INET": False, "alone AF_UNIX": False, "open AF_INET": True, "open AF_UNIX": True}
 
 
 @needs_python
-def test_the_example_in_python_reports_a_depth_that_is_logged_and_shown(tmp_path: Path) -> None:
-    async def test() -> None:
-        async with carried(tmp_path, sounder=SOUNDER) as suite:
-            figures = await suite.until(lambda it: it["lines"]["sounder"]["reported"] > 3)
-            assert 9.0 <= figures["values"]["sounder depth_m"]["value"] <= 15.0
-            assert figures["values"]["sounder bottom"]["value"] in ("mud", "sand")
-            assert figures["values"]["sounder depth_m"]["age_s"] >= 0.0
-            assert figures["troubles"] == {}
-            assert figures["programs"]["sounder"]["state"] == "running"
-
-    run(test)
+async def test_the_example_in_python_reports_a_depth_that_is_logged_and_shown(tmp_path: Path) -> None:
+    async with carried(tmp_path, sounder=SOUNDER) as suite:
+        figures = await suite.until(lambda it: it["lines"]["sounder"]["reported"] > 3)
+        assert 9.0 <= figures["values"]["sounder depth_m"]["value"] <= 15.0
+        assert figures["values"]["sounder bottom"]["value"] in ("mud", "sand")
+        assert figures["values"]["sounder depth_m"]["age_s"] >= 0.0
+        assert figures["troubles"] == {}
+        assert figures["programs"]["sounder"]["state"] == "running"
     told = logged(tmp_path, "sounder")
     assert len(told) > 3
     assert json.loads(told[0]["text"]).keys() == {"depth_m", "bottom"}
 
 
 @pytest.mark.skipif(not shutil.which("cc"), reason="needs a C compiler")
-def test_the_example_in_c_measures_the_way(tmp_path: Path, open_folder: Path) -> None:
+async def test_the_example_in_c_measures_the_way(tmp_path: Path, open_folder: Path) -> None:
     program, warnings = open_folder / "way", ("-Wall", "-Wextra", "-Werror")
     subprocess.run(("cc", "-O2", *warnings, "-o", program, ROOT / "etc/payloads/way.c", "-lm"), check=True)
     program.chmod(0o755)
-
-    async def test() -> None:
-        async with carried(tmp_path, way=(str(program),)) as suite:
-            figures = await suite.until(lambda it: it["lines"]["way"]["reported"] > 5)
-            assert figures["values"]["way fastest_mps"]["value"] == 1.31
-            assert figures["values"]["way way_m"]["value"] > 0.5
-
-    run(test)
+    async with carried(tmp_path, way=(str(program),)) as suite:
+        figures = await suite.until(lambda it: it["lines"]["way"]["reported"] > 5)
+        assert figures["values"]["way fastest_mps"]["value"] == 1.31
+        assert figures["values"]["way way_m"]["value"] > 0.5
 
 
-def test_a_program_that_does_not_want_to_end_is_dead_before_the_service_is(tmp_path: Path, monkeypatch: Any) -> None:
+async def test_a_program_that_does_not_want_to_end_is_dead_before_the_service_is(tmp_path: Path, monkeypatch: Any) -> None:
     """The loop may end next: what it does not know to be dead by then it calls running."""
     codes, run_, made = list[int | None](), payload.Payload.run, payload.Payload.connection_made
     started = list[asyncio.SubprocessTransport]()
@@ -183,59 +168,46 @@ def test_a_program_that_does_not_want_to_end_is_dead_before_the_service_is(tmp_p
 
     monkeypatch.setattr(payload.Payload, "run", watched)
     monkeypatch.setattr(payload.Payload, "connection_made", noted)
-
-    async def test() -> None:
-        deaf = ("/bin/sh", "-c", """trap '' TERM; while :; do echo '{"x": 1}'; sleep 0.1; done""")
-        async with carried(tmp_path, deaf=deaf) as suite:
-            await suite.until(lambda it: it["lines"]["deaf"]["reported"])
-
-    run(test)
+    deaf = ("/bin/sh", "-c", """trap '' TERM; while :; do echo '{"x": 1}'; sleep 0.1; done""")
+    async with carried(tmp_path, deaf=deaf) as suite:
+        await suite.until(lambda it: it["lines"]["deaf"]["reported"])
     assert codes == [-signal.SIGKILL]
 
 
-def test_a_program_that_crashes_is_started_again_and_says_why_and_the_other_runs_on(tmp_path: Path) -> None:
-    async def test() -> None:
-        crash = ("/bin/sh", "-c", "echo no instrument there >&2; exit 3")
-        async with carried(tmp_path, camera=crash, well=REPORTS_AND_WAITS) as suite:
-            figures = await suite.until(lambda it: it["programs"]["camera"]["restarts"] >= 3 and it["values"])
-            assert figures["last_ends"] == {"camera": "exit code 3: no instrument there"}
-            assert figures["troubles"]["camera"].endswith("exit code 3: no instrument there")
-            assert figures["programs"]["well"]["restarts"] == 0
-
-    run(test)
+async def test_a_program_that_crashes_is_started_again_and_says_why_and_the_other_runs_on(tmp_path: Path) -> None:
+    crash = ("/bin/sh", "-c", "echo no instrument there >&2; exit 3")
+    async with carried(tmp_path, camera=crash, well=REPORTS_AND_WAITS) as suite:
+        figures = await suite.until(lambda it: it["programs"]["camera"]["restarts"] >= 3 and it["values"])
+        assert figures["last_ends"] == {"camera": "exit code 3: no instrument there"}
+        assert figures["troubles"]["camera"].endswith("exit code 3: no instrument there")
+        assert figures["programs"]["well"]["restarts"] == 0
 
 
-def test_a_flood_is_slowed_down_dropped_and_counted_and_one_that_does_not_read_loses_lines(tmp_path: Path) -> None:
-    async def test() -> None:
-        flood = ("/bin/sh", "-c", """while :; do echo '{"x": 1}'; echo noise >&2; done""")
-        async with carried(tmp_path, flood=flood, well=REPORTS_AND_WAITS) as suite:
-            much = await suite.until(lambda it: it["lines"]["flood"]["dropped"] > 1000 and it["lines"]["flood"]["unread"] > 10)
-            assert much["values"]["flood x"]["value"] == 1
-            before = much["lines"]["well"]["reported"]
-            await suite.until(lambda it: it["lines"]["well"]["reported"] > before + 5)
-
-    run(test)
+async def test_a_flood_is_slowed_down_dropped_and_counted_and_one_that_does_not_read_loses_lines(tmp_path: Path) -> None:
+    flood = ("/bin/sh", "-c", """while :; do echo '{"x": 1}'; echo noise >&2; done""")
+    async with carried(tmp_path, flood=flood, well=REPORTS_AND_WAITS) as suite:
+        much = await suite.until(lambda it: it["lines"]["flood"]["dropped"] > 1000 and it["lines"]["flood"]["unread"] > 10)
+        assert much["values"]["flood x"]["value"] == 1
+        before = much["lines"]["well"]["reported"]
+        await suite.until(lambda it: it["lines"]["well"]["reported"] > before + 5)
     assert len(logged(tmp_path, "flood")) >= 1
 
 
-def test_what_is_not_a_line_of_values_is_refused_and_counted(tmp_path: Path) -> None:
-    async def test() -> None:
-        says = (
-            "/bin/sh",
-            "-c",
-            "echo nonsense; echo '{}'; echo '{\"depth_m\": 1e400}'; echo '{\"a b\": 1}'; echo '{\"d\": 2}'; cat >/dev/null",
-        )
-        async with carried(tmp_path, strange=says) as suite:
-            figures = await suite.until(lambda it: it["values"])
-            assert figures["lines"]["strange"]["refused"] == 4
-            assert list(figures["values"]) == ["strange d"]
-
-    run(test)
+async def test_what_is_not_a_line_of_values_is_refused_and_counted(tmp_path: Path) -> None:
+    says = (
+        "/bin/sh",
+        "-c",
+        "echo nonsense; echo '{}'; echo '{\"depth_m\": 1e400}'; echo '{\"a b\": 1}'; echo '{\"d\": 2}'; cat >/dev/null",
+    )
+    async with carried(tmp_path, strange=says) as suite:
+        figures = await suite.until(lambda it: it["values"])
+        assert figures["lines"]["strange"]["refused"] == 4
+        assert list(figures["values"]) == ["strange d"]
 
 
 @as_root
 @needs_python
-def test_it_is_another_user_without_can_sockets_or_a_way_to_more_rights(tmp_path: Path) -> None:
+async def test_it_is_another_user_without_can_sockets_or_a_way_to_more_rights(tmp_path: Path) -> None:
     look = """
 import json, os, resource, socket, sys
 try: told = {"can": socket.socket(29, 3, 1) and 0}
@@ -248,91 +220,68 @@ told |= {"core": resource.getrlimit(resource.RLIMIT_CORE)[0], "session": os.gets
 print(json.dumps(told), flush=True)
 sys.stdin.read()
 """
-
-    async def test() -> None:
-        async with carried(tmp_path, look=(PYTHON, "-c", look)) as suite:
-            told = {name: each["value"] for name, each in (await suite.until(lambda it: it["values"]))["values"].items()}
-            assert told["look can"] == errno.EACCES
-            assert (told["look user"], told["look groups"]) == (65534, 1)
-            assert (told["look idle"], told["look first"], told["look core"]) == (os.SCHED_IDLE, 1000, 0)
-            assert (told["look new_rights"], told["look session"], told["look place"]) == (False, True, "/")
-            assert told["look files"] == 4, "standard ones, and the folder that it looks at"
-            assert told["look names"] <= 7, "nothing of the boat's environment"
-
-    run(test)
+    async with carried(tmp_path, look=(PYTHON, "-c", look)) as suite:
+        told = {name: each["value"] for name, each in (await suite.until(lambda it: it["values"]))["values"].items()}
+        assert told["look can"] == errno.EACCES
+        assert (told["look user"], told["look groups"]) == (65534, 1)
+        assert (told["look idle"], told["look first"], told["look core"]) == (os.SCHED_IDLE, 1000, 0)
+        assert (told["look new_rights"], told["look session"], told["look place"]) == (False, True, "/")
+        assert told["look files"] == 4, "standard ones, and the folder that it looks at"
+        assert told["look names"] <= 7, "nothing of the boat's environment"
 
 
 @needs_python
-def test_one_that_wants_more_memory_than_its_own_fails_alone(tmp_path: Path) -> None:
-    async def test() -> None:
-        eats = PayloadTable(command=(PYTHON, "-c", "x = [bytearray(1 << 20) for _ in range(512)]"), memory_max_mb=64)
-        async with carried(tmp_path, eats=eats) as suite:
-            figures = await suite.until(lambda it: it["programs"]["eats"]["restarts"])
-            assert "MemoryError" in figures["last_ends"]["eats"] or "more than its 64 MB" in figures["last_ends"]["eats"]
-
-    run(test)
+async def test_one_that_wants_more_memory_than_its_own_fails_alone(tmp_path: Path) -> None:
+    eats = PayloadTable(command=(PYTHON, "-c", "x = [bytearray(1 << 20) for _ in range(512)]"), memory_max_mb=64)
+    async with carried(tmp_path, eats=eats) as suite:
+        figures = await suite.until(lambda it: it["programs"]["eats"]["restarts"])
+        assert "MemoryError" in figures["last_ends"]["eats"] or "more than its 64 MB" in figures["last_ends"]["eats"]
 
 
-def test_one_that_forks_for_ever_stays_within_its_number_and_none_is_left_behind(tmp_path: Path) -> None:
+async def test_one_that_forks_for_ever_stays_within_its_number_and_none_is_left_behind(tmp_path: Path) -> None:
     mark = f"forks-{os.getpid()}"
-
-    async def test() -> None:
-        bomb = ("/bin/sh", "-c", "while :; do while :; do sleep 1; done & done", mark)
-        async with carried(tmp_path, bomb=bomb, well=REPORTS_AND_WAITS) as suite:
-            before = (await suite.until(lambda it: living(mark)))["lines"]["well"]["reported"]
-            await suite.until(lambda it: it["lines"]["well"]["reported"] > before + 5)
-            assert len(living(mark)) <= 16
-
-    run(test)
+    bomb = ("/bin/sh", "-c", "while :; do while :; do sleep 1; done & done", mark)
+    async with carried(tmp_path, bomb=bomb, well=REPORTS_AND_WAITS) as suite:
+        before = (await suite.until(lambda it: living(mark)))["lines"]["well"]["reported"]
+        await suite.until(lambda it: it["lines"]["well"]["reported"] > before + 5)
+        assert len(living(mark)) <= 16
     assert living(mark) == []
 
 
-def test_all_of_a_program_ends_with_it_its_children_in_the_background_too(tmp_path: Path) -> None:
+async def test_all_of_a_program_ends_with_it_its_children_in_the_background_too(tmp_path: Path) -> None:
     mark = f"leaves-{os.getpid()}"
-
-    async def test() -> None:
-        leaves = ("/bin/sh", "-c", "(while :; do sleep 1; done) & echo '{\"on\": 1}'; read line; exit 5", mark)
-        async with carried(tmp_path, leaves=leaves) as suite:
-            figures = await suite.until(lambda it: it["programs"]["leaves"]["restarts"] >= 2)
-            assert figures["last_ends"]["leaves"] == "exit code 5"
-            assert len(living(mark)) <= 3
-
-    run(test)
+    leaves = ("/bin/sh", "-c", "(while :; do sleep 1; done) & echo '{\"on\": 1}'; read line; exit 5", mark)
+    async with carried(tmp_path, leaves=leaves) as suite:
+        figures = await suite.until(lambda it: it["programs"]["leaves"]["restarts"] >= 2)
+        assert figures["last_ends"]["leaves"] == "exit code 5"
+        assert len(living(mark)) <= 3
     assert living(mark) == []
 
 
 @as_root
 @pytest.mark.parametrize("user", ["no-such-user", "toor"])
-def test_without_an_unprivileged_user_it_does_not_run_and_is_not_tried_again(tmp_path: Path, user: str) -> None:
-    async def test() -> None:
-        async with carried(tmp_path, lost=PayloadTable(command=("/bin/true",), user=user)) as suite:
-            figures = await suite.until(lambda it: it["programs"]["lost"]["state"] == "failed")
-            assert figures["troubles"]["lost"] == f"failed: exit code 100: user: there is no {user}"
-
-    run(test)
+async def test_without_an_unprivileged_user_it_does_not_run_and_is_not_tried_again(tmp_path: Path, user: str) -> None:
+    async with carried(tmp_path, lost=PayloadTable(command=("/bin/true",), user=user)) as suite:
+        figures = await suite.until(lambda it: it["programs"]["lost"]["state"] == "failed")
+        assert figures["troubles"]["lost"] == f"failed: exit code 100: user: there is no {user}"
 
 
-def test_a_program_that_is_not_there_is_waited_for(tmp_path: Path) -> None:
-    async def test() -> None:
-        async with carried(tmp_path, late=("/no/such/program",)) as suite:
-            figures = await suite.until(lambda it: it["programs"]["late"]["restarts"] >= 2)
-            assert figures["last_ends"]["late"] == "exit code 127: /no/such/program: No such file or directory"
-
-    run(test)
+async def test_a_program_that_is_not_there_is_waited_for(tmp_path: Path) -> None:
+    async with carried(tmp_path, late=("/no/such/program",)) as suite:
+        figures = await suite.until(lambda it: it["programs"]["late"]["restarts"] >= 2)
+        assert figures["last_ends"]["late"] == "exit code 127: /no/such/program: No such file or directory"
 
 
-def test_without_the_vehicle_the_programs_run_and_the_page_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_without_the_vehicle_the_programs_run_and_the_page_says_so(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(watching, "AGAIN_S", 0.01)
-
-    async def test() -> None:
-        tables = {"well": PayloadTable(command=("/bin/sh", "-c", """echo '{"on": 1}'; cat >/dev/null"""))}
-        async with served(vehicle_file(tmp_path, payload=tables), payload.serve, "payload") as runtime:
-            async with asyncio.timeout(200):
-                while not (figures := dict(runtime.board["payload"]()))["values"]:
-                    await asyncio.sleep(0.01)
-            assert figures["troubles"] == {"navigation": "the vehicle does not answer: No such file or directory"}
-
-    run(test)
+    tables = {"well": PayloadTable(command=("/bin/sh", "-c", """echo '{"on": 1}'; cat >/dev/null"""))}
+    async with served(vehicle_file(tmp_path, payload=tables), payload.serve, "payload") as runtime:
+        async with asyncio.timeout(200):
+            while not (figures := dict(runtime.board["payload"]()))["values"]:
+                await asyncio.sleep(0.01)
+        assert figures["troubles"] == {"navigation": "the vehicle does not answer: No such file or directory"}
 
 
 def test_the_vehicle_itself_starts_no_programs(tmp_path: Path) -> None:

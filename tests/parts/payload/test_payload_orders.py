@@ -137,44 +137,40 @@ def test_a_program_steers_and_one_that_dies_hangs_floods_or_lies_costs_itself_al
         assert f'"ok":false,"reason":"refused: {why}"' in caplog.text
 
 
-def test_orders_wait_for_the_vehicle_a_moment_and_are_few(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_orders_wait_for_the_vehicle_a_moment_and_are_few(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A vehicle that is not there, one that answers nonsense, and orders that are too old or too many."""
     monkeypatch.setattr(payloadorders, "AGAIN_S", 0.0)
+    path, clock, answers, heard = str(tmp_path / "command"), ManualClock(), list[str | None](), list[bytes]()
+    line = OrderLine(path, clock)
+    task = asyncio.create_task(line.follow())
+    line.order("one", console.Pause(), answers.append)
+    await _until(lambda: answers)
+    assert "the vehicle does not answer" in str(answers.pop())
 
-    async def test() -> None:
-        path, clock, answers, heard = str(tmp_path / "command"), ManualClock(), list[str | None](), list[bytes]()
-        line = OrderLine(path, clock)
-        task = asyncio.create_task(line.follow())
+    async def answer(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        with contextlib.closing(writer):
+            while heard_now := await reader.readline():
+                heard.append(heard_now)
+                writer.write(b"nonsense\n" if len(heard) == 1 else b'{"ok": true, "reason": "", "state": {}}\n')
+
+    server = await asyncio.start_unix_server(answer, path)
+    line.order("one", console.Pause(), answers.append)
+    await _until(lambda: answers)
+    assert answers.pop() == "refused: the vehicle did not answer"
+    for _ in range(payloadorders.WAITING + 1):
         line.order("one", console.Pause(), answers.append)
-        await _until(lambda: answers)
-        assert "the vehicle does not answer" in str(answers.pop())
-
-        async def answer(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-            with contextlib.closing(writer):
-                while heard_now := await reader.readline():
-                    heard.append(heard_now)
-                    writer.write(b"nonsense\n" if len(heard) == 1 else b'{"ok": true, "reason": "", "state": {}}\n')
-
-        server = await asyncio.start_unix_server(answer, path)
-        line.order("one", console.Pause(), answers.append)
-        await _until(lambda: answers)
-        assert answers.pop() == "refused: the vehicle did not answer"
-        for _ in range(payloadorders.WAITING + 1):
-            line.order("one", console.Pause(), answers.append)
-        assert answers == ["refused: 8 orders wait for the vehicle already"]
-        line.order("two", console.Pause(), answers.append)
-        clock.advance(payloadorders.WAIT_S + 0.1)
-        line.order("two", console.Alive(), answers.append)
-        await _until(lambda: len(answers) == 11)
-        assert answers[1:] == ["refused: it waited 2.1 s for the vehicle"] * 9 + [None]
-        assert heard[-1] == b'{"command":"ordered","payload":"two","order":{"command":"alive"}}\n'
-        task.cancel()
-        await asyncio.gather(task, return_exceptions=True)
-        server.close()
-        await server.wait_closed()
-        await asyncio.sleep(0.01)  # the end of the connection is heard
-
-    asyncio.run(test())
+    assert answers == ["refused: 8 orders wait for the vehicle already"]
+    line.order("two", console.Pause(), answers.append)
+    clock.advance(payloadorders.WAIT_S + 0.1)
+    line.order("two", console.Alive(), answers.append)
+    await _until(lambda: len(answers) == 11)
+    assert answers[1:] == ["refused: it waited 2.1 s for the vehicle"] * 9 + [None]
+    assert heard[-1] == b'{"command":"ordered","payload":"two","order":{"command":"alive"}}\n'
+    task.cancel()
+    await asyncio.gather(task, return_exceptions=True)
+    server.close()
+    await server.wait_closed()
+    await asyncio.sleep(0.01)  # the end of the connection is heard
 
 
 async def _until(condition: Callable[[], object]) -> None:

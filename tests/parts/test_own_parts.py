@@ -1,0 +1,45 @@
+"""The boat's own parts keep the contract of a laboratory's: lines where nobody makes sense, or that take nothing, and stop."""
+
+import pytest
+
+from delfim import config
+from delfim.base.parts import OWN, Part
+from delfim.simulator.contract import devices
+
+DRIVERS = tuple(row for row in OWN.values() if row.driver)
+INPUTS = tuple(row for row in OWN.values() if row.source or row.sensor)
+BUSY = "a call took"  # of garbage without an end: a busy machine
+BOARD = {  # it obeys and speaks only after its first heartbeat, which nobody says here
+    "commands are sent": "send or repeat returned 2, not 0",
+    "source: what its device says byte by byte": "it was not understood",
+    "source: what its device says many times at once": "it was not understood",
+    "source: what its device says frozen": "it was not understood",
+}
+
+
+def boat(row: Part) -> config.Vehicle:
+    """A boat with two thrusters of a driver, and nothing but the part's own source and sensor."""
+    thrusters = tuple(
+        config.ThrusterTable(
+            name=name,
+            driver=row.name if row.driver else "dsor",
+            address=at,
+            y_m=0.5 - at,
+            thrust_n=(-50.0, 50.0),
+            rpm_max=1500.0,
+        )
+        for at, name in enumerate(("starboard", "port"))
+    )
+    return config.Vehicle(
+        boat=config.BoatTable(name="test"),
+        thrusters=thrusters,
+        navigation=config.NavigationTable(sources=(row.name if row.source else "dsor",)),
+        sensors=config.Sensors(names=tuple({"sysstat": 1, row.name if row.sensor else "sysstat": 1})),
+        nmea0183=config.Nmea0183(ports={"gnss": config.Nmea0183Port(device="/dev/gnss")}),
+    )
+
+
+@pytest.mark.parametrize("row", [*DRIVERS, *(row for row in INPUTS if not row.driver)], ids=lambda row: row.name)
+def test_a_part_of_the_boats_own_keeps_the_contract(row: Part) -> None:
+    faults = {each.what: each.fault for each in devices(row, boat(row)) if each.fault and BUSY not in each.fault}
+    assert faults == (BOARD if row.name == "mavlink_front_seat" else {})
