@@ -23,7 +23,7 @@ from delfim.base.errors import DelfimError, in_words
 from delfim.base.frames import extended, standard
 from delfim.base.parts import OrderRow, Part
 from delfim.base.tables import read_toml
-from delfim.canproxy.socket import CanAddress, CanSocket
+from delfim.canproxy.socket import ANYTHING, CanAddress, CanSocket
 from delfim.lines.forms import Form
 from delfim.simulator.line import LockstepLine
 from delfim.simulator.lockstep import Lockstep
@@ -67,7 +67,7 @@ class Wires:
     def _bus(self, interface: str, filters: tuple[CanAddress, ...]) -> CanSocket:
         if interface not in self.buses:
             self.buses[interface] = LockstepBus(self.clock, interface)
-            self._ends[interface] = self.buses[interface].bound(CanAddress(0, 0), computer="devices")
+            self._ends[interface] = self.buses[interface].bound(ANYTHING, computer="devices")
         return self.buses[interface].bound(*filters)
 
     def say(self, data: bytes, chance: Random) -> None:
@@ -124,15 +124,11 @@ def tried(name: str, version: str, file: str = BOAT) -> Iterator[Tried]:
     settings = settings_of(name, version, file)
     part = parts.find(settings.aboard, name)
     assert part is not None
-    if part.driver:
-        yield from _driver(name, settings)
-    for kind in ("source", "sensor"):
-        if getattr(part, kind):
-            yield from _input(kind, name, settings)
+    yield from devices(part, settings)
     for trigger in triggers(settings) if part.troubles else ():
         reason = trigger.sees(Look(settings, State(), Inputs("", None), (), 0.0)) or ""
-        name = f"trouble {trigger.name.lower()}: a boat that knows nothing yet"
-        yield Tried(name, reason if "cannot tell" in reason else "")
+        what = f"trouble {trigger.name.lower()}: a boat that knows nothing yet"
+        yield Tried(what, reason if "cannot tell" in reason else "")
     if part.service:
         faults = list[str]()
         with _trying(faults):
@@ -145,6 +141,15 @@ def tried(name: str, version: str, file: str = BOAT) -> Iterator[Tried]:
         yield from _order(part, order, settings)
     if part.driver or part.source or part.sensor or part.played:
         yield from _voyage(part, settings)
+
+
+def devices(part: Part, settings: config.Vehicle) -> Iterator[Tried]:
+    """Its driver, source and sensor, on lines and buses where nobody makes sense."""
+    if part.driver:
+        yield from _driver(part.name, settings)
+    for kind in ("source", "sensor"):
+        if getattr(part, kind):
+            yield from _input(kind, part.name, settings)
 
 
 @contextmanager
