@@ -116,79 +116,80 @@ async def files(tmp_path: Path, **limits: Any) -> AsyncIterator[Files]:
         await asyncio.sleep(0.05)
 
 
+@pytest.fixture
+def there(tmp_path: Path) -> contextlib.AbstractAsyncContextManager[Files]:
+    return files(tmp_path)
+
+
 needs = pytest.mark.skipif(not shutil.which("curl") or not shutil.which("lftp"), reason="needs curl and lftp")
 
 
 @needs
-async def test_curl_lists_reads_resumes_and_asks(tmp_path):
-    async with files(tmp_path) as there:
-        assert "20260101" in await there.curl("/")
-        assert (await there.curl("/", "-l")).split() == ["20260101", "upload"]
-        assert "a b.log" in await there.curl("/20260101/", "-X", "MLSD")
-        out = there.root.parent / "out"
-        out.write_bytes(CONTENT[:1000])
-        await there.curl("/20260101/a%20b.log", "-C", "-", "-o", str(out))
-        assert out.read_bytes() == CONTENT
-        await there.curl("/20260101/a%20b.log", "-r", "500-599", "-o", str(out))
-        assert out.read_bytes() == CONTENT[500:600]
-        told = await there.curl("/20260101/a%20b.log", "-I")
-        assert f"Content-Length: {len(CONTENT)}" in told
-        assert "Last-Modified: Thu, 01 Jan 2026 00:00:00 GMT" in told
-        await there.curl("/", "-Q", "NOOP", "--disable-epsv")
-        await there.curl("/gone", code=78)
-        await there.curl("/", user="reader:wrong", code=67)
+async def test_curl_lists_reads_resumes_and_asks(there):
+    assert "20260101" in await there.curl("/")
+    assert (await there.curl("/", "-l")).split() == ["20260101", "upload"]
+    assert "a b.log" in await there.curl("/20260101/", "-X", "MLSD")
+    out = there.root.parent / "out"
+    out.write_bytes(CONTENT[:1000])
+    await there.curl("/20260101/a%20b.log", "-C", "-", "-o", str(out))
+    assert out.read_bytes() == CONTENT
+    await there.curl("/20260101/a%20b.log", "-r", "500-599", "-o", str(out))
+    assert out.read_bytes() == CONTENT[500:600]
+    told = await there.curl("/20260101/a%20b.log", "-I")
+    assert f"Content-Length: {len(CONTENT)}" in told
+    assert "Last-Modified: Thu, 01 Jan 2026 00:00:00 GMT" in told
+    await there.curl("/", "-Q", "NOOP", "--disable-epsv")
+    await there.curl("/gone", code=78)
+    await there.curl("/", user="reader:wrong", code=67)
 
 
 @needs
-async def test_curl_uploads_and_resumes_an_upload(tmp_path):
-    async with files(tmp_path) as there:
-        source = there.root.parent / "source"
-        source.write_bytes(CONTENT)
-        await there.curl("/upload/image.bin", "-T", str(source), user="writer:open")
-        assert (there.staging / "image.bin").read_bytes() == CONTENT
-        assert [path.name for path in there.staging.iterdir()] == ["image.bin"]
-        (there.staging / "half.bin.part").write_bytes(CONTENT[:1234])
-        await there.curl("/upload/half.bin", "-C", "-", "-T", str(source), user="writer:open")
-        assert (there.staging / "half.bin").read_bytes() == CONTENT
-        assert not (there.staging / "half.bin.part").exists()
-        for path in ("/new", "/20260101/new", "/upload/../new"):
-            await there.curl(path, "-T", str(source), user="writer:open", code=25)
-        await there.curl("/upload/reader.bin", "-T", str(source), code=25)
+async def test_curl_uploads_and_resumes_an_upload(there):
+    source = there.root.parent / "source"
+    source.write_bytes(CONTENT)
+    await there.curl("/upload/image.bin", "-T", str(source), user="writer:open")
+    assert (there.staging / "image.bin").read_bytes() == CONTENT
+    assert [path.name for path in there.staging.iterdir()] == ["image.bin"]
+    (there.staging / "half.bin.part").write_bytes(CONTENT[:1234])
+    await there.curl("/upload/half.bin", "-C", "-", "-T", str(source), user="writer:open")
+    assert (there.staging / "half.bin").read_bytes() == CONTENT
+    assert not (there.staging / "half.bin.part").exists()
+    for path in ("/new", "/20260101/new", "/upload/../new"):
+        await there.curl(path, "-T", str(source), user="writer:open", code=25)
+    await there.curl("/upload/reader.bin", "-T", str(source), code=25)
 
 
 @needs
-async def test_lftp_lists_mirrors_and_puts(tmp_path):
-    async with files(tmp_path) as there:
-        here = there.root.parent
-        (here / "new.bin").write_bytes(CONTENT)
-        script = (
-            f"open -u writer,open ftp://127.0.0.1:{there.port}; set net:max-retries 1; set net:timeout 10; "
-            "ls -la; cls -1 20260101; mirror 20260101 copy; pget -n 3 '20260101/a b.log' -o parts; "
-            "cd upload; mkdir sub; put new.bin; put -c new.bin; mv new.bin sub/named.bin; rm sub/named.bin; rmdir sub; bye"
-        )
-        told = await there.tool("lftp", "-c", script)
-        assert "drwx" in told
-        assert "a b.log" in told
-        assert (here / "copy/a b.log").read_bytes() == CONTENT
-        assert (here / "parts").read_bytes() == CONTENT
-        assert list(there.staging.iterdir()) == []
+async def test_lftp_lists_mirrors_and_puts(there):
+    here = there.root.parent
+    (here / "new.bin").write_bytes(CONTENT)
+    script = (
+        f"open -u writer,open ftp://127.0.0.1:{there.port}; set net:max-retries 1; set net:timeout 10; "
+        "ls -la; cls -1 20260101; mirror 20260101 copy; pget -n 3 '20260101/a b.log' -o parts; "
+        "cd upload; mkdir sub; put new.bin; put -c new.bin; mv new.bin sub/named.bin; rm sub/named.bin; rmdir sub; bye"
+    )
+    told = await there.tool("lftp", "-c", script)
+    assert "drwx" in told
+    assert "a b.log" in told
+    assert (here / "copy/a b.log").read_bytes() == CONTENT
+    assert (here / "parts").read_bytes() == CONTENT
+    assert list(there.staging.iterdir()) == []
 
 
 @pytest.mark.skipif(not shutil.which("wget") or not shutil.which("tnftp"), reason="needs wget and tnftp")
-async def test_wget_and_tnftp(tmp_path):
-    async with files(tmp_path) as there:
-        url = f"ftp://writer:open@127.0.0.1:{there.port}/"
-        for program, option in (("wget", "-qO"), ("tnftp", "-Vo")):
-            await there.tool(program, option, "got", f"{url}20260101/a%20b.log")
-            assert (there.root.parent / "got").read_bytes() == CONTENT
-            (there.root.parent / "got").unlink()
-        await there.tool("wget", "-qr", "-nH", f"{url}20260101")
-        assert (there.root.parent / "20260101/a b.log").read_bytes() == CONTENT
-        await there.tool("tnftp", "-u", f"{url}upload/new", str(there.root / "20260101/a b.log"))
-        assert (there.staging / "new").read_bytes() == CONTENT
+async def test_wget_and_tnftp(there, tmp_path):
+    url = f"ftp://writer:open@127.0.0.1:{there.port}/"
+    for program, option in (("wget", "-qO"), ("tnftp", "-Vo")):
+        await there.tool(program, option, "got", f"{url}20260101/a%20b.log")
+        assert (there.root.parent / "got").read_bytes() == CONTENT
+        (there.root.parent / "got").unlink()
+    await there.tool("wget", "-qr", "-nH", f"{url}20260101")
+    assert (there.root.parent / "20260101/a b.log").read_bytes() == CONTENT
+    await there.tool("tnftp", "-u", f"{url}upload/new", str(there.root / "20260101/a b.log"))
+    assert (there.staging / "new").read_bytes() == CONTENT
 
-        (tmp_path / "begun").write_bytes(CONTENT[:1000])
-        said = f"""
+    (tmp_path / "begun").write_bytes(CONTENT[:1000])
+    said = f"""
             open 127.0.0.1 {there.port}
             user writer open
             binary
@@ -208,11 +209,11 @@ async def test_wget_and_tnftp(tmp_path):
             rmdir sub
             bye
         """
-        told = await there.tool("tnftp", "-ni", said=textwrap.dedent(said))
-        for words in (f"{len(CONTENT)}", "01 Jan 2026", "/20260101", "MLST"):
-            assert words in told, words
-        assert (tmp_path / "a b.log").read_bytes() == (tmp_path / "begun").read_bytes() == CONTENT
-        assert list(there.staging.iterdir()) == []
+    told = await there.tool("tnftp", "-ni", said=textwrap.dedent(said))
+    for words in (f"{len(CONTENT)}", "01 Jan 2026", "/20260101", "MLST"):
+        assert words in told, words
+    assert (tmp_path / "a b.log").read_bytes() == (tmp_path / "begun").read_bytes() == CONTENT
+    assert list(there.staging.iterdir()) == []
 
 
 async def test_pythons_ftplib(tmp_path):
@@ -241,92 +242,87 @@ async def test_pythons_ftplib(tmp_path):
         await there.ftplib(use)
 
 
-async def test_the_words_of_a_graphical_client(tmp_path):
+async def test_the_words_of_a_graphical_client(there):
     """As FileZilla says them."""
-    async with files(tmp_path) as there:
-        ftp = await there.raw()
-        assert (await ftp.answer()).startswith("220")
-        assert (await ftp.say("AUTH TLS")).startswith("502")
-        assert (await ftp.say("USER reader")).startswith("331")
-        assert (await ftp.say("PASS sesame")).startswith("230")
-        assert "UNIX" in await ftp.say("SYST")
-        features = await ftp.say("FEAT")
-        assert all(f"\n {each}" in features for each in ("MLST", "SIZE", "MDTM", "REST STREAM", "UTF8"))
-        for word, code in (
-            ("CLNT FileZilla", "200"), ("OPTS UTF8 ON", "200"), ("PWD", "257"), ("TYPE I", "200"), ("OPTS nonsense", "501"),
-            ("SIZE 20260101/a b.log", "213"), ("SIZE 20260101", "550"), ("MDTM 20260101/a b.log", "213 20260101000000"),
-            ("MLST 20260101/a b.log", "250"), ("STAT", "211"), ("STAT -la 20260101", "213"), ("HELP", "214"),
-            ("EPSV ALL", "200"), ("EPSV 9", "522"), ("PORT 127,0,0,1,1,1", "502"), ("EPRT |1|127.0.0.1|99|", "502"),
-            ("SITE CHMOD 7 x", "502"), ("CWD /gone", "550"), ("CDUP", "250"), ("", "502"), ("MODE S", "200"), ("STRU F", "200"),
-            ("RNTO x", "503"), ("QUIT", "221"),
-        ):  # fmt: skip
-            assert (await ftp.say(word)).startswith(code), word
-        assert await ftp.answer() == ""
+    ftp = await there.raw()
+    assert (await ftp.answer()).startswith("220")
+    assert (await ftp.say("AUTH TLS")).startswith("502")
+    assert (await ftp.say("USER reader")).startswith("331")
+    assert (await ftp.say("PASS sesame")).startswith("230")
+    assert "UNIX" in await ftp.say("SYST")
+    features = await ftp.say("FEAT")
+    assert all(f"\n {each}" in features for each in ("MLST", "SIZE", "MDTM", "REST STREAM", "UTF8"))
+    for word, code in (
+        ("CLNT FileZilla", "200"), ("OPTS UTF8 ON", "200"), ("PWD", "257"), ("TYPE I", "200"), ("OPTS nonsense", "501"),
+        ("SIZE 20260101/a b.log", "213"), ("SIZE 20260101", "550"), ("MDTM 20260101/a b.log", "213 20260101000000"),
+        ("MLST 20260101/a b.log", "250"), ("STAT", "211"), ("STAT -la 20260101", "213"), ("HELP", "214"),
+        ("EPSV ALL", "200"), ("EPSV 9", "522"), ("PORT 127,0,0,1,1,1", "502"), ("EPRT |1|127.0.0.1|99|", "502"),
+        ("SITE CHMOD 7 x", "502"), ("CWD /gone", "550"), ("CDUP", "250"), ("", "502"), ("MODE S", "200"), ("STRU F", "200"),
+        ("RNTO x", "503"), ("QUIT", "221"),
+    ):  # fmt: skip
+        assert (await ftp.say(word)).startswith(code), word
+    assert await ftp.answer() == ""
 
 
-async def test_a_list_shows_the_time_of_day_for_half_a_year_and_then_the_year(tmp_path):
-    async with files(tmp_path) as there:
-        (there.root / "new").write_text("")
-        lines: list[str] = []
-        await there.ftplib(lambda ftp: ftp.retrlines("LIST", lines.append))
-        assert f"{datetime.fromtimestamp((there.root / 'new').stat().st_mtime, UTC):%H:%M} new" in "\n".join(lines)
-        os.utime(there.root / "new", (0, 0))
-        lines.clear()
-        await there.ftplib(lambda ftp: ftp.retrlines("LIST", lines.append))
-        assert "Jan  1  1970 new" in "\n".join(lines)
+async def test_a_list_shows_the_time_of_day_for_half_a_year_and_then_the_year(there):
+    (there.root / "new").write_text("")
+    lines: list[str] = []
+    await there.ftplib(lambda ftp: ftp.retrlines("LIST", lines.append))
+    assert f"{datetime.fromtimestamp((there.root / 'new').stat().st_mtime, UTC):%H:%M} new" in "\n".join(lines)
+    os.utime(there.root / "new", (0, 0))
+    lines.clear()
+    await there.ftplib(lambda ftp: ftp.retrlines("LIST", lines.append))
+    assert "Jan  1  1970 new" in "\n".join(lines)
 
 
 @pytest.mark.parametrize(
     "path", ["../secret", "/../secret", "link", "folder/secret", "//../secret", "20260101/../../secret", "pipe"]
 )
-async def test_no_path_leads_out(tmp_path, path):
-    async with files(tmp_path) as there:
-        (tmp_path / "secret").write_text("secret")
-        (there.root / "link").symlink_to(tmp_path / "secret")
-        (there.root / "folder").symlink_to(tmp_path)
-        os.mkfifo(there.root / "pipe")
-        ftp = await (await there.raw()).login("writer", "open")
-        for word in ("RETR", "SIZE", "CWD", "STOR", "DELE", "RNFR", "MKD", "APPE", "RMD"):
-            if word != "SIZE" or path != "pipe":
-                assert (await ftp.say(f"{word} {path}")).startswith(("550", "425")), word
-        assert (tmp_path / "secret").read_text() == "secret"
-        names = await there.ftplib(lambda ftp: ftp.nlst())
-        assert "link" not in names
-        assert "folder" not in names
+async def test_no_path_leads_out(there, tmp_path, path):
+    (tmp_path / "secret").write_text("secret")
+    (there.root / "link").symlink_to(tmp_path / "secret")
+    (there.root / "folder").symlink_to(tmp_path)
+    os.mkfifo(there.root / "pipe")
+    ftp = await (await there.raw()).login("writer", "open")
+    for word in ("RETR", "SIZE", "CWD", "STOR", "DELE", "RNFR", "MKD", "APPE", "RMD"):
+        if word != "SIZE" or path != "pipe":
+            assert (await ftp.say(f"{word} {path}")).startswith(("550", "425")), word
+    assert (tmp_path / "secret").read_text() == "secret"
+    names = await there.ftplib(lambda ftp: ftp.nlst())
+    assert "link" not in names
+    assert "folder" not in names
 
 
-async def test_a_link_in_the_staging_area_leads_nowhere(tmp_path):
-    async with files(tmp_path) as there:
-        (there.staging / "logs").symlink_to(there.root / "20260101")
-        (there.staging / "x.part").symlink_to(tmp_path / "victim")
-        ftp = await (await there.raw()).login("writer", "open")
-        assert (await ftp.say("STOR upload/logs/new")).startswith("550")
-        assert (await ftp.say("DELE upload/logs/a b.log")).startswith("550")
-        assert (await ftp.say("STOR upload/x")).startswith("550")
-        assert not (tmp_path / "victim").exists()
+async def test_a_link_in_the_staging_area_leads_nowhere(there, tmp_path):
+    (there.staging / "logs").symlink_to(there.root / "20260101")
+    (there.staging / "x.part").symlink_to(tmp_path / "victim")
+    ftp = await (await there.raw()).login("writer", "open")
+    assert (await ftp.say("STOR upload/logs/new")).startswith("550")
+    assert (await ftp.say("DELE upload/logs/a b.log")).startswith("550")
+    assert (await ftp.say("STOR upload/x")).startswith("550")
+    assert not (tmp_path / "victim").exists()
 
 
-async def test_an_upload_that_breaks_off_is_not_there_but_can_be_resumed(tmp_path):
-    async with files(tmp_path) as there:
-        (there.staging / "x").write_text("old")
-        ftp = await (await there.raw()).login("writer", "open")
-        _, data = await ftp.passive()
-        assert (await ftp.say("STOR upload/x")).startswith("150")
-        data.write(CONTENT[:5000])
-        await data.drain()
-        async with asyncio.timeout(200):
-            while not (there.staging / "x.part").exists() or (there.staging / "x.part").stat().st_size < 5000:
-                await asyncio.sleep(0.01)
-        second = await (await there.raw()).login("writer", "open")
-        assert "another client" in await second.say("STOR upload/x")
-        assert (await ftp.say("ABOR")).startswith("426")
-        assert (await ftp.answer()).startswith("226")
-        data.transport.abort()
-        assert (there.staging / "x").read_text() == "old"
-        assert (await ftp.say("REST 5001")).startswith("350")
-        assert "only 5000" in await ftp.say("STOR upload/x")
-        await there.ftplib(lambda ftp: ftp.storbinary("STOR upload/x", io.BytesIO(CONTENT[5000:]), rest=5000), "writer", "open")
-        assert (there.staging / "x").read_bytes() == CONTENT
+async def test_an_upload_that_breaks_off_is_not_there_but_can_be_resumed(there):
+    (there.staging / "x").write_text("old")
+    ftp = await (await there.raw()).login("writer", "open")
+    _, data = await ftp.passive()
+    assert (await ftp.say("STOR upload/x")).startswith("150")
+    data.write(CONTENT[:5000])
+    await data.drain()
+    async with asyncio.timeout(200):
+        while not (there.staging / "x.part").exists() or (there.staging / "x.part").stat().st_size < 5000:
+            await asyncio.sleep(0.01)
+    second = await (await there.raw()).login("writer", "open")
+    assert "another client" in await second.say("STOR upload/x")
+    assert (await ftp.say("ABOR")).startswith("426")
+    assert (await ftp.answer()).startswith("226")
+    data.transport.abort()
+    assert (there.staging / "x").read_text() == "old"
+    assert (await ftp.say("REST 5001")).startswith("350")
+    assert "only 5000" in await ftp.say("STOR upload/x")
+    await there.ftplib(lambda ftp: ftp.storbinary("STOR upload/x", io.BytesIO(CONTENT[5000:]), rest=5000), "writer", "open")
+    assert (there.staging / "x").read_bytes() == CONTENT
 
 
 async def test_an_upload_stops_where_the_room_of_uploads_ends(tmp_path, monkeypatch):
@@ -346,18 +342,17 @@ async def test_an_upload_stops_where_the_room_of_uploads_ends(tmp_path, monkeypa
         assert [path.name for path in there.staging.iterdir()] == ["x.part"]
 
 
-async def test_an_upload_has_a_name_that_can_be_shown(tmp_path):
-    async with files(tmp_path) as there:
-        writer = await (await there.raw()).login("writer", "open")
-        for word in (b"STOR", b"MKD", b"APPE"):
-            for name in (b"\xff\xfe", b"bell\x07", b"\x1b[2J"):
-                writer.writer.write(word + b" upload/" + name + b"\r\n")
-                assert "printable" in await writer.answer()
-        (there.staging / "x").write_bytes(CONTENT)
-        assert (await writer.say("RNFR upload/x")).startswith("350")
-        writer.writer.write(b"RNTO upload/\xff\r\n")
-        assert "printable" in await writer.answer()
-        assert [path.name for path in there.staging.iterdir()] == ["x"]
+async def test_an_upload_has_a_name_that_can_be_shown(there):
+    writer = await (await there.raw()).login("writer", "open")
+    for word in (b"STOR", b"MKD", b"APPE"):
+        for name in (b"\xff\xfe", b"bell\x07", b"\x1b[2J"):
+            writer.writer.write(word + b" upload/" + name + b"\r\n")
+            assert "printable" in await writer.answer()
+    (there.staging / "x").write_bytes(CONTENT)
+    assert (await writer.say("RNFR upload/x")).startswith("350")
+    writer.writer.write(b"RNTO upload/\xff\r\n")
+    assert "printable" in await writer.answer()
+    assert [path.name for path in there.staging.iterdir()] == ["x"]
 
 
 async def test_wrong_passwords_are_slowed_and_logged_without_the_password(tmp_path, monkeypatch, caplog):
@@ -379,29 +374,27 @@ async def test_wrong_passwords_are_slowed_and_logged_without_the_password(tmp_pa
     assert "sesame" not in caplog.text
 
 
-async def test_nothing_is_done_before_the_login(tmp_path):
-    async with files(tmp_path) as there:
-        ftp = await there.raw()
-        await ftp.answer()
-        for word in ("LIST", "RETR x", "PASV", "EPSV", "STOR upload/x", "CWD /", "SIZE x", "STAT", "DELE x", "MLST", "REST 1"):
-            assert (await ftp.say(word)).startswith("530"), word
-        assert (await ftp.say("PASS sesame")).startswith("503")
+async def test_nothing_is_done_before_the_login(there):
+    ftp = await there.raw()
+    await ftp.answer()
+    for word in ("LIST", "RETR x", "PASV", "EPSV", "STOR upload/x", "CWD /", "SIZE x", "STAT", "DELE x", "MLST", "REST 1"):
+        assert (await ftp.say(word)).startswith("530"), word
+    assert (await ftp.say("PASS sesame")).startswith("503")
 
 
-async def test_a_data_connection_is_only_for_who_asked(tmp_path):
-    async with files(tmp_path) as there:
-        ftp = await (await there.raw()).login()
-        port = int((await ftp.say("EPSV")).split("|")[3])
-        thief, writer = await asyncio.open_connection("127.0.0.1", port, local_addr=("127.0.0.2", 0))
-        ftp.writer.write(b"NLST\r\n")
-        assert (await ftp.answer()).startswith("150")
-        with contextlib.suppress(ConnectionResetError):
-            assert await thief.read() == b""
-        writer.transport.abort()
-        reader, owner = await asyncio.open_connection("127.0.0.1", port)
-        assert await reader.read() == b"20260101\r\nupload\r\n"
-        assert (await ftp.answer()).startswith("226")
-        owner.transport.abort()
+async def test_a_data_connection_is_only_for_who_asked(there):
+    ftp = await (await there.raw()).login()
+    port = int((await ftp.say("EPSV")).split("|")[3])
+    thief, writer = await asyncio.open_connection("127.0.0.1", port, local_addr=("127.0.0.2", 0))
+    ftp.writer.write(b"NLST\r\n")
+    assert (await ftp.answer()).startswith("150")
+    with contextlib.suppress(ConnectionResetError):
+        assert await thief.read() == b""
+    writer.transport.abort()
+    reader, owner = await asyncio.open_connection("127.0.0.1", port)
+    assert await reader.read() == b"20260101\r\nupload\r\n"
+    assert (await ftp.answer()).startswith("226")
+    owner.transport.abort()
 
 
 async def test_no_data_connection_is_told_and_commands_go_on(tmp_path, monkeypatch):
@@ -429,23 +422,21 @@ async def test_a_data_connection_that_sent_its_last_bytes_after_it_was_closed_ha
         ftpdata.cut(writer.transport)
 
 
-async def test_commands_sent_all_at_once_are_carried_out_one_after_the_other(tmp_path):
-    async with files(tmp_path) as there:
-        ftp = await (await there.raw()).login()
-        reader, data = await ftp.passive()
-        ftp.writer.write(b"CWD 20260101\r\nREST 7\r\nRETR a b.log\r\nNOOP\r\nPWD\r\n")
-        assert await reader.read() == CONTENT[7:]
-        answers = [(await ftp.answer())[:3] for _ in range(6)]
-        assert answers == ["250", "350", "150", "226", "200", "257"]
-        data.transport.abort()
+async def test_commands_sent_all_at_once_are_carried_out_one_after_the_other(there):
+    ftp = await (await there.raw()).login()
+    reader, data = await ftp.passive()
+    ftp.writer.write(b"CWD 20260101\r\nREST 7\r\nRETR a b.log\r\nNOOP\r\nPWD\r\n")
+    assert await reader.read() == CONTENT[7:]
+    answers = [(await ftp.answer())[:3] for _ in range(6)]
+    assert answers == ["250", "350", "150", "226", "200", "257"]
+    data.transport.abort()
 
 
 @pytest.mark.parametrize("line", [b"A" * 100_000, b"\xff\xfe\x00\r\n" * 3, b"\r\n\r\n", b"USER " + b"x" * 3000 + b"\r\n"])
-async def test_nonsense_costs_only_its_own_connection(tmp_path, line):
-    async with files(tmp_path) as there:
-        ftp = await there.raw()
-        ftp.writer.write(line)
-        await (await there.raw()).login()
+async def test_nonsense_costs_only_its_own_connection(there, line):
+    ftp = await there.raw()
+    ftp.writer.write(line)
+    await (await there.raw()).login()
 
 
 async def test_who_says_nothing_or_reads_nothing_is_hung_up(tmp_path, monkeypatch):

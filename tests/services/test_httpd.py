@@ -98,6 +98,11 @@ async def site(tmp_path: Path, *, with_vehicle: bool = True, **limits: Any) -> A
         yield boat
 
 
+@pytest.fixture
+def boat(tmp_path: Path) -> contextlib.AbstractAsyncContextManager[Site]:
+    return site(tmp_path)
+
+
 async def ended(reader: asyncio.StreamReader) -> bytes:
     """What was said until the server hung up."""
     async with asyncio.timeout(200):
@@ -107,40 +112,38 @@ async def ended(reader: asyncio.StreamReader) -> bytes:
             return b""
 
 
-async def test_every_place_answers_and_nothing_comes_from_elsewhere(tmp_path):
-    async with site(tmp_path) as boat:
-        for place in PLACES:
-            status, headers, body = await boat.get(place)
-            assert status == 200, place
-            assert headers["X-Content-Type-Options"] == "nosniff"
-            assert "default-src 'none'" in headers["Content-Security-Policy"]
-            assert headers["Server"] == "delfim"
-            text = body.decode().replace("http://www.w3.org/2000/svg", "")
-            assert not re.search(r"(src|href)=.?(https?:)?//", text), "everything is on the page itself"
-        assert (await boat.get("/nothing"))[0] == 404
-        assert (await boat.get("/logs"))[1]["Location"] == "/logs/"
+async def test_every_place_answers_and_nothing_comes_from_elsewhere(boat):
+    for place in PLACES:
+        status, headers, body = await boat.get(place)
+        assert status == 200, place
+        assert headers["X-Content-Type-Options"] == "nosniff"
+        assert "default-src 'none'" in headers["Content-Security-Policy"]
+        assert headers["Server"] == "delfim"
+        text = body.decode().replace("http://www.w3.org/2000/svg", "")
+        assert not re.search(r"(src|href)=.?(https?:)?//", text), "everything is on the page itself"
+    assert (await boat.get("/nothing"))[0] == 404
+    assert (await boat.get("/logs"))[1]["Location"] == "/logs/"
 
 
-async def test_the_page_says_without_a_script_what_a_person_must_know(tmp_path):
-    async with site(tmp_path) as boat:
-        text = (await boat.get("/"))[2].decode()
-        for words in (
-            "<h1>Play</h1>",
-            "Doca, leg 1 of 12",
-            "batteries port at 12 %: home",
-            "bad overheated",
-            "waiting: bus off",
-            "restarted 4 times",
-            "navigation jumps",
-            "never heard",
-            "98.00% within 100 µs",
-            "640 µs",
-            '<noscript><meta http-equiv="refresh"',
-        ):
-            assert words in text
-        checks = (await boat.get("/checks"))[2].decode()
-        assert "1 of 2 not in order" in checks
-        assert "disk full" in checks
+async def test_the_page_says_without_a_script_what_a_person_must_know(boat):
+    text = (await boat.get("/"))[2].decode()
+    for words in (
+        "<h1>Play</h1>",
+        "Doca, leg 1 of 12",
+        "batteries port at 12 %: home",
+        "bad overheated",
+        "waiting: bus off",
+        "restarted 4 times",
+        "navigation jumps",
+        "never heard",
+        "98.00% within 100 µs",
+        "640 µs",
+        '<noscript><meta http-equiv="refresh"',
+    ):
+        assert words in text
+    checks = (await boat.get("/checks"))[2].decode()
+    assert "1 of 2 not in order" in checks
+    assert "disk full" in checks
 
 
 async def test_the_way_is_drawn_as_it_was_seen_and_stays_short(tmp_path):
@@ -163,34 +166,32 @@ async def test_the_page_leads_to_the_console_where_the_file_says_where_it_is(tmp
         assert '<a href="http://127.0.0.1:8765/">Console</a>' in text.partition("<footer>")[2]
 
 
-async def test_logs_are_listed_with_what_they_are(tmp_path):
-    async with site(tmp_path) as boat:
-        for name in ("20261122/state/101530.state.gz", "20261122/can0/101530.log.gz", "20269999/x"):
-            (boat.log / name).parent.mkdir(parents=True, exist_ok=True)
-            (boat.log / name).write_text("x")
-        for place, words in (
-            ("/logs/", ("22 November 2026", ">20269999/<")),
-            ("/logs/20261122/", ("each cycle of the boat’s state", "each frame of this bus", '<a href="../">Logs</a>')),
-            (
-                "/logs/20261122/state/",
-                ("state log, compressed from 10:15:30", '<a href="../../">Logs</a> › <a href="../">20261122</a>'),
-            ),
-            ("/logs/20261122/can0/", ("frames, as candump writes them, compressed from 10:15:30",)),
-        ):
-            text = (await boat.get(place))[2].decode()
-            assert all(each in text for each in words), place
+async def test_logs_are_listed_with_what_they_are(boat):
+    for name in ("20261122/state/101530.state.gz", "20261122/can0/101530.log.gz", "20269999/x"):
+        (boat.log / name).parent.mkdir(parents=True, exist_ok=True)
+        (boat.log / name).write_text("x")
+    for place, words in (
+        ("/logs/", ("22 November 2026", ">20269999/<")),
+        ("/logs/20261122/", ("each cycle of the boat’s state", "each frame of this bus", '<a href="../">Logs</a>')),
+        (
+            "/logs/20261122/state/",
+            ("state log, compressed from 10:15:30", '<a href="../../">Logs</a> › <a href="../">20261122</a>'),
+        ),
+        ("/logs/20261122/can0/", ("frames, as candump writes them, compressed from 10:15:30",)),
+    ):
+        text = (await boat.get(place))[2].decode()
+        assert all(each in text for each in words), place
 
 
-async def test_words_from_outside_are_not_markup(tmp_path):
-    async with site(tmp_path) as boat:
-        boat.state["reason"] = boat.state["mission"] = "<script>alert(1)</script>"
-        boat.state["counts"] = {"<img src=x>": 1}
-        (boat.log / "<b>&.log").write_text("x")
-        for place in ("/", "/logs/"):
-            text = (await boat.get(place))[2].decode()
-            assert "<script>alert" not in text
-            assert "<img" not in text
-            assert "<b>&.log" not in text
+async def test_words_from_outside_are_not_markup(boat):
+    boat.state["reason"] = boat.state["mission"] = "<script>alert(1)</script>"
+    boat.state["counts"] = {"<img src=x>": 1}
+    (boat.log / "<b>&.log").write_text("x")
+    for place in ("/", "/logs/"):
+        text = (await boat.get(place))[2].decode()
+        assert "<script>alert" not in text
+        assert "<img" not in text
+        assert "<b>&.log" not in text
 
 
 @pytest.mark.parametrize(
@@ -204,42 +205,39 @@ async def test_words_from_outside_are_not_markup(tmp_path):
         ("?level=nonsense&text=no%20such%20thing", ()),
     ],
 )
-async def test_the_system_log_is_shown_by_level_and_text_newest_first(tmp_path, asked, found):
-    async with site(tmp_path) as boat:
-        said(boat.settings)
-        told = json.loads((await boat.get(f"/api/system{asked}"))[2])
-        assert [(line["level"], line["service"]) for line in told] == [SAID[n][:2] for n in found]
-        text = html.unescape((await boat.get(f"/system{asked}"))[2].decode())
-        assert re.findall(r"</b> (.*?)</li>", text) == [line["text"] for line in told]
+async def test_the_system_log_is_shown_by_level_and_text_newest_first(boat, asked, found):
+    said(boat.settings)
+    told = json.loads((await boat.get(f"/api/system{asked}"))[2])
+    assert [(line["level"], line["service"]) for line in told] == [SAID[n][:2] for n in found]
+    text = html.unescape((await boat.get(f"/system{asked}"))[2].decode())
+    assert re.findall(r"</b> (.*?)</li>", text) == [line["text"] for line in told]
 
 
-async def test_words_from_outside_in_the_system_log_are_neither_markup_nor_control(tmp_path):
-    async with site(tmp_path) as boat:
-        line = {
-            "t_ns": 1,
-            "monotonic_s": 1.0,
-            "level": "info",
-            "pid": 1,
-            "service": "<b>",
-            "text": "\x1b[2J<img src=x>\r\u202e",
-        }
-        (tmp_path / "system.jsonl").write_text(json.dumps(line) + "\n")
-        page = (await boat.get("/system?text=%3Cimg%20src%3Dx%3E"))[2].decode()
-        assert "<img" not in page
-        assert "<b>&lt;b&gt;</b> \\x1b[2J&lt;img src=x&gt;\\x0d\\x202e</li>" in page
-        assert json.loads((await boat.get("/api/system"))[2])[0]["text"].isprintable()
+async def test_words_from_outside_in_the_system_log_are_neither_markup_nor_control(boat, tmp_path):
+    line = {
+        "t_ns": 1,
+        "monotonic_s": 1.0,
+        "level": "info",
+        "pid": 1,
+        "service": "<b>",
+        "text": "\x1b[2J<img src=x>\r\u202e",
+    }
+    (tmp_path / "system.jsonl").write_text(json.dumps(line) + "\n")
+    page = (await boat.get("/system?text=%3Cimg%20src%3Dx%3E"))[2].decode()
+    assert "<img" not in page
+    assert "<b>&lt;b&gt;</b> \\x1b[2J&lt;img src=x&gt;\\x0d\\x202e</li>" in page
+    assert json.loads((await boat.get("/api/system"))[2])[0]["text"].isprintable()
 
 
-async def test_state_is_as_the_schema_says(tmp_path):
-    async with site(tmp_path) as boat:
-        report = msgspec.json.decode((await boat.get("/api/state"))[2], type=api.Report, strict=True)
-        assert report.vehicle is not None
-        assert report.vehicle.heading_deg == 131.65
-        assert report.vehicle.latency.histogram[-1] == (704.0, 1)
-        schema = msgspec.json.decode((await boat.get("/api/schema"))[2])
-        assert set(schema["$defs"]["Report"]["properties"]) == {f.name for f in msgspec.structs.fields(api.Report)}
-        named = set(re.findall(r"#/\$defs/(\w+)", str(schema)))
-        assert named <= set(schema["$defs"])
+async def test_state_is_as_the_schema_says(boat):
+    report = msgspec.json.decode((await boat.get("/api/state"))[2], type=api.Report, strict=True)
+    assert report.vehicle is not None
+    assert report.vehicle.heading_deg == 131.65
+    assert report.vehicle.latency.histogram[-1] == (704.0, 1)
+    schema = msgspec.json.decode((await boat.get("/api/schema"))[2])
+    assert set(schema["$defs"]["Report"]["properties"]) == {f.name for f in msgspec.structs.fields(api.Report)}
+    named = set(re.findall(r"#/\$defs/(\w+)", str(schema)))
+    assert named <= set(schema["$defs"])
 
 
 async def test_metrics_are_what_prometheus_reads(tmp_path):
@@ -288,12 +286,11 @@ async def test_a_vehicle_that_does_not_answer_is_said_to_be_so(tmp_path, monkeyp
         ),
     ],
 )
-async def test_a_name_of_the_internet_is_not_the_boats(tmp_path, host, status):
+async def test_a_name_of_the_internet_is_not_the_boats(boat, host, status):
     """Whoever owns it can let it point to the boat, and read the boat by a page of his."""
-    async with site(tmp_path) as boat:
-        for place in ("/", "/events", "/logs/", "/api/state"):
-            async with boat.session.get(boat.url + place, headers={"Host": host}) as answer:
-                assert answer.status == status, place
+    for place in ("/", "/events", "/logs/", "/api/state"):
+        async with boat.session.get(boat.url + place, headers={"Host": host}) as answer:
+            assert answer.status == status, place
 
 
 def test_a_visitor_who_leaves_while_the_page_is_made_costs_the_next_none_of_it(tmp_path):
@@ -414,11 +411,10 @@ async def test_what_is_too_much_is_refused_and_fills_no_log(tmp_path, request_, 
     assert not [record for record in caplog.records if record.exc_info]
 
 
-async def test_it_answers_where_the_file_says_and_nowhere_else(tmp_path):
-    async with site(tmp_path) as boat:
-        assert boat.url.startswith("http://127.0.0.1:")
-        with pytest.raises(ConnectionRefusedError):
-            await asyncio.open_connection("127.0.0.2", boat.port)
+async def test_it_answers_where_the_file_says_and_nowhere_else(boat):
+    assert boat.url.startswith("http://127.0.0.1:")
+    with pytest.raises(ConnectionRefusedError):
+        await asyncio.open_connection("127.0.0.2", boat.port)
 
 
 CONTENT = bytes(range(256)) * 1000
@@ -439,48 +435,45 @@ CONTENT = bytes(range(256)) * 1000
         ("bytes=9-3", 416, None),
     ],
 )
-async def test_a_log_comes_whole_or_in_the_range_that_was_asked_for(tmp_path, asked, status, part):
-    async with site(tmp_path) as boat:
-        (boat.log / "20260101").mkdir()
-        (boat.log / "20260101/a b.log").write_bytes(CONTENT)
-        got, headers, body = await boat.get("/logs/20260101/a%20b.log", **({"Range": asked} if asked else {}))
-        assert got == status
-        if part is None:
-            assert headers["Content-Range"] == "bytes */256000"
-        else:
-            assert body == part
-            assert headers["Accept-Ranges"] == "bytes"
-        stale = await boat.get("/logs/20260101/a%20b.log", Range="bytes=0-9", **{"If-Range": '"another"'})
-        assert (stale[0], len(stale[2])) == (200, len(CONTENT))
-        fresh = await boat.get("/logs/20260101/a%20b.log", Range="bytes=0-9", **{"If-Range": stale[1]["ETag"]})
-        assert (fresh[0], fresh[2]) == (206, CONTENT[:10])
-        async with boat.session.head(boat.url + "/logs/20260101/a%20b.log") as head:
-            assert head.headers["Content-Length"] == "256000"
+async def test_a_log_comes_whole_or_in_the_range_that_was_asked_for(boat, asked, status, part):
+    (boat.log / "20260101").mkdir()
+    (boat.log / "20260101/a b.log").write_bytes(CONTENT)
+    got, headers, body = await boat.get("/logs/20260101/a%20b.log", **({"Range": asked} if asked else {}))
+    assert got == status
+    if part is None:
+        assert headers["Content-Range"] == "bytes */256000"
+    else:
+        assert body == part
+        assert headers["Accept-Ranges"] == "bytes"
+    stale = await boat.get("/logs/20260101/a%20b.log", Range="bytes=0-9", **{"If-Range": '"another"'})
+    assert (stale[0], len(stale[2])) == (200, len(CONTENT))
+    fresh = await boat.get("/logs/20260101/a%20b.log", Range="bytes=0-9", **{"If-Range": stale[1]["ETag"]})
+    assert (fresh[0], fresh[2]) == (206, CONTENT[:10])
+    async with boat.session.head(boat.url + "/logs/20260101/a%20b.log") as head:
+        assert head.headers["Content-Length"] == "256000"
 
 
 @pytest.mark.skipif(not shutil.which("curl"), reason="needs curl")
-async def test_curl_resumes_a_download_that_broke_off(tmp_path):
-    async with site(tmp_path) as boat:
-        (boat.log / "x.log").write_bytes(CONTENT)
-        part = tmp_path / "part"
-        part.write_bytes(CONTENT[:77_777])
-        curl = await asyncio.create_subprocess_exec("curl", "-sS", "-C", "-", "-o", part, boat.url + "/logs/x.log")
-        assert await curl.wait() == 0
-        assert part.read_bytes() == CONTENT
+async def test_curl_resumes_a_download_that_broke_off(boat, tmp_path):
+    (boat.log / "x.log").write_bytes(CONTENT)
+    part = tmp_path / "part"
+    part.write_bytes(CONTENT[:77_777])
+    curl = await asyncio.create_subprocess_exec("curl", "-sS", "-C", "-", "-o", part, boat.url + "/logs/x.log")
+    assert await curl.wait() == 0
+    assert part.read_bytes() == CONTENT
 
 
-async def test_a_name_that_is_no_utf8_is_shown_and_leads_to_its_file(tmp_path):
-    async with site(tmp_path) as boat:
-        folder = boat.log / os.fsdecode(b"\xfe")
-        folder.mkdir()
-        (folder / os.fsdecode(b"\xff <b>.log")).write_bytes(CONTENT)
-        assert rb'<a href="./%FE/">\xfe/</a>' in (await boat.get("/logs/"))[2]
-        assert (await boat.get("/logs/%FE"))[1]["Location"] == "/logs/%FE/"
-        listing = (await boat.get("/logs/%FE/"))[2]
-        assert rb'<a href="./%FF%20%3Cb%3E.log">\xff &lt;b&gt;.log</a>' in listing
-        status, headers, content = await boat.get("/logs/%FE/%FF%20%3Cb%3E.log")
-        assert (status, content) == (200, CONTENT)
-        assert headers["Content-Disposition"].endswith("UTF-8''%5Cxff%20%3Cb%3E.log")
+async def test_a_name_that_is_no_utf8_is_shown_and_leads_to_its_file(boat):
+    folder = boat.log / os.fsdecode(b"\xfe")
+    folder.mkdir()
+    (folder / os.fsdecode(b"\xff <b>.log")).write_bytes(CONTENT)
+    assert rb'<a href="./%FE/">\xfe/</a>' in (await boat.get("/logs/"))[2]
+    assert (await boat.get("/logs/%FE"))[1]["Location"] == "/logs/%FE/"
+    listing = (await boat.get("/logs/%FE/"))[2]
+    assert rb'<a href="./%FF%20%3Cb%3E.log">\xff &lt;b&gt;.log</a>' in listing
+    status, headers, content = await boat.get("/logs/%FE/%FF%20%3Cb%3E.log")
+    assert (status, content) == (200, CONTENT)
+    assert headers["Content-Disposition"].endswith("UTF-8''%5Cxff%20%3Cb%3E.log")
 
 
 @pytest.mark.parametrize(
@@ -500,18 +493,17 @@ async def test_a_name_that_is_no_utf8_is_shown_and_leads_to_its_file(tmp_path):
         "/logs/%ff%fe",
     ],
 )
-async def test_no_path_leads_out_of_the_logs(tmp_path, path):
-    async with site(tmp_path) as boat:
-        (tmp_path / "secret").write_text("secret")
-        (boat.log / "link").symlink_to(tmp_path / "secret")
-        (boat.log / "folder").symlink_to(tmp_path)
-        os.mkfifo(boat.log / "pipe")
-        reader, _ = await boat.raw(f"GET {path} HTTP/1.1\r\nHost: x\r\nConnection: close\r\n\r\n".encode())
-        told = await ended(reader)
-        assert told.split(b" ")[1] == b"404"
-        assert b"\r\n\r\nsecret" not in told
-        listing = (await boat.get("/logs/"))[2].decode()
-        assert "link" not in listing.partition("files")[2]
+async def test_no_path_leads_out_of_the_logs(boat, tmp_path, path):
+    (tmp_path / "secret").write_text("secret")
+    (boat.log / "link").symlink_to(tmp_path / "secret")
+    (boat.log / "folder").symlink_to(tmp_path)
+    os.mkfifo(boat.log / "pipe")
+    reader, _ = await boat.raw(f"GET {path} HTTP/1.1\r\nHost: x\r\nConnection: close\r\n\r\n".encode())
+    told = await ended(reader)
+    assert told.split(b" ")[1] == b"404"
+    assert b"\r\n\r\nsecret" not in told
+    listing = (await boat.get("/logs/"))[2].decode()
+    assert "link" not in listing.partition("files")[2]
 
 
 async def test_a_download_that_nobody_reads_is_given_up(tmp_path, monkeypatch):
@@ -528,18 +520,17 @@ async def test_a_download_that_nobody_reads_is_given_up(tmp_path, monkeypatch):
                 await asyncio.sleep(0.02)
 
 
-async def test_arguments_of_processes_are_nobodys_business(tmp_path):
-    async with site(tmp_path) as boat:
-        words = (sys.executable, "-c", "input()", "--password=sesame")
-        child = await asyncio.create_subprocess_exec(*words, stdin=asyncio.subprocess.PIPE)
-        try:
-            async with asyncio.timeout(200):
-                while b'"computer":null' in (text := (await boat.get("/api/state"))[2]):
-                    await asyncio.sleep(0.1)
-            assert b"sesame" not in text
-            assert b'"processes":[{' in text
-        finally:
-            await child.communicate(b"\n")
+async def test_arguments_of_processes_are_nobodys_business(boat):
+    words = (sys.executable, "-c", "input()", "--password=sesame")
+    child = await asyncio.create_subprocess_exec(*words, stdin=asyncio.subprocess.PIPE)
+    try:
+        async with asyncio.timeout(200):
+            while b'"computer":null' in (text := (await boat.get("/api/state"))[2]):
+                await asyncio.sleep(0.1)
+        assert b"sesame" not in text
+        assert b'"processes":[{' in text
+    finally:
+        await child.communicate(b"\n")
 
 
 async def test_the_look_at_the_computer_is_started_again_and_ends_with_the_service(tmp_path, monkeypatch):

@@ -20,8 +20,9 @@ from delfim.services.page import files as webfiles
 from delfim.services.page import httpd
 from delfim.services.tables import Httpd
 from tests.services.boat import served, vehicle_file
-from tests.services.test_ftpd import CONTENT, files
+from tests.services.test_ftpd import CONTENT, files, there
 
+__all__ = ["there"]
 NEW = os.O_RDWR | os.O_CREAT
 QUOTA, BLOCK = 3 << 20, 64 << 10
 NAMES = ("a", "b", "a.part", "d/a", "d/b")
@@ -97,36 +98,34 @@ def test_the_part_of_somebody_else_does_not_get_the_name(tmp_path):
     assert sorted(path.name for path in (tmp_path / "upload/d").iterdir()) == ["x.part"]
 
 
-async def test_an_upload_of_the_name_of_a_part_does_not_get_into_it(tmp_path):
-    async with files(tmp_path) as there:
-        first, second = [await (await there.raw()).login("writer", "open") for _ in range(2)]
-        links = [await client.passive() for client in (first, second)]
-        for client, name in ((first, "x"), (second, "x.part")):
-            assert (await client.say(f"STOR upload/{name}")).startswith("150")
-        links[0][1].write(CONTENT)
-        links[1][1].write(b"something else")
-        links[1][1].close()
-        assert await second.answer() == "426 another client is writing it\r\n"
-        links[0][1].close()
-        assert (await first.answer()).startswith("226")
-        assert (there.staging / "x").read_bytes() == CONTENT
+async def test_an_upload_of_the_name_of_a_part_does_not_get_into_it(there):
+    first, second = [await (await there.raw()).login("writer", "open") for _ in range(2)]
+    links = [await client.passive() for client in (first, second)]
+    for client, name in ((first, "x"), (second, "x.part")):
+        assert (await client.say(f"STOR upload/{name}")).startswith("150")
+    links[0][1].write(CONTENT)
+    links[1][1].write(b"something else")
+    links[1][1].close()
+    assert await second.answer() == "426 another client is writing it\r\n"
+    links[0][1].close()
+    assert (await first.answer()).startswith("226")
+    assert (there.staging / "x").read_bytes() == CONTENT
 
 
-async def test_an_upload_whose_client_is_killed_is_a_part(tmp_path):
+async def test_an_upload_whose_client_is_killed_is_a_part(there):
     """Its computer ends both connections at once, and of a data connection that is how a whole file ends, too."""
-    async with files(tmp_path) as there:
-        for number in range(3):
-            client = await (await there.raw()).login("writer", "open")
-            _, data = await client.passive()
-            assert (await client.say(f"STOR upload/{number}")).startswith("150")
-            data.write(CONTENT[:1000])
-            await data.drain()
-            data.close()
-            client.writer.close()
-        async with asyncio.timeout(200):
-            while in_use(there.staging):
-                await asyncio.sleep(0.01)
-        assert {path.name for path in there.staging.iterdir()} == {f"{number}.part" for number in range(3)}
+    for number in range(3):
+        client = await (await there.raw()).login("writer", "open")
+        _, data = await client.passive()
+        assert (await client.say(f"STOR upload/{number}")).startswith("150")
+        data.write(CONTENT[:1000])
+        await data.drain()
+        data.close()
+        client.writer.close()
+    async with asyncio.timeout(200):
+        while in_use(there.staging):
+            await asyncio.sleep(0.01)
+    assert {path.name for path in there.staging.iterdir()} == {f"{number}.part" for number in range(3)}
 
 
 async def vanished(client: asyncio.StreamWriter, doing: threading.Event, go_on: threading.Event) -> None:
