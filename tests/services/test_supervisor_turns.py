@@ -2,6 +2,7 @@
 
 import json
 import logging
+import re
 from collections.abc import Callable, Iterator
 from math import inf
 from pathlib import Path
@@ -121,12 +122,49 @@ def make(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[Make]:
         logger.removeHandler(boat)
 
 
-STORIES: dict[str, tuple[dict[str, list[Played]], str, float, str]] = {
-    "the others start after the first beat, and end before the guard": (
-        {"runtime": [Played(first_s=2.0)]},
-        "sshd outlet runtime ftpd",
-        5.02,
-        """
+LIVES: dict[str, dict[str, list[Played]]] = {
+    "the others start after the first beat, and end before the guard": {"runtime": [Played(first_s=2.0)]},
+    "a silent runtime": {"runtime": [Played(silent_s=2.03)]},
+    "a silent runtime that does not say where it stands": {"runtime": [Played(silent_s=2.03, stands=b"")]},
+    "a silent runtime that the kernel does not end": {"runtime": [Played(silent_s=2.03, stands=b"", kill_s=3.0)]},
+    "a silent guard that the kernel does not end": {"outlet": [Played(silent_s=2.03, stands=b"", kill_s=3.0)]},
+    "a runtime that never beats": {"runtime": [Played(first_s=inf)]},
+    "a guard that never beats": {"outlet": [Played(first_s=inf)]},
+    "another program that never beats": {"sshd": [Played(first_s=inf)]},
+    "a silent program": {"sshd": [Played(silent_s=2.03)]},
+    "a program that was silent": {"sshd": [Played(silent_s=2.03, again_s=12.0)]},
+    "programs that die wait longer and longer, unless they lived for long": {
+        "sshd": [
+            *[Played(ends_s=0.01, status=FAILED)] * 5,
+            Played(ends_s=3.0, status=FAILED),
+            Played(ends_s=3.01, status=KILLED),
+            Played(ends_s=0.7, status=PERMANENT),
+        ]
+    },
+    "a runtime that dies": {"runtime": [Played(ends_s=0.01, status=FAILED)]},
+    "a runtime that dies and then is silent": {"runtime": [Played(ends_s=0.01, status=FAILED), Played(silent_s=1.03)]},
+    "a runtime that ends": {"runtime": [Played(ends_s=1.03)]},
+    "a runtime that must not be started again": {"runtime": [Played(ends_s=1.03, status=PERMANENT)]},
+    "nothing is left to run": {"sshd": [Played(ends_s=1.0)], "ftpd": [Played(ends_s=2.03, status=PERMANENT)]},
+    "a runtime that leaves": {"runtime": [Played(says_s=0.95, word=b"l", silent_s=1.03)]},
+    "a runtime that leaves and says so again": {"runtime": [Played(says_s=0.95, word=b"l")]},
+    "a runtime that said its last word": {"runtime": [Played(says_s=0.95, word=b"e", silent_s=1.03)]},
+    "a guard that says the last word": {"outlet": [Played(says_s=0.95, word=b"e", silent_s=1.03)]},
+    "programs that do not end": {"runtime": [Played(term_s=inf)], "sshd": [Played(term_s=inf)]},
+    "programs that the kernel does not end": {name: [Played(term_s=inf, kill_s=inf)] for name in ("runtime", "sshd")},
+    "a program that waits as all end": {"sshd": [Played(ends_s=0.2, status=FAILED)]},
+    "a guard that does not end": {"outlet": [Played(term_s=inf)]},
+    "a guard that is silent as it ends": {"outlet": [Played(silent_s=0.63, term_s=inf)]},
+    "a guard that the kernel does not end": {"outlet": [Played(term_s=inf, kill_s=inf)]},
+    "a guard that the kernel did not end before all end": {
+        "outlet": [Played(silent_s=1.03, stands=b"", term_s=inf, kill_s=inf)]
+    },
+    "a guard that comes up too late to stop its motors": {"outlet": [Played(term_s=inf), Played(first_s=inf)]},
+    "a guard that failed for good": {"outlet": [Played(ends_s=0.2, status=PERMANENT)]},
+}
+# Name, programs, when they are told to end; what happens.
+STORIES = """
+= the others start after the first beat, and end before the guard | sshd outlet runtime ftpd | 5.02
 0.00 runtime: started as process 100; outlet: started as process 101
 2.00 sshd: started as process 102; ftpd: started as process 103
 5.02 runtime term
@@ -135,13 +173,7 @@ STORIES: dict[str, tuple[dict[str, list[Played]], str, float, str]] = {
 5.42 ftpd: ended: exit code 0; outlet term
 5.62 outlet: ended: exit code 0; sshd term
 5.82 sshd: ended: exit code 0
-""",
-    ),
-    "a silent runtime": (
-        {"runtime": [Played(silent_s=2.03)]},
-        "runtime sshd",
-        5.02,
-        """
+= a silent runtime | runtime sshd | 5.02
 0.00 runtime: started as process 100
 0.50 sshd: started as process 101
 3.00 runtime asked; stop; runtime killed; runtime: beat stopped for 1.0 s: dead-man; it stood in turn (srv/loop.py:34);
@@ -152,13 +184,7 @@ STORIES: dict[str, tuple[dict[str, list[Played]], str, float, str]] = {
 5.22 runtime: ended: exit code 0; stop; stop; sshd term
 5.32 to 5.42 stop (2)
 5.42 sshd: ended: exit code 0
-""",
-    ),
-    "a silent runtime that does not say where it stands": (
-        {"runtime": [Played(silent_s=2.03, stands=b"")]},
-        "runtime sshd",
-        5.02,
-        """
+= a silent runtime that does not say where it stands | runtime sshd | 5.02
 0.00 runtime: started as process 100
 0.50 sshd: started as process 101
 3.00 runtime asked; stop
@@ -170,13 +196,7 @@ STORIES: dict[str, tuple[dict[str, list[Played]], str, float, str]] = {
 5.22 runtime: ended: exit code 0; stop; stop; sshd term
 5.32 to 5.42 stop (2)
 5.42 sshd: ended: exit code 0
-""",
-    ),
-    "a silent runtime that the kernel does not end": (
-        {"runtime": [Played(silent_s=2.03, stands=b"", kill_s=3.0)]},
-        "runtime sshd",
-        7.02,
-        """
+= a silent runtime that the kernel does not end | runtime sshd | 7.02
 0.00 runtime: started as process 100
 0.50 sshd: started as process 101
 3.00 runtime asked; stop
@@ -192,13 +212,7 @@ STORIES: dict[str, tuple[dict[str, list[Played]], str, float, str]] = {
 7.22 runtime: ended: exit code 0; stop; stop; sshd term
 7.32 to 7.42 stop (2)
 7.42 sshd: ended: exit code 0
-""",
-    ),
-    "a silent guard that the kernel does not end": (
-        {"outlet": [Played(silent_s=2.03, stands=b"", kill_s=3.0)]},
-        "runtime outlet",
-        7.02,
-        """
+= a silent guard that the kernel does not end | runtime outlet | 7.02
 0.00 runtime: started as process 100; outlet: started as process 101
 3.00 outlet asked
 3.10 outlet killed
@@ -209,13 +223,7 @@ STORIES: dict[str, tuple[dict[str, list[Played]], str, float, str]] = {
 7.02 runtime term
 7.22 runtime: ended: exit code 0; stop; stop; outlet term
 7.42 outlet: ended: exit code 0
-""",
-    ),
-    "a runtime that never beats": (
-        {"runtime": [Played(first_s=inf)]},
-        "runtime sshd",
-        61.02,
-        """
+= a runtime that never beats | runtime sshd | 61.02
 0.00 runtime: started as process 100
 5.00 sshd: started as process 101
 60.00 runtime asked; stop; runtime killed; runtime: no beat for 60.0 s: dead-man; it stood in turn (srv/loop.py:34); started
@@ -226,26 +234,14 @@ STORIES: dict[str, tuple[dict[str, list[Played]], str, float, str]] = {
 61.22 runtime: ended: exit code 0; stop; stop; sshd term
 61.32 stop
 61.42 sshd: ended: exit code 0; stop
-""",
-    ),
-    "a guard that never beats": (
-        {"outlet": [Played(first_s=inf)]},
-        "runtime outlet",
-        61.02,
-        """
+= a guard that never beats | runtime outlet | 61.02
 0.00 runtime: started as process 100; outlet: started as process 101
 60.00 outlet asked; outlet killed; outlet: no beat for 60.0 s: dead-man; it stood in turn (srv/loop.py:34); started again in
      0 s; outlet: started as process 102
 61.02 runtime term
 61.22 runtime: ended: exit code 0; stop; stop; outlet term
 61.42 outlet: ended: exit code 0
-""",
-    ),
-    "another program that never beats": (
-        {"sshd": [Played(first_s=inf)]},
-        "runtime sshd",
-        302.02,
-        """
+= another program that never beats | runtime sshd | 302.02
 0.00 runtime: started as process 100
 0.50 sshd: started as process 101
 300.50 sshd asked; sshd killed; sshd: no beat for 300.0 s: killed; it stood in turn (srv/loop.py:34); started again in 0.5 s
@@ -254,13 +250,7 @@ STORIES: dict[str, tuple[dict[str, list[Played]], str, float, str]] = {
 302.22 runtime: ended: exit code 0; stop; stop; sshd term
 302.32 stop
 302.42 sshd: ended: exit code 0
-""",
-    ),
-    "a silent program": (
-        {"sshd": [Played(silent_s=2.03)]},
-        "runtime sshd",
-        33.52,
-        """
+= a silent program | runtime sshd | 33.52
 0.00 runtime: started as process 100
 0.50 sshd: started as process 101
 3.60 sshd: does not answer
@@ -271,13 +261,7 @@ STORIES: dict[str, tuple[dict[str, list[Played]], str, float, str]] = {
 33.72 runtime: ended: exit code 0; stop; stop; sshd term
 33.82 stop
 33.92 sshd: ended: exit code 0; stop
-""",
-    ),
-    "a program that was silent": (
-        {"sshd": [Played(silent_s=2.03, again_s=12.0)]},
-        "runtime sshd",
-        13.02,
-        """
+= a program that was silent | runtime sshd | 13.02
 0.00 runtime: started as process 100
 0.50 sshd: started as process 101
 3.60 sshd: does not answer
@@ -286,20 +270,7 @@ STORIES: dict[str, tuple[dict[str, list[Played]], str, float, str]] = {
 13.22 runtime: ended: exit code 0; stop; stop; sshd term
 13.32 to 13.42 stop (2)
 13.42 sshd: ended: exit code 0
-""",
-    ),
-    "programs that die wait longer and longer, unless they lived for long": (
-        {
-            "sshd": [
-                *[Played(ends_s=0.01, status=FAILED)] * 5,
-                Played(ends_s=3.0, status=FAILED),
-                Played(ends_s=3.01, status=KILLED),
-                Played(ends_s=0.7, status=PERMANENT),
-            ]
-        },
-        "runtime sshd",
-        22.02,
-        """
+= programs that die wait longer and longer, unless they lived for long | runtime sshd | 22.02
 0.00 runtime: started as process 100
 0.50 sshd: started as process 101
 0.51 sshd: exit code 1; started again in 0.5 s
@@ -319,13 +290,7 @@ STORIES: dict[str, tuple[dict[str, list[Played]], str, float, str]] = {
 20.26 sshd: exit code 100: not to be started again
 22.02 runtime term
 22.22 runtime: ended: exit code 0; stop; stop
-""",
-    ),
-    "a runtime that dies": (
-        {"runtime": [Played(ends_s=0.01, status=FAILED)]},
-        "runtime sshd",
-        2.02,
-        """
+= a runtime that dies | runtime sshd | 2.02
 0.00 runtime: started as process 100
 0.01 runtime: exit code 1; started again in 0.5 s; stop; sshd: started as process 101
 0.11 to 0.51 stop (5)
@@ -336,13 +301,7 @@ STORIES: dict[str, tuple[dict[str, list[Played]], str, float, str]] = {
 2.22 runtime: ended: exit code 0; stop; stop; sshd term
 2.32 to 2.42 stop (2)
 2.42 sshd: ended: exit code 0
-""",
-    ),
-    "a runtime that dies and then is silent": (
-        {"runtime": [Played(ends_s=0.01, status=FAILED), Played(silent_s=1.03)]},
-        "runtime",
-        4.02,
-        """
+= a runtime that dies and then is silent | runtime | 4.02
 0.00 runtime: started as process 100
 0.01 runtime: exit code 1; started again in 0.5 s; stop
 0.11 to 0.51 stop (5)
@@ -355,37 +314,19 @@ STORIES: dict[str, tuple[dict[str, list[Played]], str, float, str]] = {
 3.01 calm
 4.02 runtime term
 4.22 runtime: ended: exit code 0; stop; stop
-""",
-    ),
-    "a program that cannot be started": (
-        {},
-        "runtime absent",
-        1.22,
-        """
+= a program that cannot be started | runtime absent | 1.22
 0.00 runtime: started as process 100
 0.50 absent: cannot be started: No such file or directory; started again in 0.5 s
 1.00 absent: cannot be started: No such file or directory; started again in 1 s
 1.22 runtime term
 1.42 runtime: ended: exit code 0; stop; stop
-""",
-    ),
-    "a runtime that ends": (
-        {"runtime": [Played(ends_s=1.03)]},
-        "runtime sshd",
-        inf,
-        """
+= a runtime that ends | runtime sshd | inf
 0.00 runtime: started as process 100
 0.50 sshd: started as process 101
 1.03 runtime: ended: exit code 0; stop; stop; sshd term
 1.13 to 1.23 stop (2)
 1.23 sshd: ended: exit code 0
-""",
-    ),
-    "a runtime that must not be started again": (
-        {"runtime": [Played(ends_s=1.03, status=PERMANENT)]},
-        "runtime sshd",
-        2.02,
-        """
+= a runtime that must not be started again | runtime sshd | 2.02
 0.00 runtime: started as process 100
 0.50 sshd: started as process 101
 1.03 runtime: exit code 100: not to be started again; stop
@@ -393,23 +334,11 @@ STORIES: dict[str, tuple[dict[str, list[Played]], str, float, str]] = {
 2.02 sshd term
 2.12 to 2.22 stop (2)
 2.22 sshd: ended: exit code 0
-""",
-    ),
-    "nothing is left to run": (
-        {"sshd": [Played(ends_s=1.0)], "ftpd": [Played(ends_s=2.03, status=PERMANENT)]},
-        "sshd ftpd",
-        inf,
-        """
+= nothing is left to run | sshd ftpd | inf
 0.00 sshd: started as process 100; ftpd: started as process 101
 1.00 sshd: ended: exit code 0
 2.03 ftpd: exit code 100: not to be started again
-""",
-    ),
-    "a runtime that leaves": (
-        {"runtime": [Played(says_s=0.95, word=b"l", silent_s=1.03)]},
-        "runtime",
-        7.02,
-        """
+= a runtime that leaves | runtime | 7.02
 0.00 runtime: started as process 100
 2.00 to 6.00 stop (41)
 6.00 runtime asked; stop; runtime killed; runtime: beat stopped for 5.0 s: dead-man; it stood in turn (srv/loop.py:34);
@@ -418,23 +347,11 @@ STORIES: dict[str, tuple[dict[str, list[Played]], str, float, str]] = {
 6.50 calm
 7.02 runtime term
 7.22 runtime: ended: exit code 0; stop; stop
-""",
-    ),
-    "a runtime that leaves and says so again": (
-        {"runtime": [Played(says_s=0.95, word=b"l")]},
-        "runtime",
-        3.02,
-        """
+= a runtime that leaves and says so again | runtime | 3.02
 0.00 runtime: started as process 100
 3.02 runtime term
 3.22 runtime: ended: exit code 0; stop; stop
-""",
-    ),
-    "a runtime that said its last word": (
-        {"runtime": [Played(says_s=0.95, word=b"e", silent_s=1.03)]},
-        "runtime",
-        7.02,
-        """
+= a runtime that said its last word | runtime | 7.02
 0.00 runtime: started as process 100
 1.00 to 6.00 stop (51)
 6.00 runtime asked; stop; runtime killed; runtime: beat stopped for 5.0 s: dead-man; it stood in turn (srv/loop.py:34);
@@ -443,26 +360,14 @@ STORIES: dict[str, tuple[dict[str, list[Played]], str, float, str]] = {
 6.50 calm
 7.02 runtime term
 7.22 runtime: ended: exit code 0; stop; stop
-""",
-    ),
-    "a guard that says the last word": (
-        {"outlet": [Played(says_s=0.95, word=b"e", silent_s=1.03)]},
-        "runtime outlet",
-        3.02,
-        """
+= a guard that says the last word | runtime outlet | 3.02
 0.00 runtime: started as process 100; outlet: started as process 101
 2.00 outlet asked; outlet killed; outlet: beat stopped for 1.0 s: dead-man; it stood in turn (srv/loop.py:34); started again
      in 0 s; outlet: started as process 102
 3.02 runtime term
 3.22 runtime: ended: exit code 0; stop; stop; outlet term
 3.42 outlet: ended: exit code 0
-""",
-    ),
-    "programs that do not end": (
-        {"runtime": [Played(term_s=inf)], "sshd": [Played(term_s=inf)]},
-        "runtime sshd ftpd",
-        1.02,
-        """
+= programs that do not end | runtime sshd ftpd | 1.02
 0.00 runtime: started as process 100
 0.50 sshd: started as process 101; ftpd: started as process 102
 1.02 runtime term
@@ -471,13 +376,7 @@ STORIES: dict[str, tuple[dict[str, list[Played]], str, float, str]] = {
 6.30 ftpd: ended: exit code 0; sshd term
 6.40 to 8.50 stop (22)
 8.50 sshd killed; sshd: ended: did not end in 2 s
-""",
-    ),
-    "programs that the kernel does not end": (
-        {name: [Played(term_s=inf, kill_s=inf)] for name in ("runtime", "sshd")},
-        "runtime sshd ftpd",
-        1.02,
-        """
+= programs that the kernel does not end | runtime sshd ftpd | 1.02
 0.00 runtime: started as process 100
 0.50 sshd: started as process 101; ftpd: started as process 102
 1.02 runtime term
@@ -488,25 +387,13 @@ STORIES: dict[str, tuple[dict[str, list[Played]], str, float, str]] = {
 7.40 to 9.50 stop (22)
 9.50 sshd killed
 9.60 to 10.40 stop (9)
-""",
-    ),
-    "a program that waits as all end": (
-        {"sshd": [Played(ends_s=0.2, status=FAILED)]},
-        "runtime sshd",
-        1.02,
-        """
+= a program that waits as all end | runtime sshd | 1.02
 0.00 runtime: started as process 100
 0.50 sshd: started as process 101
 0.70 sshd: exit code 1; started again in 0.5 s
 1.02 runtime term
 1.22 runtime: ended: exit code 0; stop; stop
-""",
-    ),
-    "a guard that does not end": (
-        {"outlet": [Played(term_s=inf)]},
-        "runtime outlet sshd",
-        1.02,
-        """
+= a guard that does not end | runtime outlet sshd | 1.02
 0.00 runtime: started as process 100; outlet: started as process 101
 0.50 sshd: started as process 102
 1.02 runtime term
@@ -516,13 +403,7 @@ STORIES: dict[str, tuple[dict[str, list[Played]], str, float, str]] = {
 3.60 outlet killed; outlet: ended: did not end in 2 s; outlet: started as process 103
 4.10 outlet term
 4.30 outlet: ended: exit code 0
-""",
-    ),
-    "a guard that is silent as it ends": (
-        {"outlet": [Played(silent_s=0.63, term_s=inf)]},
-        "runtime outlet sshd",
-        1.02,
-        """
+= a guard that is silent as it ends | runtime outlet sshd | 1.02
 0.00 runtime: started as process 100; outlet: started as process 101
 0.50 sshd: started as process 102
 1.02 runtime term
@@ -533,65 +414,40 @@ STORIES: dict[str, tuple[dict[str, list[Played]], str, float, str]] = {
      outlet: started as process 103
 2.10 outlet term
 2.30 outlet: ended: exit code 0
-""",
-    ),
-    "a guard that the kernel does not end": (
-        {"outlet": [Played(term_s=inf, kill_s=inf)]},
-        "runtime outlet",
-        1.02,
-        """
+= a guard that the kernel does not end | runtime outlet | 1.02
 0.00 runtime: started as process 100; outlet: started as process 101
 1.02 runtime term
 1.22 runtime: ended: exit code 0; stop; stop; outlet term
 3.40 outlet killed
 4.30 cut; outlet: does not answer, and cannot be killed: D (disk sleep); THE MOTORS MAY TURN: cut off
-""",
-    ),
-    "a guard that the kernel did not end before all end": (
-        {"outlet": [Played(silent_s=1.03, stands=b"", term_s=inf, kill_s=inf)]},
-        "runtime outlet",
-        4.02,
-        """
+= a guard that the kernel did not end before all end | runtime outlet | 4.02
 0.00 runtime: started as process 100; outlet: started as process 101
 2.00 outlet asked
 2.10 outlet killed
 3.10 cut; outlet: does not answer, and cannot be killed: D (disk sleep); THE MOTORS MAY TURN: cut off
 4.02 runtime term
 4.22 runtime: ended: exit code 0; stop; stop; outlet term
-""",
-    ),
-    "a guard that comes up too late to stop its motors": (
-        {"outlet": [Played(term_s=inf), Played(first_s=inf)]},
-        "runtime outlet",
-        1.02,
-        """
+= a guard that comes up too late to stop its motors | runtime outlet | 1.02
 0.00 runtime: started as process 100; outlet: started as process 101
 1.02 runtime term
 1.22 runtime: ended: exit code 0; stop; stop; outlet term
 3.40 outlet killed; outlet: ended: did not end in 2 s; outlet: started as process 102
 8.50 outlet term
 8.70 outlet: ended: exit code 0
-""",
-    ),
-    "a guard that failed for good": (
-        {"outlet": [Played(ends_s=0.2, status=PERMANENT)]},
-        "runtime outlet",
-        1.02,
-        """
+= a guard that failed for good | runtime outlet | 1.02
 0.00 runtime: started as process 100; outlet: started as process 101
 0.20 outlet: exit code 100: not to be started again
 1.02 runtime term
 1.22 runtime: ended: exit code 0; stop; stop
-""",
-    ),
-}
+"""
 
 
-@pytest.mark.parametrize("name", STORIES)
-def test_a_story(make: Make, name: str) -> None:
-    lives, programs, until_s, told = STORIES[name]
-    boat = make(Kernel(**lives), programs)
-    boat.run(until_s)
+@pytest.mark.parametrize("story", re.split(r"^= ", STORIES, flags=re.MULTILINE)[1:], ids=lambda story: story.partition(" |")[0])
+def test_a_story(make: Make, story: str) -> None:
+    head, _, told = story.partition("\n")
+    name, programs, until_s = head.split(" | ")
+    boat = make(Kernel(**LIVES.get(name, {})), programs)
+    boat.run(float(until_s))
     assert boat.told() == told.strip()
     assert {each.fd for each in boat.kernel.processes if not each.is_alive} <= set(boat.kernel.closed)
 
