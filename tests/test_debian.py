@@ -171,9 +171,7 @@ UNDER_WAY = "the boat is under way, in mode goto"
     ],
     ids=["under way", "idle", "not running", "run by hand", "who knows, running", "who knows, not running"],
 )
-def test_a_boat_under_way_keeps_its_package(
-    tmp_path: Path, answer: str | None, service: int, after: int, status: int, words: str
-) -> None:
+def test_a_boat_under_way_keeps_its_package(tmp_path, answer, service, after, status, words):
     """The script that dpkg runs before it replaces or removes the files. answer: of the boat, None where it cannot be asked;
     service: the exit code of its status; after: that of `delfim drive state` once it was stopped."""
     programs = {

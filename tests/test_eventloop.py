@@ -10,8 +10,6 @@ import subprocess
 import sys
 from pathlib import Path
 
-import pytest
-
 from delfim import config
 from delfim.base.clock import SystemClock
 from delfim.base.eventloop import new_event_loop
@@ -27,9 +25,7 @@ def test_a_process_without_a_navigation_window_has_uvloops_loop() -> None:
         assert isinstance(runner.get_loop(), uvloop.Loop)
 
 
-def test_where_uvloop_is_not_installed_a_line_says_so(
-    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_where_uvloop_is_not_installed_a_line_says_so(monkeypatch, caplog):
     monkeypatch.setitem(sys.modules, "uvloop", None)
     with caplog.at_level(logging.INFO), asyncio.Runner(loop_factory=new_event_loop) as runner:
         assert type(runner.get_loop()) is asyncio.SelectorEventLoop

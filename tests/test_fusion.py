@@ -169,9 +169,7 @@ def test_the_time_is_that_of_the_position_or_of_anybody_and_never_the_computers(
 @pytest.mark.parametrize(
     ("own", "other", "expected_rad"), [(0.2, 0.3, 0.2), (0.0, 0.3, 0.0), (None, 0.3, 0.3), (None, None, 0.4)]
 )
-def test_a_variation_is_the_devices_own_or_the_chosen_ones_or_the_files(
-    own: float | None, other: float | None, expected_rad: float
-) -> None:
+def test_a_variation_is_the_devices_own_or_the_chosen_ones_or_the_files(own, other, expected_rad):
     f = fusion(variation_deg=math.degrees(0.4))
     f.put("variation", 1, other, 0.0)
     f.put("variation", 9, own, 0.0)
@@ -183,9 +181,7 @@ def test_a_variation_is_the_devices_own_or_the_chosen_ones_or_the_files(
     ("course_rad", "speed_mps", "velocity"),
     [(math.pi / 2, 2.0, (0.0, 2.0)), (None, 0.1, (0.0, 0.0)), (None, 0.11, None), (1.0, None, None), (None, None, None)],
 )
-def test_at_rest_without_a_course_the_velocity_is_zero_and_at_speed_it_is_unknown(
-    course_rad: float | None, speed_mps: float | None, velocity: tuple[float, float] | None
-) -> None:
+def test_at_rest_without_a_course_the_velocity_is_zero_and_at_speed_it_is_unknown(course_rad, speed_mps, velocity):
     assert over_ground(course_rad, speed_mps) == (None if velocity is None else pytest.approx(velocity))
 
 

@@ -37,9 +37,7 @@ def test_the_origin_is_zero(latitude_rad: float, longitude_rad: float) -> None:
 
 
 @given(st.floats(-55.0, 55.0).map(math.radians), longitude, st.floats(1.0, 10_000.0), st.floats(0.0, TAU))
-def test_distance_from_the_origin_is_right_within_a_thousandth(
-    lat: float, lon: float, distance_m: float, bearing: float
-) -> None:
+def test_distance_from_the_origin_is_right_within_a_thousandth(lat, lon, distance_m, bearing):
     """Where the module promises it; measured straight through the earth, which is 1e-7 shorter at most."""
     there = from_plane(origin(lat, lon), distance_m * math.cos(bearing), distance_m * math.sin(bearing))
     assert math.dist(ecef(lat, lon), ecef(*there)) == pytest.approx(distance_m, rel=1e-3)

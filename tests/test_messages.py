@@ -237,9 +237,7 @@ def test_charge(sent: float, arrives: float | None) -> None:
 
 
 @given(st.sampled_from(Status), st.integers(0, 255).map(Fault), u8, u8, known_or_not(0.0, 25.4), u64)
-def test_gps_status_round_trip(
-    status: Status, fault: Fault, fix: int, satellites: int, hdop: float | None, utc_ns: int
-) -> None:
+def test_gps_status_round_trip(status, fault, fix, satellites, hdop, utc_ns):
     sent = GpsStatus(status, fault, fix, satellites, hdop, utc_ns)
     back = messages.unpack_sysstat(Node.GPS, messages.pack_gps_status(sent))
     assert isinstance(back, GpsStatus)

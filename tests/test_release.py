@@ -220,9 +220,7 @@ def sailed(installed: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     ],
 )
 @pytest.mark.long
-def test_what_a_command_lacks_is_told_with_the_words_that_install_it(
-    installed: Path, sailed: Path, words: str, extra: str
-) -> None:
+def test_what_a_command_lacks_is_told_with_the_words_that_install_it(installed, sailed, words, extra):
     code, said = typed(installed, sailed, *words.split())
     assert code == 2
     assert re.search(rf"needs [\w.]+, which is not installed: pip install 'delfim\[{extra}\]'", said), said

@@ -130,9 +130,7 @@ def test_a_link_to_nothing_is_said(link: Link, place: str, was: str, now: str, w
         ("test_a.py", "def test_g(): ...", "def test_g(): assert True", False),
     ],
 )
-def test_a_proof_is_stale_when_its_function_or_what_its_test_uses_is_edited(
-    link: Link, tmp_path: Path, file: str, was: str, now: str, is_stale: bool
-) -> None:
+def test_a_proof_is_stale_when_its_function_or_what_its_test_uses_is_edited(link, tmp_path, file, was, now, is_stale):
     kept = {proofs.key(link): digest(link)}
     assert (unproven([link], kept), unproven([link], {})) == ([], [link])
     text = (tmp_path / file).read_text()

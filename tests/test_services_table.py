@@ -50,9 +50,7 @@ def test_some_services_run_only_where_their_own_table_asks_for_them(service: str
         (("services.syslogd.memory_max_mb=0",), 0, False),
     ],
 )
-def test_a_service_of_its_own_process_has_a_limit_of_memory_at_sea(
-    overrides: tuple[str, ...], memory_bytes: int, is_asked: bool
-) -> None:
+def test_a_service_of_its_own_process_has_a_limit_of_memory_at_sea(overrides, memory_bytes, is_asked):
     settings = config.load(VEHICLE, overrides)
     (row,) = (row for row in services(settings) if row.name == "syslogd")
     assert _limits(settings, row) == Limits(memory_bytes, 0.0, is_asked)

@@ -3,7 +3,6 @@
 import asyncio
 import os
 from collections.abc import Callable
-from pathlib import Path
 from types import ModuleType
 from typing import Any
 
@@ -28,9 +27,7 @@ def computer(state: dict[str, Any]) -> dict[str, Any]:
     return next(line for line in state["checks"] if line["name"] == "computer")
 
 
-def test_the_vehicle_says_that_the_computer_is_starting_until_it_is_watched_over(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_vehicle_says_that_the_computer_is_starting_until_it_is_watched_over(tmp_path, monkeypatch):
     os.mkfifo(tmp_path / "gate")
     (tmp_path / "slow_library_of_this_test.py").write_text(f"open({str(tmp_path / 'gate')!r}).close()")
     monkeypatch.syspath_prepend(tmp_path)

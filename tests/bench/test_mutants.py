@@ -184,9 +184,7 @@ def test_what_fails_without_a_change_has_not_noticed_it(tmp_path: Path) -> None:
         assert (f"{file}::waits" in tests) == (not text)
 
 
-def test_tests_are_watched_again_where_they_changed_or_were_not_asked_about_a_file(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_tests_are_watched_again_where_they_changed_or_were_not_asked_about_a_file(tmp_path, monkeypatch):
     asked = list[dict[str, Any]]()
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(choice, "TESTS", ("test_*.py",))

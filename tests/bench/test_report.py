@@ -111,17 +111,13 @@ def test_on_a_machine_that_others_use_nothing_is_held_and_nothing_missed() -> No
         (0.9, 0.994, 0.0, "not asked, for C has 99.40%"),
     ],
 )
-def test_the_share_within_100_us_is_asked_where_c_shows_that_the_machine_allows_it(
-    mine: float, by_c: float, taken: float, said: str
-) -> None:
+def test_the_share_within_100_us_is_asked_where_c_shows_that_the_machine_allows_it(mine, by_c, taken, said):
     assert within({"within_100_us": mine}, {"within_100_us": by_c}, taken).startswith(said)
 
 
 @pytest.mark.parametrize(
     ("per_s", "others_share", "beyond"), [(0.9, 0.0, []), (1.1, 0.0, ["httpd"]), (1.1, 0.11, [])], ids=["few", "many", "noisy"]
 )
-def test_a_service_with_too_many_long_callbacks_is_named_on_a_quiet_machine(
-    per_s: float, others_share: float, beyond: list[str]
-) -> None:
+def test_a_service_with_too_many_long_callbacks_is_named_on_a_quiet_machine(per_s, others_share, beyond):
     row = {"competitor": "delfim", "over_budget_per_s": {"canzlogd": 0.0, "httpd": per_s}}
     assert over_budget({"others_share": others_share, "steal_share": 0.0, "rows": [row]}) == beyond

@@ -660,9 +660,7 @@ def test_who_may_only_watch_does_not_transmit(name: str, bus: CanSocket) -> None
     assert bus.receive() is None
 
 
-def test_the_tool_says_when_frames_were_not_sent(
-    name: str, bus: CanSocket, capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
+def test_the_tool_says_when_frames_were_not_sent(name, bus, capsys, tmp_path):
     with Served([f"canloop:{name}"], transmit=()) as served:
         there = f"socketcand:127.0.0.1:{served.port}:{name}"
         assert main(["can", "send", there, "123#01", "124#"]) != 0
@@ -803,9 +801,7 @@ def test_a_client_that_stalls_is_closed(name: str, bus: CanSocket) -> None:
         asleep.socket.close()
 
 
-def test_a_full_bus_holds_back_the_sender_and_loses_nothing(
-    served: Served, bus: CanSocket, name: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_full_bus_holds_back_the_sender_and_loses_nothing(served, bus, name, monkeypatch):
     with raw(served, name) as peer:
         can_socket = served.server.buses[name]._can
         assert can_socket is not None
@@ -822,9 +818,7 @@ def test_a_full_bus_holds_back_the_sender_and_loses_nothing(
         assert peer.element() == "< echo >"
 
 
-def test_a_bus_that_takes_nothing_is_given_up(
-    served: Served, bus: CanSocket, name: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_bus_that_takes_nothing_is_given_up(served, bus, name, monkeypatch):
     monkeypatch.setattr(client_file, "GIVE_UP_S", 0.05)
     with raw(served, name) as peer:
         can_socket = served.server.buses[name]._can

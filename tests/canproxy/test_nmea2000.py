@@ -449,9 +449,7 @@ def test_what_is_reckoned_typed_or_simulated_is_no_position(method: int) -> None
         (None, 0.0, 0.3, 1.0),
     ],
 )
-def test_where_the_variation_comes_from(
-    own: float | None, bus_own: float | None, bus_other: float | None, expected_rad: float
-) -> None:
+def test_where_the_variation_comes_from(own, bus_own, bus_other, expected_rad):
     bus = source(variation_deg=math.degrees(0.4))
     say(bus, 1, Variation(bus_other), 0.0)
     say(bus, 9, Variation(bus_own), 0.0)

@@ -100,9 +100,7 @@ numbers = st.one_of(st.integers(0, 0x7FF), st.integers(0, 0x1FFFFFFF))
 
 
 @given(numbers, st.integers(0, 0x1FFFFFFF), st.sampled_from([None, True, False]), numbers, st.booleans(), st.booleans())
-def test_filters_mean_what_python_can_says(
-    can_id: int, can_mask: int, only: bool | None, number: int, wide: bool, remote: bool
-) -> None:
+def test_filters_mean_what_python_can_says(can_id, can_mask, only, number, wide, remote):
     entry = {"can_id": can_id, "can_mask": can_mask} | ({} if only is None else {"extended": only})
     for identifier in (number, number ^ can_id, can_id):
         is_extended = wide or identifier > 0x7FF

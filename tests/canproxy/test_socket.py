@@ -190,9 +190,7 @@ def possible(arb: int) -> int:
 @given(filters_and_frames())
 @example(([CanAddress(standard(1), CAN_ANY | CAN_ERR)], [standard(5), extended(9)]))
 @example(([CanAddress(standard(1) | CAN_ERR, CAN_ANY)], [standard(5), extended(9)]))
-def test_the_kernel_filters_as_the_thesis_says(
-    opened: Callable[..., CanSocket], case: tuple[list[CanAddress], list[int]]
-) -> None:
+def test_the_kernel_filters_as_the_thesis_says(opened, case):
     addresses, frames = case
     end = CanAddress(extended(0x15555555, remote=True))
     sender, receiver = opened(), opened()

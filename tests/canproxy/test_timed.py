@@ -86,9 +86,7 @@ def test_alone_it_waits_as_long_before_it_speaks() -> None:
 
 
 @given(st.lists(st.booleans(), max_size=40), st.floats(1.1, 10.0))
-def test_it_never_speaks_in_a_second_in_which_the_master_does_nor_is_silent_for_long(
-    master: list[bool], takeover_s: float
-) -> None:
+def test_it_never_speaks_in_a_second_in_which_the_master_does_nor_is_silent_for_long(master, takeover_s):
     spoke = redundant(master, takeover_s)
     assert not any(a and b for a, b in zip(master, spoke, strict=True))
     silent = 0
@@ -169,9 +167,7 @@ class Timerfd:
         (0.01, 7 * S + 10_000_000, (8, 10_000_000)),
     ],
 )
-def test_the_timer_is_set_to_the_next_second(
-    monkeypatch: pytest.MonkeyPatch, delay_s: float, utc_ns: int, first: tuple[int, int]
-) -> None:
+def test_the_timer_is_set_to_the_next_second(monkeypatch, delay_s, utc_ns, first):
     kernel = Timerfd(monkeypatch)
     SecondTimer(delay_s, utc_ns)
     assert kernel.set == [[1, 0, *first]]

@@ -132,9 +132,7 @@ def test_it_says_what_to_copy_where_and_no_secret(tmp_path: Path, capsys: pytest
         assert (made / file).read_text().strip() not in told
 
 
-def test_for_debian_it_says_the_commands_that_put_the_files_where_the_package_finds_them(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_for_debian_it_says_the_commands_that_put_the_files_where_the_package_finds_them(tmp_path, capsys):
     made, default = tmp_path / "out", tmp_path / "default"
     assert commission(made, *WORDS, "--for", "debian") == 0
     told = capsys.readouterr().out
@@ -176,13 +174,7 @@ def test_a_boat_without_a_radio(tmp_path: Path) -> None:
         ((*WORDS, "--set", 'cantcpd.transmit=["10.77.0.0/24"]'), 1, "anyone in 10.77.0.0/24 may send frames"),
     ],
 )
-def test_a_wrong_answer_is_refused_and_nothing_is_written(
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    words: tuple[str, ...],
-    code: int,
-    told: str,
-) -> None:
+def test_a_wrong_answer_is_refused_and_nothing_is_written(tmp_path, capsys, words, code, told):
     assert commission(tmp_path / "out", *words) == code
     assert told in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
@@ -236,9 +228,7 @@ def test_a_commissioned_boat_is_fit_for_sea_and_says_what_is_open(made: Path, ca
         ("simulation.faults=true", "`delfim fault` break"),
     ],
 )
-def test_what_strangers_could_move_or_write_to_is_refused(
-    made: Path, capsys: pytest.CaptureFixture[str], override: str, fault: str
-) -> None:
+def test_what_strangers_could_move_or_write_to_is_refused(made, capsys, override, fault):
     assert main(["check", "--sea", str(made / "boat/boat.toml"), "--set", override]) == 1
     captured = capsys.readouterr()
     assert fault in captured.err

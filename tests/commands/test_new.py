@@ -29,9 +29,7 @@ class Terminal(io.StringIO):
 
 
 @pytest.mark.parametrize(("motors", "sensors"), list(product(MOTORS, SENSORS)))
-def test_each_boat_passes_the_check_and_sails_past_its_first_waypoint(
-    motors: str, sensors: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_each_boat_passes_the_check_and_sails_past_its_first_waypoint(motors, sensors, capsys):
     assert main(["new", "boat.toml", "--yes", "--motors", motors, "--sensors", sensors]) == 0
     assert main(["check", "boat.toml"]) == 0
     assert "nothing is wrong with this file" in capsys.readouterr().out
@@ -95,9 +93,7 @@ def test_a_board_gives_motors_and_is_the_usual_sensor_then() -> None:
     assert (settings.drivers, settings.navigation.sources) == (("pwm",), ("mavlink_front_seat",))
 
 
-def test_on_a_terminal_it_asks_and_asks_again_for_what_is_wrong(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_on_a_terminal_it_asks_and_asks_again_for_what_is_wrong(monkeypatch, capsys):
     answers = ["raft", "", "my boat", "MyBoat", "250", "5", "two", "2.5", "", "", "oars", "rudder", "", "", "", "52.1, 4.2"]
     monkeypatch.setattr("sys.stdin", Terminal("\n".join(answers) + "\n"))
     assert main(["new", "boat.toml"]) == 0
@@ -138,9 +134,7 @@ def test_on_a_terminal_it_asks_and_asks_again_for_what_is_wrong(
         (["--yes", "--id", "250"], "--id 250: this must be a whole number from 1 to 249"),
     ],
 )
-def test_what_cannot_be_is_refused_in_a_line_and_nothing_is_written(
-    words: list[str], told: str, folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_cannot_be_is_refused_in_a_line_and_nothing_is_written(words, told, folder, monkeypatch, capsys):
     monkeypatch.setattr("sys.stdin", io.StringIO())
     assert main(["new", "boat.toml", *words]) == 2
     assert capsys.readouterr().err == f"delfim: {told}\n"

@@ -184,9 +184,7 @@ def test_dump_and_send(bus: CanSocket, name: str, capsys: pytest.CaptureFixture[
     assert bus.recvmsg().arb == extended(0x321)
 
 
-def test_dump_in_log_format_and_into_a_file(
-    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_dump_in_log_format_and_into_a_file(name, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     with traffic(name, Frame(standard(0x123), b"\xab")):
         assert main(["can", "dump", "-L", "-n", "3", f"canloop:{name}"]) == 0
@@ -252,9 +250,7 @@ not a line
 """
 
 
-def test_replay_keeps_the_time_between_frames(
-    bus: CanSocket, name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_replay_keeps_the_time_between_frames(bus, name, tmp_path, capsys):
     file = tmp_path / "one.log"
     file.write_text(LOG)
     assert main(["can", "replay", str(file), f"canloop:{name}=can0", "-s", "1"]) == 0
@@ -264,9 +260,7 @@ def test_replay_keeps_the_time_between_frames(
     assert capsys.readouterr().err == "delfim can replay: 3 frames sent, 2 left out\n"
 
 
-def test_replay_of_a_log_that_a_power_cut_left(
-    bus: CanSocket, name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_replay_of_a_log_that_a_power_cut_left(bus, name, tmp_path, capsys):
     file = tmp_path / "one.log.gz"
     file.write_bytes(gzip.compress(LOG.encode())[:-8])
     assert main(["can", "replay", "-t", "-l", "2", str(file), f"canloop:{name}=can0"]) == 0

@@ -164,9 +164,7 @@ def test_every_word_does_at_the_vehicle_what_it_says(sea: Afloat, word: str, wor
 
 
 @pytest.mark.parametrize(("words", "heading_deg"), [({}, 0.0), ({"heading_deg": 243.0}, 243.0)])
-def test_heading_mode_follows_the_heading_that_was_asked_for_or_else_the_boats(
-    sea: Afloat, words: dict[str, Any], heading_deg: float
-) -> None:
+def test_heading_mode_follows_the_heading_that_was_asked_for_or_else_the_boats(sea, words, heading_deg):
     assert sea.ask("goto", latitude_deg=38.6935, longitude_deg=-9.2147, speed_mps=0.8) == (True, "")
     assert sea.ask(*(("heading",) if words else ("mode",)), **(words or {"mode": "heading"})) == (True, "")
     asked = sea.state.setpoint

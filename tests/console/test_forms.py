@@ -88,9 +88,7 @@ def extent_m(waypoints: list[Message]) -> float:
     ("title", "least", "field", "more"),
     [("Lawn-mower", 10, "Width", "120"), ("Circle", 3, "Radius", "80"), ("Spiral", 60, "Radius", "80")],
 )
-async def test_a_pattern_is_changed_as_one_until_a_point_of_it_was_moved(
-    page: Page, gateway: Standin, title: str, least: int, field: str, more: str
-) -> None:
+async def test_a_pattern_is_changed_as_one_until_a_point_of_it_was_moved(page, gateway, title, least, field, more):
     await page.mouse(await pixel(page, -110, -110))
     await choose(page, "Add waypoint")
     await planned(gateway, lambda w: len(w) == 1)

@@ -226,9 +226,7 @@ HERE, LOCAL = "127.0.0.1:{port}", "localhost:{port}"
         ("", None, True, 403),
     ],
 )
-async def test_only_pages_of_this_console_speak_with_it(
-    tmp_path: Path, host: str, origin: str | None, cookie: bool, status: int
-) -> None:
+async def test_only_pages_of_this_console_speak_with_it(tmp_path, host, origin, cookie, status):
     async with opened(tmp_path) as sea:
         port = sea.url.rstrip("/").rpartition(":")[2]
         headers = {"Host": host.format(port=port)} | ({} if origin is None else {"Origin": origin.format(port=port)})

@@ -256,9 +256,7 @@ async def test_hints_end_for_good_when_they_are_closed(it: Console) -> None:
 
 
 @pytest.mark.parametrize("dark", [False, True])
-async def test_there_are_land_and_harbours_without_a_network_until_they_would_be_taken_for_a_chart(
-    it: Console, dark: bool
-) -> None:
+async def test_there_are_land_and_harbours_without_a_network_until_they_would_be_taken_for_a_chart(it, dark):
     async def colours(page: Page, *places: tuple[float, float]) -> list[tuple[int, ...]]:
         await page.value("new Promise(done => setTimeout(done, 300))")  # the view stands still, and is drawn
         picture = Image.open(io.BytesIO(await page.picture())).convert("RGB")

@@ -68,9 +68,7 @@ def test_a_boat_that_stops_before_anybody_saw_it_play_ends_the_voyage(monkeypatc
     assert sailed(boat, monkeypatch).end == "stopped: log not written: stop"
 
 
-def test_with_a_console_a_stop_while_the_mission_is_loaded_leaves_the_boat_to_its_operator(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_with_a_console_a_stop_while_the_mission_is_loaded_leaves_the_boat_to_its_operator(monkeypatch, capsys):
     words = "mission refused: a stop was commanded"
     boat = Boat([state("idle", "operator")] * 3, state("idle", "operator"), words)
     its = sailed(boat, monkeypatch, console=True)

@@ -58,9 +58,7 @@ def test_a_part_that_was_installed_as_the_image_does_is_a_part_of_the_boat(image
         ([("lab", "acme", "1.0"), ("bay", "winch", "2")], 'acme = "1.0"\nwinch = "2"', ""),
     ],
 )
-def test_an_image_has_the_parts_that_its_file_names(
-    image: Any, tmp_path: Path, given: list[tuple[str, str, str]], named: str, words: str
-) -> None:
+def test_an_image_has_the_parts_that_its_file_names(image, tmp_path, given, named, words):
     (tmp_path / "boat.toml").write_text(f"[parts]\n{named}\n")
     wheels = [wheel(tmp_path, name, part=part, version=version) for name, part, version in given]
     with pytest.raises(SystemExit, match=re.escape(words)) if words else nullcontext():

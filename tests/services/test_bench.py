@@ -227,9 +227,7 @@ def pressed(terminal: Terminal, until: str) -> None:
                 terminal.said += os.read(terminal.far, 4096).decode()
 
 
-def test_the_boats_program_is_asked_where_it_runs_and_the_devices_are_left_to_it(
-    tmp_path: Path, vescs: tuple[str, CanSocket]
-) -> None:
+def test_the_boats_program_is_asked_where_it_runs_and_the_devices_are_left_to_it(tmp_path, vescs):
     with PlayedBoat(tmp_path) as boat:
         terminal = Terminal(tmp_path, "vesc", vescs[0])
         terminal.heard("Type port to arm it: ")

@@ -46,9 +46,7 @@ def test_only_the_controller_that_is_needed_is_asked_for(root: Path, limits: Lim
     assert (root / "delfim/cgroup.subtree_control").read_text() == controller
 
 
-def test_a_limit_that_the_kernel_refuses_is_named(
-    root: Path, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_limit_that_the_kernel_refuses_is_named(root, caplog, monkeypatch):
     def refused(*_: object) -> None:
         raise OSError(22, "Invalid argument")  # of a write: without the file's name
 

@@ -170,9 +170,7 @@ class Interrupting(SystemClock):
         return time.monotonic()
 
 
-def test_one_callback_at_most_when_a_frame_comes_at_any_step_of_the_loop(
-    navigation: Navigation, window: NavigationWindow
-) -> None:
+def test_one_callback_at_most_when_a_frame_comes_at_any_step_of_the_loop(navigation, window):
     async def main() -> None:
         first(navigation.handle, navigation.receiver.fileno())
         await asyncio.wait_for(flood(lambda kind: None, lambda: len(navigation.others) >= 1000), 20)
@@ -233,9 +231,7 @@ def test_no_callback_runs_when_the_frame_comes_inside_its_window(navigation: Nav
         (0.0020, None, 0.0020),  # is over in time, whatever it makes of it
     ],
 )
-def test_no_timer_lets_the_loop_sleep_into_its_window(
-    monkeypatch: pytest.MonkeyPatch, timer_s: float | None, selected_s: float | None, polled_s: float
-) -> None:
+def test_no_timer_lets_the_loop_sleep_into_its_window(monkeypatch, timer_s, selected_s, polled_s):
     window, selected, polled = NavigationWindow(0.0006, 0.1), list[float](), list[float | None]()
     selector = NavigationSelector(NavigationFirst(window, ManualClock(), Account("loop", 1.0)))
     monkeypatch.setattr(select, "select", lambda _r, _w, _x, timeout: selected.append(timeout))
@@ -343,9 +339,7 @@ def test_a_rehearsal_that_would_not_be_over_in_time_is_left_out_and_one_interrup
 
 
 @pytest.mark.parametrize("step", [1, 4])
-def test_a_message_that_came_during_a_rehearsal_is_not_taken_for_a_later_one(
-    monkeypatch: pytest.MonkeyPatch, navigation: Navigation, step: int
-) -> None:
+def test_a_message_that_came_during_a_rehearsal_is_not_taken_for_a_later_one(monkeypatch, navigation, step):
     """Else the next windows would open later, and their messages come during rehearsals, too. And no service pays for it."""
     clock, window, fd = ManualClock(), NavigationWindow(0.0006, 0.2), navigation.receiver.fileno()
     account = Account("vehicle", 1.0)

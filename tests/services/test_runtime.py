@@ -108,9 +108,7 @@ def test_a_service_that_raises_is_started_again_after_growing_pauses(monkeypatch
     assert runtime.status["failing"].restarts == 4
 
 
-def test_what_fails_again_and_again_is_told_once_and_when_it_goes(
-    caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_fails_again_and_again_is_told_once_and_when_it_goes(caplog, monkeypatch):
     monkeypatch.setattr(module, "SETTLE_S", 0.0)
     caplog.set_level("INFO")
     ends = [BusError("there is no interface can0"), *[BusError("can0 is down")] * 9, *[KeyError("heading")] * 3, None]

@@ -142,8 +142,6 @@ def test_one_boat_alone_needs_no_station(tmp_path: Path) -> None:
         ("10.0.0.1=1", ("--mtu", "20"), "slipd.mtu"),
     ],
 )
-def test_what_cannot_be_is_refused_in_words(
-    boats: str, more: tuple[str, ...], reason: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_cannot_be_is_refused_in_words(boats, more, reason, capsys):
     assert main(("shore", "/dev/null", "--boats", boats, *more)) == 2
     assert reason in capsys.readouterr().err

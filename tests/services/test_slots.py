@@ -240,9 +240,7 @@ class PowerCut(BaseException):
 @pytest.mark.parametrize(
     "error", [OSError(28, "No space left on device"), OSError(5, "Input/output error"), PowerCut()], ids=str
 )
-def test_wherever_an_installation_breaks_off_the_boat_starts_from_what_is_whole(
-    yard: Yard, monkeypatch: pytest.MonkeyPatch, error: BaseException
-) -> None:
+def test_wherever_an_installation_breaks_off_the_boat_starts_from_what_is_whole(yard, monkeypatch, error):
     """The disk is full or broken, or the power fails, at every change that an installation makes."""
     yard.slots.install(yard.bundle("1.5"), yard.signers)
     bundle = yard.bundle("2.0")
@@ -382,9 +380,7 @@ def test_any_bytes_are_refused_as_signature_and_manifest(text: bytes, signature:
 @given(
     st.dictionaries(st.sampled_from([*imagefile.MEMBERS, "other", "../up"]), st.binary(max_size=100)), st.binary(max_size=20)
 )
-def test_any_archive_is_refused_in_words(
-    tmp_path_factory: pytest.TempPathFactory, members: dict[str, bytes], end: bytes
-) -> None:
+def test_any_archive_is_refused_in_words(tmp_path_factory, members, end):
     held = io.BytesIO()
     with tarfile.open(fileobj=held, mode="w") as archive:
         for name, text in members.items():

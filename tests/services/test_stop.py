@@ -140,9 +140,7 @@ def test_the_links_of_a_driver_are_its_own_and_closed_with_it(monkeypatch: pytes
 
 
 @pytest.mark.parametrize(("at", "high_when_off"), [("high", True), ("low", False)])
-def test_the_cut_is_held_from_the_start_and_says_what_it_did(
-    monkeypatch: pytest.MonkeyPatch, at: Any, high_when_off: bool
-) -> None:
+def test_the_cut_is_held_from_the_start_and_says_what_it_did(monkeypatch, at, high_when_off):
     told, fails = list[Any](), list[OSError]()
 
     def put(high: bool) -> None:
@@ -198,9 +196,7 @@ class Devices:
         self.written.append((fd, word))
 
 
-def test_a_hardware_watchdog_is_stroked_until_it_fails(
-    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_hardware_watchdog_is_stroked_until_it_fails(monkeypatch, caplog):
     devices = Devices()
     monkeypatch.setattr(watchdog, "os", devices)
     for absent in ("", "/dev/none"):

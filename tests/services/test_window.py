@@ -190,9 +190,7 @@ def test_windows_in_vain_do_not_exceed_the_share(share: float) -> None:
     st.floats(1e-4, 0.05),
     st.floats(0.0, 1.0),
 )
-def test_whatever_comes_the_share_and_every_hold_are_bounded(
-    gaps: list[tuple[float, int]], guard_s: float, share: float
-) -> None:
+def test_whatever_comes_the_share_and_every_hold_are_bounded(gaps, guard_s, share):
     times_s = accumulate((gap_s for gap_s, _ in gaps), initial=10.0)
     arrivals = [(at_s, source) for at_s, (_, source) in zip(times_s, gaps, strict=False)]
     _, held = sail(NavigationWindow(guard_s, share), arrivals, end_s=200.0)

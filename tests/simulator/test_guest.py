@@ -45,9 +45,7 @@ def at(north_m: float, east_m: float, after_s: float = 0.0) -> Heard:
         (0, -3000, 30, 90),
     ],
 )
-def test_a_circle_is_steered_along_its_tangent_or_towards_it(
-    north_m: float, east_m: float, radius_m: float, heading_deg: float
-) -> None:
+def test_a_circle_is_steered_along_its_tangent_or_towards_it(north_m, east_m, radius_m, heading_deg):
     asked = reference(CIRCLE._replace(radius_m=radius_m), at(north_m, east_m), START_NS)
     assert asked is not None
     assert asked.heading_deg == pytest.approx(heading_deg, abs=1.0)
@@ -55,9 +53,7 @@ def test_a_circle_is_steered_along_its_tangent_or_towards_it(
 
 
 @given(st.floats(-200, 200), st.floats(-200, 200), st.sampled_from([30.0, -30.0]))
-def test_from_anywhere_a_boat_that_obeys_ends_on_the_circle_and_goes_round(
-    north_m: float, east_m: float, radius_m: float
-) -> None:
+def test_from_anywhere_a_boat_that_obeys_ends_on_the_circle_and_goes_round(north_m, east_m, radius_m):
     bearings = []
     for _ in range(500):
         asked = reference(CIRCLE._replace(radius_m=radius_m), at(north_m, east_m), START_NS)

@@ -71,9 +71,7 @@ class Voyage:
         ("ais_wrong", {"jump faster than 60 kn", "two vessels with one number"}),
     ],
 )
-def test_the_boat_keeps_clear_and_goes_on_where_its_receiver_fails(
-    monkeypatch: pytest.MonkeyPatch, broken: str, refused: set[str]
-) -> None:
+def test_the_boat_keeps_clear_and_goes_on_where_its_receiver_fails(monkeypatch, broken, refused):
     """Two hundred seconds before a vessel from starboard would be met."""
     voyage = Voyage(monkeypatch, broken, crossing())
     voyage.sail(500.0)
@@ -98,9 +96,7 @@ def test_a_boat_holds_where_its_file_says_so_when_ais_is_silent(monkeypatch: pyt
 
 @pytest.mark.parametrize("speed_mps", [0.0, BOAT_MPS])
 @pytest.mark.parametrize(("action", "mode"), [("warn", Mode.COURSE), ("hold", Mode.HOLD)])
-def test_with_a_vessel_where_the_boat_is_the_table_is_obeyed(
-    monkeypatch: pytest.MonkeyPatch, speed_mps: float, action: Any, mode: Mode
-) -> None:
+def test_with_a_vessel_where_the_boat_is_the_table_is_obeyed(monkeypatch, speed_mps, action, mode):
     """It lies there, or goes as the boat does: a transponder of its own that the file does not name."""
     on_us = crossing(north_m=0.0, east_m=0.0, course_deg=0.0, speed_mps=speed_mps)
     voyage = Voyage(monkeypatch, "", on_us, traffic_close=config.TrafficClose(action=action))

@@ -145,9 +145,7 @@ def test_the_two_levels(monkeypatch: pytest.MonkeyPatch, more: dict[str, Any], l
 @pytest.mark.parametrize(("own_mps", "its_mps", "level"), [
     (0.2, 0.2, "none"), (0.25, 0.2, "danger"), (0.2, 0.25, "danger"), (2.0, 0.0, "danger"), (0.0, 2.0, "danger"),
 ])  # fmt: skip
-def test_two_that_lie_in_a_harbour_are_no_danger(
-    monkeypatch: pytest.MonkeyPatch, own_mps: float, its_mps: float, level: str
-) -> None:
+def test_two_that_lie_in_a_harbour_are_no_danger(monkeypatch, own_mps, its_mps, level):
     found = Told(
         monkeypatch, own=OWN._replace(speed_mps=own_mps), targets=[SHIP._replace(speed_mps=its_mps)], to_come=(0.75, 5.0)
     )
@@ -174,9 +172,7 @@ NEAR, DANGER = Alarm("near", 60.5), Alarm("danger", 60.5)
         (DANGER._replace(seen_s=60.0), 1.5, 1.5, None),
     ],
 )
-def test_a_danger_is_over_when_it_was_far_for_a_while(
-    was: Alarm | None, close: float, near: float, found: Alarm | None
-) -> None:
+def test_a_danger_is_over_when_it_was_far_for_a_while(was, close, near, found):
     assert alarm._alarm(was, close, near, 70.0) == found
 
 

@@ -121,9 +121,7 @@ def test_the_forces_are_those_of_an_independent_solver(boat: list[Thruster], req
 
 
 @given(st.lists(fixed, min_size=2, max_size=2), st.sets(st.sampled_from([0, 1])), requests)
-def test_two_fixed_thrusters_have_the_forces_of_the_general_solver(
-    boat: list[Thruster], failed: set[int], request: tuple[float, float, float]
-) -> None:
+def test_two_fixed_thrusters_have_the_forces_of_the_general_solver(boat, failed, request):
     """Also where one failed. The general solver ends at `CLOSE`, from which two almost parallel thrusters may be so far."""
     allocation = Allocation(boat, frozenset(failed))
     general, told = (
@@ -136,17 +134,13 @@ def test_two_fixed_thrusters_have_the_forces_of_the_general_solver(
 
 
 @given(st.lists(fixed, min_size=2, max_size=2), requests)
-def test_the_forces_of_two_thrusters_are_those_of_an_independent_solver(
-    boat: list[Thruster], request: tuple[float, float, float]
-) -> None:
+def test_the_forces_of_two_thrusters_are_those_of_an_independent_solver(boat, request):
     largest_n = max(max(t.curve.ahead_n, -t.curve.astern_n) for t in boat)
     assert asked(boat, request).forces_n == pytest.approx(best(boat, request), abs=1e-6 * largest_n)
 
 
 @given(st.lists(fixed, min_size=1, max_size=16), requests, st.floats(-1e-5, 1e-5), st.sampled_from([0, 1, 2]))
-def test_a_little_more_asked_for_is_a_little_more_force(
-    boat: list[Thruster], request: tuple[float, float, float], more: float, which: int
-) -> None:
+def test_a_little_more_asked_for_is_a_little_more_force(boat, request, more, which):
     other = list(request)
     other[which] += more
     a, b = asked(boat, request), asked(boat, (other[0], other[1], other[2]))

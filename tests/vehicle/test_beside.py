@@ -92,9 +92,7 @@ def test_a_boat_stops_swerving_for_its_own_transponder_and_says_so(every_s: floa
     [(2.0, "B", {}), (30.0, "B", {}), (10.0, "A", {"in_order": True}), (2.0, "B", {"digest": "0"})],
     ids=["killed", "killed, seldom heard", "ended in order", "another file"],
 )
-def test_a_boat_that_starts_again_keeps_its_course_with_its_own_transponder_aboard(
-    every_s: float, kind: str, more: dict[str, object]
-) -> None:
+def test_a_boat_that_starts_again_keeps_its_course_with_its_own_transponder_aboard(every_s, kind, more):
     voyage = Voyage(itself, every_s, kind)
     list(voyage.sail(150.0))
     kept, _, rest = voyage.run.kept().partition(b"\n")

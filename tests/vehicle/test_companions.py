@@ -75,9 +75,7 @@ def test_who_is_where_the_boat_is(target: Target, is_seen: bool) -> None:
         (KNOWN._replace(since_s=99.0, is_sure=True), 101.0, 3, True),
     ],
 )
-def test_who_stays_for_a_minute_and_some_way_as_three_reports_tell(
-    known: Companion, now_s: float, reports: int, is_sure: bool
-) -> None:
+def test_who_stays_for_a_minute_and_some_way_as_three_reports_tell(known, now_s, reports, is_sure):
     found = looked(tug(), now_s=now_s, vessels={"1": known})
     assert found.vessels == {"1": known._replace(reported_s=100.0, reports=reports, is_sure=is_sure)}
     assert found.remembered == (("1",) if is_sure else ())

@@ -121,9 +121,7 @@ def test_what_may_be_asked_is_obeyed() -> None:
         (console.Reset, {"node": 300}, "node must be "),
     ],
 )
-def test_numbers_that_are_no_command_are_refused_in_words(
-    kind: type[console.Command], numbers: dict[str, object], why: str
-) -> None:
+def test_numbers_that_are_no_command_are_refused_in_words(kind, numbers, why):
     with pytest.raises(FormatError) as refusal:
         console.asked(kind, **numbers)
     assert str(refusal.value).startswith(why)

@@ -79,9 +79,7 @@ def test_without_velocity_the_surge_is_the_drag() -> None:
     st.floats(-3.0, 3.0),
     st.builds(Integrals, st.floats(-150.0, 150.0), st.floats(-400.0, 400.0), st.floats(-2.2, 2.2)),
 )
-def test_the_yaw_moment_does_not_depend_on_the_speed(
-    heading_rad: float, yaw_radps: float, surge_mps: float, asked_rad: float, asked_mps: float, was: Integrals
-) -> None:
+def test_the_yaw_moment_does_not_depend_on_the_speed(heading_rad, yaw_radps, surge_mps, asked_rad, asked_mps, was):
     """And the thrusters keep as much of it as they can: the forces of both propellers differ by it."""
     north_mps, east_mps = surge_mps * math.cos(heading_rad), surge_mps * math.sin(heading_rad)
     motion = Motion(ALL, 0.0, 0.0, heading_rad, yaw_radps, north_mps, east_mps)

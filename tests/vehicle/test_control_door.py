@@ -189,9 +189,7 @@ def test_a_set_point_that_makes_no_sense_stops_or_changes_nothing(mode: Mode, va
 
 
 @given(st.sampled_from(Mode), MOTIONS, SETPOINTS, FLOATS, FRACTIONS)
-def test_whatever_comes_what_is_sent_is_finite_and_within_limits(
-    mode: Mode, motion: Motion, setpoint: Setpoint, dt_s: float, before: tuple[float, float]
-) -> None:
+def test_whatever_comes_what_is_sent_is_finite_and_within_limits(mode, motion, setpoint, dt_s, before):
     propulsion = Propulsion((), cast(CanSocket, None), DELFIMX.thrusters, State())
     memory = enter(mode, motion, setpoint, SETTINGS)
     propulsion.send(Wanted(hand=before), 1.0)

@@ -106,8 +106,6 @@ def test_the_limits(legs: list[Leg], until_s: float, after_s: float, found: tupl
         ((30.0, 60.0), (0.0, 0.0), math.pi / 2.0, (0.0, 50.0)),
     ],
 )
-def test_the_closest_point_of_approach(
-    place: tuple[float, float], speed: tuple[float, float], course_rad: float, cpa: tuple[float, float]
-) -> None:
+def test_the_closest_point_of_approach(place, speed, course_rad, cpa):
     assert closest(0.0, 0.0, 0.0, 0.0, SHIP._replace(speed_mps=0.01)) == (50.0, 0.0), "as good as none"
     assert closest(*place, *speed, SHIP._replace(course_rad=course_rad)) == pytest.approx(cpa, abs=1e-9)

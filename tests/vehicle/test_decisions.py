@@ -135,9 +135,7 @@ def test_another_course_must_be_better_than_the_one_steered(monkeypatch: pytest.
     assert played.cheapest(steered) is None
 
 
-def test_a_trial_must_be_better_than_the_route_and_need_not_be_reckoned_where_its_turn_costs_more(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_trial_must_be_better_than_the_route_and_need_not_be_reckoned_where_its_turn_costs_more(monkeypatch):
     played = Played(monkeypatch, route=100.0, others=94.0)
     assert played.cheapest() is None
     played.others = 93.5
@@ -196,9 +194,7 @@ def test_a_boat_whose_numbers_make_no_sense_decides_nothing(monkeypatch: pytest.
 @pytest.mark.parametrize(("order", "cost", "far", "stays"), [
     (None, 5.0, 1.0, True), (None, 5.5, 1.0, False), (ORDER, 0.0, 2.0, True), (ORDER, 0.5, 2.0, False),
 ])  # fmt: skip
-def test_the_route_is_left_for_what_costs_and_taken_again_where_nothing_does(
-    monkeypatch: pytest.MonkeyPatch, order: CourseOrder | None, cost: float, far: float, stays: bool
-) -> None:
+def test_the_route_is_left_for_what_costs_and_taken_again_where_nothing_does(monkeypatch, order, cost, far, stays):
     seen = lies(0.0, 0.0, duty="give-way", without=NEAR), lies(0.0, 0.0, duty=None, key="2"), lies(0.0, 0.0, key="waits")
     decided = Decided(monkeypatch, *seen, route=cost, best=WAS)
     found = decided.decide(order=order, left_s=900.0, since_s=900.0)
@@ -239,9 +235,7 @@ def test_a_boat_without_points_looks_along_its_course(monkeypatch: pytest.Monkey
 @pytest.mark.parametrize(("has_end", "key", "order", "is_asked"), [
     (True, "waits", None, True), (False, "waits", None, False), (False, "1", None, True), (False, "waits", ORDER, True),
 ])  # fmt: skip
-def test_a_course_is_ended_by_the_fence_and_bent_by_vessels_alone(
-    monkeypatch: pytest.MonkeyPatch, has_end: bool, key: str, order: CourseOrder | None, is_asked: bool
-) -> None:
+def test_a_course_is_ended_by_the_fence_and_bent_by_vessels_alone(monkeypatch, has_end, key, order, is_asked):
     decided = Decided(monkeypatch, lies(0.0, 0.0, key=key))
     decided.decide(route=ROUTE._replace(has_end=has_end), around="fence", order=order)
     assert decided.asked[1] == ("fence", OWN, 180.0)
@@ -266,9 +260,7 @@ def test_a_deviation_is_dearer_the_longer_it_lasts(monkeypatch: pytest.MonkeyPat
 @pytest.mark.parametrize(
     ("since_s", "leads_in", "is_held"), [(970.5, False, True), (970.0, False, False), (970.5, True, False)]
 )
-def test_an_order_that_leads_into_nothing_is_held(
-    monkeypatch: pytest.MonkeyPatch, since_s: float, leads_in: bool, is_held: bool
-) -> None:
+def test_an_order_that_leads_into_nothing_is_held(monkeypatch, since_s, leads_in, is_held):
     other = Choice(0.5, 0.5, False)
     decided = Decided(monkeypatch, best=other)
     decided.leads_in = leads_in
@@ -312,9 +304,7 @@ ANNA, MARIA = (
         ([], None, "", "keeping clear of the rock", INF),
     ],
 )
-def test_an_order_is_for_the_vessel_that_would_be_met_first(
-    passes: Sequence[PassedBy], was: str | None, key: str, words: str, nearness: float
-) -> None:
+def test_an_order_is_for_the_vessel_that_would_be_met_first(passes, was, key, words, nearness):
     seen = [lies(500.0, 0.0, duty="overtaking", key=each) for each in ("1", "2")]
     seen[1] = seen[1]._replace(target=seen[1].target._replace(name="ANNA"))
     seen = [each._replace(target=each.target._replace(north_m=0.0, east_m=-500.0, speed_mps=0.0)) for each in seen]

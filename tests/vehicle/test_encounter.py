@@ -45,9 +45,7 @@ def other(bearing_deg: float, course_deg: float, speed_mps: float) -> Target:
     ],
 )
 @pytest.mark.parametrize("turned_deg", [0.0, 110.0])
-def test_what_the_boat_is_bound_to_do(
-    bearing_deg: float, course_deg: float, speed_mps: float, owed: str, turned_deg: float
-) -> None:
+def test_what_the_boat_is_bound_to_do(bearing_deg, course_deg, speed_mps, owed, turned_deg):
     target = other(bearing_deg + turned_deg, course_deg + turned_deg, speed_mps)
     if bearing_deg or not turned_deg:  # straight ahead to the last bit
         assert duty(Own(100.0, -50.0, math.radians(turned_deg), 2.0), target) == owed

@@ -168,9 +168,7 @@ def test_the_boat_gives_way_to_vessels_of_rule_18_in_every_geometry(status: int,
     st.one_of(st.floats(185.0, 280.0), st.floats(166.0, 194.0)),
 )  # fmt: skip
 @settings(max_examples=300)
-def test_every_manoeuvre_for_a_single_ship_is_large_and_not_to_port(
-    tcpa_s: float, speed_mps: float, length_m: float, off_m: float, course_deg: float
-) -> None:
+def test_every_manoeuvre_for_a_single_ship_is_large_and_not_to_port(tcpa_s, speed_mps, length_m, off_m, course_deg):
     """Head-on and crossing, from when there is ample time."""
     other = met(tcpa_s, course_deg, speed_mps, length_m, off_m)
     owed = duty(NORTH, other)
@@ -225,15 +223,7 @@ _FENCE = Fence((_HARBOUR, circle("rock", False, (100.0, 0.0), 20.0)), config.Fen
     st.sampled_from([None, _FENCE]), st.lists(_NUMBER, min_size=3, max_size=3), st.booleans(),
 )  # fmt: skip
 @settings(max_examples=150)
-def test_no_input_raises_and_every_order_is_finite(
-    own: tuple[float, float, float, float],
-    points: list[tuple[float, float]],
-    speed_mps: float,
-    targets: list[Target],
-    around: Fence | None,
-    times_s: list[float],
-    has_end: bool,
-) -> None:
+def test_no_input_raises_and_every_order_is_finite(own, points, speed_mps, targets, around, times_s, has_end):
     memory = Memory()
     for now_s in times_s:
         memory, order, passes = decide(

@@ -181,9 +181,7 @@ def test_what_was_decided_for_another_mode_does_not_count(monkeypatch: pytest.Mo
 
 
 @pytest.mark.parametrize("trigger", [Trigger.FENCE, Trigger.FENCE_LEFT, None])
-def test_a_guard_that_must_leave_the_boat_alone_does_so_at_once(
-    monkeypatch: pytest.MonkeyPatch, trigger: Trigger | None
-) -> None:
+def test_a_guard_that_must_leave_the_boat_alone_does_so_at_once(monkeypatch, trigger):
     boat = Boat(monkeypatch, on_failure="slow")
     why = "the fence goes before: a zone is near" if trigger else "it led the boat far"
     boat.leash = Leash(spent="" if trigger else why)
@@ -308,9 +306,7 @@ def test_without_vessels_there_are_no_dangers_and_alarms_end(monkeypatch: pytest
         (None, EAST, 1),
     ],
 )
-def test_a_change_of_the_order_is_a_line_of_the_log(
-    monkeypatch: pytest.MonkeyPatch, before: CourseOrder | None, after: CourseOrder | None, notes: int
-) -> None:
+def test_a_change_of_the_order_is_a_line_of_the_log(monkeypatch, before, after, notes):
     boat = Boat(monkeypatch)
     boat.look(MARIA, order=before)
     boat.notes.clear()
@@ -330,9 +326,7 @@ def test_a_change_of_the_order_is_a_line_of_the_log(
         (Mode.HOLD, Memory(), TO, False),
     ],
 )
-def test_past_and_clear_a_leg_begins_anew(
-    monkeypatch: pytest.MonkeyPatch, mode: Mode, memory: Memory, setpoint: Setpoint, begins: bool
-) -> None:
+def test_past_and_clear_a_leg_begins_anew(monkeypatch, mode, memory, setpoint, begins):
     boat = Boat(monkeypatch, mode)
     boat.helm.memory, boat.state.setpoint = memory, setpoint
     boat.look(MARIA)

@@ -215,9 +215,7 @@ def test_a_reset_that_the_bus_does_not_take_is_refused_and_all_drivers_disconnec
         (0.5, -1.5, 90.0, 40.0, (-0.5, 0.5, -40.0)),
     ],
 )
-def test_by_hand_a_thruster_takes_the_part_of_its_place(
-    x_m: float, y_m: float, angle_deg: float, turns_deg: float | None, expected: tuple[float, float, float]
-) -> None:
+def test_by_hand_a_thruster_takes_the_part_of_its_place(x_m, y_m, angle_deg, turns_deg, expected):
     steer = None if turns_deg is None else Steer(kind="azimuth", angle_max_deg=turns_deg, rate_dps=90.0)
     row = ThrusterTable(
         name="one", driver="pwm", x_m=x_m, y_m=y_m, angle_deg=angle_deg, thrust_n=(-50.0, 90.0), rate_per_s=9.0, steer=steer

@@ -120,9 +120,7 @@ def test_no_vessel_is_faster_than_60_kn(north_m: float, east_m: float, after_s: 
         ({"speed_mps": None}, told(30.0, -40.0, 4.0), 3.0, 50.0 / (30.0 + 180.0 * KNOT), 50.0 / 30.0, 50.0),
     ],
 )
-def test_how_far_a_report_strays(
-    was: dict[str, Any], new: VesselTrack, late_s: float, off: float, unlike: float, far_m: float
-) -> None:
+def test_how_far_a_report_strays(was, new, late_s, off, unlike, far_m):
     found = told(**was).strays(new, late_s) if late_s else told(**was).strays(new)
     assert found == pytest.approx((off, unlike, far_m), rel=1e-5, abs=1e-6)
 
@@ -180,9 +178,7 @@ def test_an_old_place_of_a_vessel_that_says_that_it_moves(speed_mps: float | Non
         (1.0 + 8.0, None, 4.0, 0.0, 4.0, False),
     ],
 )
-def test_the_next_report(
-    after_s: float, course_rad: float | None, speed_mps: float | None, course: float | str, speed: float, is_based: bool
-) -> None:
+def test_the_next_report(after_s, course_rad, speed_mps, course, speed, is_based):
     """Two positions make a velocity that is not told: here 150 m to the south and 200 m to the west."""
     track, more = told(at_s=100.0), {"course_rad": course_rad, "speed_mps": speed_mps}
     new = told(-150.0, -200.0, 100.0 + after_s, status=5, second=7, heading_rad=2.0, rate_radps=0.1, **more)

@@ -50,9 +50,7 @@ def at(*waypoints: Waypoint) -> tuple[Point, ...]:
     ("has", "north_mps", "course_rad"),
     [(ALL, 0.4, 2.0), (ALL, -0.41, math.pi), (ALL - {"heading"}, -0.1, math.pi), (ALL, 0.0, 2.0)],
 )
-def test_the_course_of_a_boat_that_hardly_moves_is_its_heading(
-    has: frozenset[str], north_mps: float, course_rad: float
-) -> None:
+def test_the_course_of_a_boat_that_hardly_moves_is_its_heading(has, north_mps, course_rad):
     assert own_of(HERE._replace(has=has, north_mps=north_mps, east_mps=0.0)) == Own(40.0, -30.0, course_rad, abs(north_mps))
     assert own_of(HERE) == pytest.approx((40.0, -30.0, math.atan2(0.9, 1.2), 1.5))
 
@@ -67,9 +65,7 @@ def test_the_course_of_a_boat_that_hardly_moves_is_its_heading(
         (19, {}, POINTS[19:]),
     ],
 )
-def test_a_mission_leads_by_its_waypoints_to_the_first_one_where_it_stays(
-    leg: int, holds: dict[int, float], found: tuple[Waypoint, ...]
-) -> None:
+def test_a_mission_leads_by_its_waypoints_to_the_first_one_where_it_stays(leg, holds, found):
     for left_s in (0.0, -0.2):
         there = ahead(Mode.PLAY, memory={"leg": leg, "left_s": left_s}, plan=plan(holds=holds))
         assert there == RouteAhead(at(*found), 1.0 + 0.05 * leg)

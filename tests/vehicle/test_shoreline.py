@@ -52,9 +52,7 @@ def test_zones_within_reach_are_looked_at_and_those_to_stay_in_always(monkeypatc
 
 
 @pytest.mark.parametrize(("mission_m", "is_route", "margin_m"), [(8.0, True, 4.0), (8.0, False, 8.0), (2.0, False, 4.0)])
-def test_trials_keep_the_distance_of_missions(
-    monkeypatch: pytest.MonkeyPatch, mission_m: float, is_route: bool, margin_m: float
-) -> None:
+def test_trials_keep_the_distance_of_missions(monkeypatch, mission_m, is_route, margin_m):
     water = Water(monkeypatch)
     limits = FenceTable(margin_m=4.0, mission_margin_m=mission_m)
     assert not water.shore(limits=limits).meets([STAYS], 90.0, is_route)
@@ -72,9 +70,7 @@ def test_trials_keep_the_distance_of_missions(
         ((10.0, 20.0, 110.0, -195.0, 0.0, 0.0), False, 0.0),
     ],
 )
-def test_a_way_is_looked_at_as_far_as_the_boat_comes_and_would_need_to_stop(
-    monkeypatch: pytest.MonkeyPatch, leg: Leg, is_route: bool, for_s: float
-) -> None:
+def test_a_way_is_looked_at_as_far_as_the_boat_comes_and_would_need_to_stop(monkeypatch, leg, is_route, for_s):
     water = Water(monkeypatch)
     assert not water.shore().meets([leg, (90.0, math.inf, 0.0, 0.0, 1.0, 0.0)], 90.0, is_route)
     ((_, a, b, _),) = water.ways
@@ -83,9 +79,7 @@ def test_a_way_is_looked_at_as_far_as_the_boat_comes_and_would_need_to_stop(
 
 
 @pytest.mark.parametrize(("here_m", "looks"), [(8.0, 2), (9.0, 2), (9.5, 0)])
-def test_a_zone_that_the_way_cannot_come_near_is_not_looked_at(
-    monkeypatch: pytest.MonkeyPatch, here_m: float, looks: int
-) -> None:
+def test_a_zone_that_the_way_cannot_come_near_is_not_looked_at(monkeypatch, here_m, looks):
     """Five metres of way, and four that must be left."""
     water = Water(monkeypatch, here_m)
     assert not water.shore().meets(TWO, 90.0, is_route=True)
@@ -103,9 +97,7 @@ def test_a_zone_that_the_way_cannot_come_near_is_not_looked_at(
         (3.0, 3.0, False),
     ],
 )
-def test_a_way_leads_ashore_that_comes_nearer_than_the_margin_and_than_the_boat_is(
-    monkeypatch: pytest.MonkeyPatch, here_m: float, smallest_m: float, meets: bool
-) -> None:
+def test_a_way_leads_ashore_that_comes_nearer_than_the_margin_and_than_the_boat_is(monkeypatch, here_m, smallest_m, meets):
     shore = Water(monkeypatch, here_m, smallest_m).shore(rock(20.0), rock(30.0))
     assert shore.limits is LIMITS
     assert shore.name == ""

@@ -149,9 +149,7 @@ def test_class_b_on_its_rhythm_of_half_a_minute_is_never_taken_for_late() -> Non
         ({"kind": "fleet"}, 15.0, 45.0),
     ],
 )
-def test_who_falls_silent_is_lost_after_the_limit_of_its_kind_and_then_forgotten(
-    more: dict[str, Any], lost_s: float, kept_s: float
-) -> None:
+def test_who_falls_silent_is_lost_after_the_limit_of_its_kind_and_then_forgotten(more, lost_s, kept_s):
     tracked = tracker()
     key = "boat 3" if "fleet" in more.values() else ""
     tracked.hear(report(0.0, 0.0, **more), "nmea2000", 0.0, key)
@@ -191,9 +189,7 @@ KEYS = st.sampled_from(["", "", "", "boat 2", "radar 7"])
 
 @settings(max_examples=100, phases=[Phase.explicit, Phase.reuse, Phase.generate])
 @given(st.lists(st.tuples(REPORTS | FACTS, WHEN, KEYS), max_size=40), st.floats(0.0, 2000.0))
-def test_no_report_makes_it_fail_and_nothing_comes_out_that_is_not_finite(
-    reports: list[tuple[VesselPosition | VesselFacts, float, str]], later_s: float
-) -> None:
+def test_no_report_makes_it_fail_and_nothing_comes_out_that_is_not_finite(reports, later_s):
     tracked, now_s = tracker(), 0.0
     for told, passed_s, key in reports:
         now_s += passed_s

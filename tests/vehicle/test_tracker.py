@@ -163,9 +163,7 @@ def test_a_named_one_is_one_vessel_wherever_its_reports_are() -> None:
         (10.0, 12.0, False, False),  # nobody knows where the boat is
     ],
 )
-def test_two_jumps_to_different_places_are_vessels_at_once_where_they_would_be_met(
-    apart_s: float, speed_mps: float, looks: bool, parts: bool
-) -> None:
+def test_two_jumps_to_different_places_are_vessels_at_once_where_they_would_be_met(apart_s, speed_mps, looks, parts):
     tracked = tracker()
     tracked.facts(facts(name="MARIA"), 0.0)
     for second in (0.0, 2.0):

@@ -76,9 +76,7 @@ def test_numbers_that_make_sense() -> None:
         ),
     ],
 )
-def test_a_domain_grows_with_the_vessel_the_boat_and_what_is_not_known(
-    target: Target, speed_mps: float, look_s: float, expected: tuple[float, ...]
-) -> None:
+def test_a_domain_grows_with_the_vessel_the_boat_and_what_is_not_known(target, speed_mps, look_s, expected):
     ahead_m, abeam_m, *rest = expected
     found = measured(LIMITS._replace(look_s=look_s), OWN, speed_mps, target)
     assert found.around == pytest.approx(domain(target, ahead_m, abeam_m))
@@ -210,9 +208,7 @@ def test_on_its_route_a_boat_does_not_look_twice_at_whom_it_passes_far_away() ->
         (lies(400.0, -159.0, "port"), NORTH, -1.0, 1.0, 40.0),
     ],
 )
-def test_what_is_against_the_rules_costs_more(
-    seen: Seen, legs: Sequence[Leg], turn_rad: float, part: float, expected: float | None
-) -> None:
+def test_what_is_against_the_rules_costs_more(seen, legs, turn_rad, part, expected):
     plain = cost(scene(seen._replace(rule="")), legs, turn_rad, part)
     assert cost(scene(seen), legs, turn_rad, part) - plain == pytest.approx(expected or 0.0)
     middle = lies(0.0, 400.0, "ahead")  # neither ahead nor astern
@@ -311,9 +307,7 @@ def test_who_passes_clear_is_in_question_while_both_could_go_for_each_other(monk
 
 
 @pytest.mark.parametrize(("speed_mps", "owed"), [(1.5, "head-on"), (0.3, "head-on"), (0.25, "stand-on")])
-def test_what_a_boat_owes_that_hardly_moves_follows_from_its_route(
-    monkeypatch: pytest.MonkeyPatch, speed_mps: float, owed: Duty
-) -> None:
+def test_what_a_boat_owes_that_hardly_moves_follows_from_its_route(monkeypatch, speed_mps, owed):
     monkeypatch.setattr(keepclear, "approach", lambda *_: Approach(1.25, 9.0, 0.0, 0.0))
     (seen,), _ = asked(vessel(300.0, 0.0, 2.0), own=OWN._replace(speed_mps=speed_mps))
     assert (seen.duty, seen.rule) == (owed, {"head-on": "starboard", "stand-on": "port"}[owed])

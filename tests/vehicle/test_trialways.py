@@ -52,9 +52,7 @@ def test_what_comes_after_half_an_hour_does_not_matter(first_m: float, legs: int
         (0.5, 1.0, 4.0, 3.0),
     ],
 )
-def test_a_turn_and_a_change_of_speed_are_a_wait_on_the_old_course(
-    own_rad: float, course_rad: float, speed_mps: float, wait_s: float
-) -> None:
+def test_a_turn_and_a_change_of_speed_are_a_wait_on_the_old_course(own_rad, course_rad, speed_mps, wait_s):
     boat = Caution(5.0, 0.25, 0.5)
     assert boat[3:] == (180.0, "small")
     first, then = trial_legs(boat, OWN._replace(course_rad=own_rad, speed_mps=1.0), course_rad, speed_mps)

@@ -157,9 +157,7 @@ def test_a_side_that_begins_near_a_way_and_ends_far_away_counts(turn: int, mirro
         (polygon("", IN, TEETH), (3.0, 4.0), (2.0, 4.0), 1.0, (math.inf, 24)),
     ],
 )
-def test_the_least_clearance_of_a_way_and_what_it_costs(
-    zone: Zone, a: Point, b: Point, within_m: float, found: tuple[float, int]
-) -> None:
+def test_the_least_clearance_of_a_way_and_what_it_costs(zone, a, b, within_m, found):
     assert least(zone, a, b, within_m) == found
     assert spent(zone, a, b, within_m) == (found[0], [found[1]])
 
@@ -221,9 +219,7 @@ ASIDE = circle("", IN, (-60.5, 0.0), 60.0)  # half a metre beside the way
         (HALLS[1:], 1.0, -30.0, [1, 9, 1, 1, 2]),
     ],
 )
-def test_a_way_through_areas_is_looked_at_where_none_covers_it(
-    areas: list[Zone], within_m: float, least_m: float, costs: list[int]
-) -> None:
+def test_a_way_through_areas_is_looked_at_where_none_covers_it(areas, within_m, least_m, costs):
     """At the ends and in the middle of each such stretch."""
     zone = Zone("", IN, (), (-math.inf, -math.inf, math.inf, math.inf), areas=tuple(areas))
     found, told = spent(zone, (0.0, 0.0), (0.0, 80.0), within_m)
@@ -259,9 +255,7 @@ def turned(at: Point) -> Point:
         (SQUARE, (-90.0, 0.0), (40.0, 0.0), 5.0, -40.0, [1, 2, 2]),
     ],
 )
-def test_a_way_is_near_the_sides_of_an_area_however_they_lie(
-    corners: list[Point], a: Point, b: Point, within_m: float, least_m: float, costs: list[int], reverse: bool
-) -> None:
+def test_a_way_is_near_the_sides_of_an_area_however_they_lie(corners, a, b, within_m, least_m, costs, reverse):
     area = polygon("", IN, [turned(each) for each in (corners[::-1] if reverse else corners)])
     zone = Zone("", IN, (), (-math.inf, -math.inf, math.inf, math.inf), areas=(area,))
     for first, last in ((a, b), (b, a)):

@@ -167,9 +167,7 @@ async def test_nothing_is_kept_for_a_broker_that_is_away_but_the_newest_state(tm
 
 
 @needs_mosquitto
-def test_on_a_link_that_is_away_no_more_waits_than_the_bound_and_it_is_told(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_on_a_link_that_is_away_no_more_waits_than_the_bound_and_it_is_told(tmp_path, monkeypatch):
     """The broker stands still: it takes nothing, and its connections stay."""
     monkeypatch.setattr("delfim.parts.fleet.broker.ANSWER_S", 0.5)
 

@@ -272,9 +272,7 @@ async def test_a_program_that_is_not_there_is_waited_for(tmp_path: Path) -> None
         assert figures["last_ends"]["late"] == "exit code 127: /no/such/program: No such file or directory"
 
 
-async def test_without_the_vehicle_the_programs_run_and_the_page_says_so(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+async def test_without_the_vehicle_the_programs_run_and_the_page_says_so(tmp_path, monkeypatch):
     monkeypatch.setattr(watching, "AGAIN_S", 0.01)
     tables = {"well": PayloadTable(command=("/bin/sh", "-c", """echo '{"on": 1}'; cat >/dev/null"""))}
     async with served(vehicle_file(tmp_path, payload=tables), payload.serve, "payload") as runtime:

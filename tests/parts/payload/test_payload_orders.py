@@ -88,9 +88,7 @@ async def carried(tmp_path: Path, **programs: str) -> AsyncIterator[Sea]:
         server.close()
 
 
-def test_a_program_steers_and_one_that_dies_hangs_floods_or_lies_costs_itself_alone(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_program_steers_and_one_that_dies_hangs_floods_or_lies_costs_itself_alone(tmp_path, caplog, monkeypatch):
     monkeypatch.setattr(payloadlines, "ORDERS", (1e6, 1_000_000))  # the boat's clock runs faster than that of the budgets
 
     async def test() -> None:

@@ -414,9 +414,7 @@ def test_clients_that_are_reset_or_do_not_read_hold_up_nobody(served: Served) ->
 
 
 @pytest.mark.parametrize("how", ["signal", "supervisor"])
-def test_the_process_beats_until_a_signal_or_the_end_of_its_supervisor(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture, how: str
-) -> None:
+def test_the_process_beats_until_a_signal_or_the_end_of_its_supervisor(tmp_path, monkeypatch, caplog, how):
     reading, beat_fd = os.pipe()
     os.set_blocking(reading, False)
     looks, closed = list[str](), list[OutletServer]()
