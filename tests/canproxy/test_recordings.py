@@ -6,7 +6,6 @@ The recordings lie in tests/data/nmea2000; their README names source and licence
 import bisect
 import functools
 import gzip
-import itertools
 import logging
 import math
 from collections import Counter, defaultdict
@@ -233,63 +232,6 @@ def test_preferred_sources_drive_the_busy_bus() -> None:
         if rate.at(index)[0] <= STALE_S:
             assert n.yaw_rate_radps == pytest.approx(rate.at(index)[1]["rate"], rel=0, abs=1e-12)
     assert bus.status(0.0).errors == {}
-
-
-def test_a_stalled_source_is_replaced_and_a_preferred_one_comes_back() -> None:
-    """127 is silent for 1.1 s near the end (its frames then come in a burst), the rest of the bus is not."""
-    _, fixes = play(BUSY, 127, 128)
-    changes = [
-        (before, after) for before, after in itertools.pairwise(address_at(BUSY, i) for i, _ in fixes) if before != after
-    ]
-    assert changes == [(127, 0), (0, 127)]
-    _, fixes = play(BUSY)
-    changes = [
-        (before, after) for before, after in itertools.pairwise(address_at(BUSY, i) for i, _ in fixes) if before != after
-    ]
-    assert changes == [(127, 0)]  # nobody preferred: first come, then constancy
-
-
-def test_two_compasses_differ_and_preference_decides() -> None:
-    headings_deg = [math.degrees(play(BUSY, compass)[1][-1][1].heading_rad or math.nan) for compass in (23, 128)]
-    assert headings_deg == pytest.approx([231.6, 80.9], abs=0.5)
-
-
-def test_the_recorder_slept_and_nothing_older_than_its_limit_was_used() -> None:
-    """The busy recording has a hole of 1.2 s: the first positions behind it must come without what was known before it."""
-    lines = recording(BUSY)
-    before = max(range(1, len(lines)), key=lambda i: lines[i].now_s - lines[i - 1].now_s)
-    assert lines[before].now_s - lines[before - 1].now_s == pytest.approx(1.2, abs=0.01)
-    bus = Nmea2000Source(Nmea2000(preferred_sources=(127, 128)), STALE_S)
-    for line in lines[:before]:
-        bus.feed(line.frame, line.now_s)
-    kinds = bus.status(lines[before].now_s).kinds
-    assert {name for name, kind in kinds.items() if kind.source is None} == {"position", "velocity", "heading", "rate"}
-    seen: set[int] = set()
-    for index, line in enumerate(lines[before:], before):
-        seen.add(pgn_of(line.frame.arb)[1])
-        n = bus.feed(line.frame, line.now_s)
-        if n is not None:
-            assert (n.heading_rad is None) == (pgns.HEADING not in seen)
-            assert (n.yaw_rate_radps is None) == (pgns.RATE_OF_TURN not in seen)
-            break
-        assert index < before + 200
-
-
-def test_ages_are_those_of_the_recording() -> None:
-    bus, _ = play(BUSY, 127, 128)
-    now_s = recording(BUSY)[-1].now_s
-    kinds = bus.status(now_s).kinds
-    for kind, (pgn, source) in {
-        "position": (129025, 127),
-        "velocity": (129026, 127),
-        "heading": (127250, 128),
-        "rate": (127251, 128),
-        "attitude": (127257, 128),
-        "quality": (129029, 127),
-        "variation": (127258, 127),
-    }.items():
-        last_s = [t.now_s for t in independent(BUSY) if (t.pgn, t.source) == (pgn, source)][-1]
-        assert kinds[kind] == (source, pytest.approx(now_s - last_s)), kind
 
 
 def test_sources_that_talk_are_listed_with_their_frames() -> None:

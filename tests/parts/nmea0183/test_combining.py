@@ -169,18 +169,6 @@ def test_of_two_compasses_the_preferred_one_then_the_port_that_stands_first():
     assert boat.hear(rmc(3))[0].heading_rad == pytest.approx(DEG(21.0))
 
 
-def test_a_reserve_receiver_takes_over_and_gives_back():
-    boat = Boat("good", "spare")
-
-    def both(second: int) -> list[Navigation]:
-        return [*boat.hear(rmc(second), port="good"), *boat.hear(rmc(second, THERE), port="spare")]
-
-    assert len([n for i in range(5) for n in both(i)]) == 5
-    boat.now_s += STALE_S + 0.1
-    assert len(boat.hear(rmc(7, THERE), port="spare")) == 1
-    assert len(both(8)) == 1
-
-
 @pytest.mark.parametrize("no_fix", [gga(5, quality=0), gga(5, quality=6), rmc(5, status="V")])
 def test_a_receiver_that_says_that_it_has_no_fix_has_no_position_at_once(no_fix):
     boat = Boat()
@@ -262,16 +250,3 @@ def test_a_receiver_is_heard_after_noise_that_made_up_talkers(preferred, pause_s
     assert len([n for i in (1, 2) for n in boat.hear(gga(i)) if n.latitude_rad is not None]) == 2
     assert len(boat.combined.status(boat.now_s)["talkers"]) == TALKERS_MAX
     assert boat.combined.strangers == 0
-
-
-def test_a_hearer_gets_each_value_of_the_chosen_talkers_as_it_comes():
-    boat, told = Boat(), list[tuple[str, int]]()
-    boat.combined.fusion.hearer = lambda kind, value, *_: told.append((kind, len(value)))
-    boat.hear("HEHDT,90.0,T", "TIROT,3.0,A", port="compass")
-    boat.hear(gga(1), rmc(1))
-    boat.hear(gga(1), rmc(1))  # a frozen receiver brings no position
-    boat.hear("HEHDT,,T", "GPRMC,120002.00,V,,,,,,,221126,,,N")
-    boat.hear("HEHDT,95.0,T")  # of the receiver's port, which comes first in the file
-    boat.hear("HEHDT,96.0,T", port="compass")
-    assert [kind for kind, _ in told if kind != "velocity"] == ["heading", "rate", "position", "heading"]
-    assert dict(told) == {"heading": 1, "rate": 1, "position": 2, "velocity": 2}
