@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Any, Protocol
 
 import pytest
-from tests.services.test_outlet import chip, pulse_us
 
 from delfim import config
 from delfim.base.errors import DelfimError
@@ -22,6 +21,7 @@ from delfim.parts.frontseats.table import OtterTable
 from delfim.services.supervision.stop import PropellerStop
 from delfim.vehicle.operator.link import Link
 from tests.afloat import running
+from tests.parts.pwm.test_outlet import chip, pulse_us
 from tests.vehicle.played_devices import PlayedPx4, PlayedSeat, PlayedVesc
 
 PATIENCE_S = 200.0

@@ -16,7 +16,6 @@ from pathlib import Path
 from typing import Self
 
 import pytest
-from tests.services.test_outlet import chip, pulse_us
 
 from delfim import config
 from delfim.base.errors import DelfimError
@@ -26,6 +25,7 @@ from delfim.services.bench import HELD_S, DeadMan, Trial, runs
 from delfim.vehicle.operator.link import Link
 from delfim.vehicle.propulsion.gate import GateLimits
 from tests.afloat import running
+from tests.parts.pwm.test_outlet import chip, pulse_us
 from tests.vehicle.played_devices import PlayedVesc
 
 ROOT = Path(__file__).parents[2]
