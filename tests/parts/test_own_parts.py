@@ -4,6 +4,7 @@ import pytest
 
 from delfim import config
 from delfim.base.parts import OWN, Part
+from delfim.parts.nmea0183.table import Nmea0183, Nmea0183Port
 from delfim.simulator.contract import devices
 
 DRIVERS = tuple(row for row in OWN.values() if row.driver)
@@ -35,7 +36,7 @@ def boat(row: Part) -> config.Vehicle:
         thrusters=thrusters,
         navigation=config.NavigationTable(sources=(row.name if row.source else "dsor",)),
         sensors=config.Sensors(names=tuple({"sysstat": 1, row.name if row.sensor else "sysstat": 1})),
-        nmea0183=config.Nmea0183(ports={"gnss": config.Nmea0183Port(device="/dev/gnss")}),
+        nmea0183=Nmea0183(ports={"gnss": Nmea0183Port(device="/dev/gnss")}),
     )
 
 
