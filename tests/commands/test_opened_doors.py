@@ -18,14 +18,14 @@ import pytest
 from delfim import config
 from delfim.__main__ import main
 from delfim.base.ranges import address
-from delfim.commands.new import MOTORS, SENSORS
+from delfim.commands.new import asked_of_parts
 from delfim.services.access.doors import doors
 from delfim.services.suite import services
 from tests.guest.ashore import alone
 
 ROOT = Path(__file__).parents[2]
 SHIPPED = [*sorted((ROOT / "etc/boats").glob("*.toml")), ROOT / "etc/delfimx.toml", ROOT / "etc/delfimx-sea.toml"]
-OURS = [f"{motors} {sensors}" for motors, sensors in product(MOTORS, SENSORS)]
+OURS = [f"{motors} {sensors}" for motors, sensors in product(*asked_of_parts())]
 BOAT, SHORE = "192.168.5.10", "192.168.5.20"
 WORDS = ("--yes", "--users", "ana", "--radio", "", "--console", SHORE, "--network", f"{BOAT}/24")
 PATIENCE_S = 200.0
