@@ -13,18 +13,15 @@ from collections.abc import Callable, Iterator
 from typing import Any, Final, NamedTuple, Protocol, cast
 
 from delfim import config
-from delfim.base.allowance import SECOND_BYTES, Allowance
 from delfim.base.clock import Clock
 from delfim.base.errors import DelfimError
-from delfim.canproxy.opening import open_bound
 from delfim.canproxy.socket import CanAddress, CanSocket
 from delfim.lines.forms import Form
-from delfim.lines.networkline import LISTENING, NetworkLine
-from delfim.lines.serialline import SerialLine
+from delfim.lines.opening import AnyLine, OpenedLinks
 from delfim.logging.linelog import line_id
 from delfim.parts.nmea0183.table import Nmea0183
 from delfim.vehicle import sensors
-from delfim.vehicle.links import Links, Readable, ReadableLine
+from delfim.vehicle.links import Links, Readable
 from delfim.vehicle.navigation.fixes import Source, open_source
 from delfim.vehicle.operator.link import Link
 from delfim.vehicle.state import State
@@ -92,9 +89,8 @@ class Opened:
 
     def __init__(self, settings: config.Vehicle, clock: Clock) -> None:
         self._settings, self._clock, self._state = settings, clock, State()
-        self._stack = contextlib.ExitStack()
-        self._inputs = list[Readable]()
-        self._lines, self._troubles = dict[str, SerialLine | NetworkLine](), dict[str, str]()
+        self._links = OpenedLinks(settings, clock, contextlib.ExitStack())
+        self._lines, self._troubles = dict[str, AnyLine](), dict[str, str]()
         self._values = dict[tuple[str, str], tuple[float, ...]]()
         self._messages = dict[str, int]()
         self._reads = list[tuple[Readable, Callable[[float], object]]]()
@@ -113,8 +109,7 @@ class Opened:
         while (now_s := self._clock.monotonic_s()) < until_s:
             if now_s - self._rebound_s >= REOPEN_S:
                 self._rebound_s = now_s
-                for each in self._inputs:
-                    each.rebind()
+                self._links.rebind()
             ready, _, _ = select.select([each for each, _ in self._reads], [], [], min(until_s - now_s, REOPEN_S))
             for each, read in self._reads:
                 if each in ready:
@@ -127,7 +122,7 @@ class Opened:
         return SensorsTold(now_s, copy.deepcopy(figures), troubles, dict(self._values), measured)
 
     def close(self) -> None:
-        self._stack.close()
+        self._links.links.close()
 
     @contextlib.contextmanager
     def _told_why(self, name: str) -> Iterator[None]:
@@ -157,24 +152,14 @@ class Opened:
         self._reads.append((sensor.input, lambda now_s: sensor.read(self._state, now_s)))
 
     def _bus(self, interface: str, filters: tuple[CanAddress, ...]) -> CanSocket:
-        can = self._stack.enter_context(open_bound(self._settings.can, interface, filters))
-        self._inputs.append(can)
-        return cast(CanSocket, MuteBus(can))
+        return cast(CanSocket, MuteBus(self._links.bus(interface, filters)))
 
-    def _line(self, device: str, baud: int, form: Form = "8N1") -> ReadableLine:
-        if device in self._lines:
-            return self._lines[device]
-        if device.startswith(LISTENING):
-            line: SerialLine | NetworkLine = NetworkLine(device, self._settings.of(Nmea0183).senders, self._clock)
-        else:
-            line = SerialLine(
-                device, baud, self._clock, may_lack=True, form=form, allowance=Allowance(SECOND_BYTES, self._clock.monotonic_s)
-            )
-        self._stack.callback(line.close)
-        line.rebind()
-        self._inputs.append(line)
-        self._lines[device] = line
-        return line
+    def _line(self, device: str, baud: int, form: Form = "8N1") -> AnyLine:
+        """One line for all who listen to it."""
+        if device not in self._lines:
+            self._lines[device] = self._links.opened(device, baud, form, may_lack=True)
+            self._lines[device].rebind()
+        return self._lines[device]
 
 
 class MuteBus:

@@ -14,17 +14,13 @@ from typing import Protocol
 
 from delfim import config
 from delfim.base import parts
-from delfim.base.allowance import SECOND_BYTES, Allowance
 from delfim.base.clock import Clock
 from delfim.base.errors import ConfigError, DelfimError
 from delfim.base.ranges import address
 from delfim.canproxy.dsor.messages import time_frame
-from delfim.canproxy.opening import open_bound
-from delfim.canproxy.socket import CanAddress, CanSocket
-from delfim.lines.forms import Bias, Form
-from delfim.lines.gpio import GpioLine, open_gpio
-from delfim.lines.networkline import LISTENING, NetworkLine
-from delfim.lines.serialline import SerialLine
+from delfim.canproxy.socket import CanAddress
+from delfim.lines.forms import Form
+from delfim.lines.opening import AnyLine, OpenedLinks
 from delfim.logging.linelog import LineLog
 from delfim.services import powerd
 from delfim.services.clock import kernelclock
@@ -41,7 +37,7 @@ from delfim.vehicle.aboard import Hand
 from delfim.vehicle.build import build
 from delfim.vehicle.console import Commands, ShutDown
 from delfim.vehicle.grex import Guest
-from delfim.vehicle.links import Links, Readable, ReadableLine
+from delfim.vehicle.links import Links
 from delfim.vehicle.log.logbook import Logbook
 from delfim.vehicle.loop import LOCAL, VehicleLoop
 from delfim.vehicle.navigation.fixes import Source
@@ -70,45 +66,29 @@ class Breakable(Protocol):
     def guest(self, state: State, clock: Clock) -> Guest: ...
 
 
-class OpenedLinks:
-    """The boat's links to the outside, for as long as the service runs: kept open, and the input of serial lines logged. A CAN
-    bus has its black box elsewhere."""
+class BoatLinks(OpenedLinks):
+    """The boat's links for as long as the service runs: what its lines receive is logged. A CAN bus has its black box
+    elsewhere."""
 
     def __init__(self, runtime: Runtime, links: contextlib.ExitStack) -> None:
-        self._runtime, self._links = runtime, links
-        self._inputs, self._logs = list[Readable](), list[LineLog]()
-        self._lines = dict[SerialLine | NetworkLine, bool]()  # whether its flood was told
+        super().__init__(runtime.config, runtime.clock, links)
+        self._runtime, self._logs = runtime, list[LineLog]()
+        self._lines = dict[AnyLine, bool]()  # whether its flood was told
 
-    def bus(self, interface: str, filters: tuple[CanAddress, ...]) -> CanSocket:
-        socket = self._links.enter_context(open_bound(self._runtime.config.can, interface, filters))
-        self._inputs.append(socket)
-        return socket
-
-    def line(self, device: str, baud: int, form: Form = "8N1") -> ReadableLine:
-        """A line of NMEA 0183 that cannot be opened now is tried again every second, as one that is lost later."""
-        settings, clock = self._runtime.config, self._runtime.clock
-        log = LineLog(device, settings.log, clock)
-        self._links.callback(log.close)
-        line: SerialLine | NetworkLine
-        if device.startswith(LISTENING):
-            line = NetworkLine(device, next(iter(settings.facts("senders"))), clock, log.heard)
-        else:
-            waits = [name for name in settings.navigation.sources if parts.row(settings.aboard, name).waits]
-            boards = (settings.table(name).device for name in waits)
-            may_lack = device in {*(each for spare in settings.facts("spare") for each in spare), *boards}
-            line = SerialLine(device, baud, clock, log.heard, may_lack, form, Allowance(SECOND_BYTES, clock.monotonic_s))
-        self._links.callback(line.close)
+    def line(self, device: str, baud: int, form: Form = "8N1") -> AnyLine:
+        """A line of NMEA 0183 that cannot be opened now is tried again every second."""
+        settings = self.settings
+        log = LineLog(device, settings.log, self.clock)
+        self.links.callback(log.close)
+        waits = [name for name in settings.navigation.sources if parts.row(settings.aboard, name).waits]
+        boards = (settings.table(name).device for name in waits)
+        may_lack = device in {*(each for spare in settings.facts("spare") for each in spare), *boards}
+        line = self.opened(device, baud, form, may_lack, log.heard)
         if not line.rebind():
             words.warning("%s: %s", device, line.trouble)
-        self._links.enter_context(self._runtime.publishing(log.id, lambda: {"trouble": line.trouble} | log.report()))
+        self.links.enter_context(self._runtime.publishing(log.id, lambda: {"trouble": line.trouble} | log.report()))
         self._lines[line] = False
-        self._inputs.append(line)
         self._logs.append(log)
-        return line
-
-    def gpio(self, chip: str, name: str, bias: Bias) -> GpioLine:
-        line = open_gpio(chip, name, bias)
-        self._links.callback(line.close)
         return line
 
     def write(self) -> None:
@@ -119,8 +99,7 @@ class OpenedLinks:
         """Call about once a second."""
         for log in self._logs:
             log.poll()
-        for each in self._inputs:
-            each.rebind()
+        self.rebind()
         for line, was in self._lines.items():
             said = line.allowance.words
             if bool(said) != was:
@@ -150,7 +129,7 @@ async def _sail(runtime: Runtime, last: contextlib.AsyncExitStack) -> None:
             from delfim.vehicle.foreign import in_real_time  # other boats do without
 
             in_real_time()
-        opened = OpenedLinks(runtime, links)
+        opened = BoatLinks(runtime, links)
         boat, inputs, hands, outlets = build(
             settings, clock, state, Links(opened.bus, opened.line, opened.gpio), record_to, make_guest
         )
@@ -208,7 +187,7 @@ async def _attend(
     hands: tuple[Hand, ...],
     log: Logbook,
     voyage: VoyageKeeping,
-    opened: OpenedLinks,
+    opened: BoatLinks,
     links: contextlib.ExitStack,
     broken: Breakable | None,
 ) -> None:
@@ -281,7 +260,7 @@ def _attended(
     return attend_all
 
 
-def _clock_keeping(runtime: Runtime, opened: OpenedLinks, log: Logbook) -> ClockKeeping:
+def _clock_keeping(runtime: Runtime, opened: BoatLinks, log: Logbook) -> ClockKeeping:
     """The look at other programs takes milliseconds, which the service has while it starts."""
     settings = runtime.config
     why_not = kernelclock.left_alone(settings.clock.set, settings.buses)

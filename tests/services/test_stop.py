@@ -10,6 +10,7 @@ import pytest
 from delfim.base.errors import DelfimError
 from delfim.canproxy.dsor.messages import SHUTDOWN_ACKNOWLEDGE, ShutdownAcknowledge, ShutdownStage, pack_shutdown_acknowledge
 from delfim.canproxy.socket import CanAddress
+from delfim.lines import opening
 from delfim.services.supervision import stop, watchdog
 from delfim.services.supervision.stop import CutOff, PropellerStop, opened_driver
 from delfim.services.supervision.watchdog import Watchdog
@@ -112,8 +113,8 @@ def test_the_links_of_a_driver_are_its_own_and_closed_with_it(monkeypatch: pytes
         finally:
             told.append("bus closed")
 
-    def line(*how: object, form: str) -> Any:
-        told.append((*how[:2], form))
+    def line(*how: object) -> Any:
+        told.append((*how[:2], how[5]))
         return SimpleNamespace(close=lambda: told.append("line closed"))
 
     def opened(name: str, settings: object, links: Any) -> str:
@@ -124,8 +125,8 @@ def test_the_links_of_a_driver_are_its_own_and_closed_with_it(monkeypatch: pytes
             raise DelfimError("no motor")
         return f"{name} of {settings.can}"
 
-    monkeypatch.setattr(stop, "open_bound", bound)
-    monkeypatch.setattr(stop, "SerialLine", line)
+    monkeypatch.setattr(opening, "open_bound", bound)
+    monkeypatch.setattr(opening, "SerialLine", line)
     monkeypatch.setattr(stop.actuators, "open_actuator", opened)
     settings: Any = SimpleNamespace(can="the bus")
     expected = [("the bus", "can0", (1, 2)), ("/dev/x", 9600, "8N1"), ("/dev/y", 1, "8E2"), "line closed"]

@@ -10,11 +10,10 @@ from delfim.base.clock import SystemClock
 from delfim.base.errors import DelfimError, PermanentFailure, in_words
 from delfim.base.parts import find
 from delfim.canproxy.dsor.messages import SHUTDOWN_ACKNOWLEDGE, ShutdownAcknowledge, ShutdownStage, pack_shutdown_acknowledge
-from delfim.canproxy.opening import open_bound, open_can
+from delfim.canproxy.opening import open_can
 from delfim.canproxy.socket import CanAddress, CanSocket
-from delfim.lines.forms import Form
 from delfim.lines.gpio import GpioOutput, open_output
-from delfim.lines.serialline import SerialLine
+from delfim.lines.opening import OpenedLinks
 from delfim.vehicle.links import Links
 from delfim.vehicle.propulsion import actuators
 from delfim.vehicle.propulsion.actuators import Actuator
@@ -85,15 +84,9 @@ class PropellerStop:
 
 def opened_driver(settings: config.Vehicle, name: str) -> tuple[Actuator, contextlib.ExitStack]:
     """A driver with links of its own, and what closes them. Raises DelfimError."""
-    with contextlib.ExitStack() as opening:
-
-        def bus(interface: str, filters: tuple[CanAddress, ...]) -> CanSocket:
-            return opening.enter_context(open_bound(settings.can, interface, filters))
-
-        def line(device: str, baud: int, form: Form = "8N1") -> SerialLine:
-            return opening.enter_context(contextlib.closing(SerialLine(device, baud, SystemClock(), form=form)))
-
-        return actuators.open_actuator(name, settings, Links(bus, line)), opening.pop_all()
+    with contextlib.ExitStack() as links:
+        opened = OpenedLinks(settings, SystemClock(), links)
+        return actuators.open_actuator(name, settings, Links(opened.bus, opened.line)), links.pop_all()
 
 
 class CutOff:
