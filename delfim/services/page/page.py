@@ -9,7 +9,7 @@ from html import escape
 from typing import Any, Final, NamedTuple
 
 from delfim import config
-from delfim.services.page import figures, vesseltable
+from delfim.services.page import figures
 from delfim.services.page.api import Network, Report
 from delfim.services.page.wording import (
     as_told,
@@ -26,11 +26,13 @@ from delfim.services.page.wording import (
     worded,
 )
 from delfim.vehicle.navigation import gnss
-from delfim.vehicle.report import BoatReport, Service
+from delfim.vehicle.report import BoatReport, Service, VesselSeen
 
 HURT: Final = ("stop", "disconnect")  # actions of the failsafe that end the sailing
 OWN_WILL: Final = ("operator", "started", "")  # reasons to lie idle that need no attention
 GONE: Final = "the vehicle does not answer"
+VESSELS_MAX: Final = 12  # rows: they take 60 µs to write
+SEES: Final = "Sees only who transmits."
 
 
 class PageView(NamedTuple):
@@ -379,12 +381,47 @@ def processes(view: PageView) -> str:
     return f'<table class="processes"><thead>{names}</thead>{rows}</table><p class="small">{shown}</p>'
 
 
+def vessels(view: PageView) -> str:
+    """Other vessels: how many, how long ago, what the boat does for them, and those that matter first. The line stands there
+    always: silence is no clear water."""
+    traffic = view.report.vehicle.traffic if view.report.vehicle else None
+    if traffic is None:
+        return f'<p class="none">Nobody was heard. {SEES}</p>'
+    heard = f"last report {span(traffic.heard_s)} ago" if traffic.heard_s is not None else "nobody was heard"
+    told = [f"{len(traffic.targets)} vessel{'' if len(traffic.targets) == 1 else 's'}, {heard}. {SEES}"]
+    if traffic.order is not None:
+        told.append(f"<b>{escape(traffic.order.words)}</b>")
+    told.append(f"Keeps clear of them: {escape(traffic.guard)}")
+    shown = sorted(traffic.targets, key=_first_met)[:VESSELS_MAX]
+    names = "<tr><th>name</th><th>CPA</th><th>in</th><th>course</th><th>speed</th><th>age</th></tr>"
+    table = f'<table class="processes"><thead>{names}</thead>{"".join(map(_vessel, shown))}</table>' if shown else ""
+    more = f'<p class="small">and {len(traffic.targets) - len(shown)} more</p>' if len(traffic.targets) > len(shown) else ""
+    return f'<p class="small">{"<br/>".join(told)}</p>{table}{more}'
+
+
+def _vessel(vessel: VesselSeen) -> str:
+    name = escape(vessel.name if vessel.size_known else f"{vessel.name} (size unknown)")
+    bad = vessel.danger != "none"
+    tcpa = "–" if vessel.tcpa_s is None else "past" if vessel.tcpa_s < 0.0 else span(vessel.tcpa_s)
+    age = f"{'lost, ' if vessel.lost else ''}{span(vessel.age_s)}"
+    course = "–" if vessel.course_deg is None else f"{vessel.course_deg:03.0f}°"
+    cells = "–" if vessel.cpa_m is None else f"{vessel.cpa_m:.0f} m", tcpa, course, f"{vessel.speed_mps:.1f} m/s", age
+    shown = f"<b>{name}: {escape(vessel.danger)}</b>" if bad else name
+    return f"<tr><th>{shown}</th>{''.join(f'<td>{each}</td>' for each in cells)}</tr>"
+
+
+def _first_met(vessel: VesselSeen) -> tuple[int, float]:
+    """Dangerous ones, then those that draw near by their time, then those that draw apart."""
+    tcpa_s = vessel.tcpa_s if vessel.tcpa_s is not None else float("inf")
+    return {"danger": 0, "near": 1}.get(vessel.danger, 2 if tcpa_s >= 0.0 else 3), abs(tcpa_s)
+
+
 # The page, in its order.
 SECTIONS: Final = (
     Section("motion", "Motion", motion, 1.0, 0),
     Section("where", "Where", where, 1.0, 0),
     Section("warnings", "To look at", warnings, 1.0, 0),
-    Section("vessels", "Other vessels", lambda view: vesseltable.vessels(view.report.vehicle), 1.0, 0),
+    Section("vessels", "Other vessels", vessels, 1.0, 0),
     Section("inputs", "Age of every input", inputs, 1.0, 0),
     Section("disk", "Logs", disk, 5.0, 0),
     Section("latency", "Critical path", latency, 5.0, 1),

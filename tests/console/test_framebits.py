@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from delfim.base.frames import CAN_ERR, CAN_IDE, CAN_RTR, Frame, extended, standard
-from delfim.canproxy.framebits import frame_bits
+from delfim.console.terminal.busstat import frame_bits
 
 frames = st.builds(
     lambda arb, data: Frame(arb, data),
