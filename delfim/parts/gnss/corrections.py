@@ -71,7 +71,7 @@ class CorrectionFeed:
             self._unused += len(found)
             return True
         for frame in found:
-            self._port.put(frame.data)
+            self._port.send(frame.data)
         return True
 
     async def follow(self) -> None:

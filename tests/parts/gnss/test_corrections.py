@@ -257,7 +257,7 @@ async def test_a_receiver_that_does_not_take_corrections_gets_the_newest_and_hol
     port.look()
     pieces = [frame(1077, 900) for _ in range(100)]
     for each in pieces:
-        port.put(each)
+        port.send(each)
     assert port.dropped > 60
     assert sum(map(len, port._waiting)) <= WAITING_BYTES
     found = b""
@@ -287,7 +287,7 @@ async def test_a_connection_to_the_receiver_is_made_anew(tmp_path):
             while port.trouble:
                 port.look()
                 await asyncio.sleep(0.01)
-            port.put(again := frame(1005))
+            port.send(again := frame(1005))
             assert await heard.get() == again
             while not port.trouble:
                 port.look()
