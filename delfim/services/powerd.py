@@ -2,8 +2,9 @@
 
 It listens for the shutdown frame, looks at a button and at the batteries, and hands each order to the supervisor, which ends
 the programs, the vehicle first, unmounts the log partition and acknowledges: docs/powerd.md. All it knows comes from the
-bus and, on a boat with batteries or motors that are not DelfimX's own, from the vehicle's state, as a console hears it: it does
-the same in the runtime and in a process of its own.
+bus and, on a boat with batteries or motors that are not DelfimX's own, from the vehicle's report, as a console hears it: it
+does the same in the runtime and in a process of its own. Batteries and commands on DelfimX's own bus are not left to that:
+empty batteries must end the computer in order also where the vehicle is dead, and no report is made for a boat that needs none.
 """
 
 import asyncio
