@@ -22,8 +22,8 @@ from typing import Any, Final, NamedTuple
 from delfim import config
 from delfim.base import geodesy
 from delfim.base.clock import SystemClock
+from delfim.base.cooperative import Sliced
 from delfim.base.modes import Mode
-from delfim.base.slices import Sliced
 from delfim.base.vessels import VesselPosition
 from delfim.logging.systemlog import SystemHandler
 from delfim.parts.mavlink.codec import plans

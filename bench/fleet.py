@@ -23,7 +23,7 @@ import msgspec
 
 from delfim.base.clock import SystemClock
 from delfim.base.errors import DelfimError
-from delfim.base.keys import read_key
+from delfim.base.input.keys import read_key
 from delfim.console.boats.fleet import Fleet
 from delfim.console.gateway.serving import BROKER_FRAMES
 from delfim.console.link.mavlink import Key, keygen

@@ -32,7 +32,7 @@ from bench.load import ASHORE, prepare
 from bench.onlooker import Onlooker
 from bench.stalled import Radio
 from delfim.base.errors import DelfimError
-from delfim.base.keys import new_key
+from delfim.base.input.keys import new_key
 from delfim.vehicle.operator.link import Link
 
 RATE_HZ: Final = 100.0

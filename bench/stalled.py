@@ -10,7 +10,7 @@ from typing import Final, Self
 
 from bench.fuzz import COMPONENT, SYSTEM
 from delfim.base.clock import SystemClock
-from delfim.base.keys import read_key
+from delfim.base.input.keys import read_key
 from delfim.parts.mavlink.codec.signing import Signing
 from delfim.parts.mavlink.codec.wire import Sender, dialect
 

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Final, Literal, cast
 import msgspec
 
 from delfim.base import parts
+from delfim.base.cooperative import Sliced, Work
 from delfim.base.errors import ConfigError
 from delfim.base.geodesy import polygon_fault
 from delfim.base.modes import Mode
@@ -31,7 +32,6 @@ from delfim.base.ranges import (
     Seconds,
     Speed,
 )
-from delfim.base.slices import Sliced, Work
 from delfim.base.tables import T, Table, decode, read_toml, text
 
 PartName = Annotated[str, text("[a-z][a-z0-9_]{0,31}", "a small letter, then up to 31 small letters, digits or _")]

@@ -33,7 +33,7 @@ from packaging.utils import canonicalize_name
 
 from delfim import __version__
 from delfim.base.errors import FormatError, did_you_mean
-from delfim.base.outside import parse_toml, read_text
+from delfim.base.input.untrusted import parse_toml, read_text
 from delfim.base.parts import GROUP
 from delfim.services.image.imagefile import PARTS, pack
 

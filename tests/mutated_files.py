@@ -303,14 +303,14 @@ def slot(here: Path) -> Said:
 
 
 def casters_password(here: Path) -> Said:
-    from delfim.base.outside import read_credentials
+    from delfim.base.input.untrusted import read_credentials
 
     os.chmod(here / "ntrip", 0o600)
     return refused(lambda: read_credentials(str(here / "ntrip")))
 
 
 def key(here: Path) -> Said:
-    from delfim.base.keys import read_key
+    from delfim.base.input.keys import read_key
 
     os.chmod(here / "key", 0o600)
     return refused(lambda: read_key(here / "key"))

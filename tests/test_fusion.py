@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from delfim.base.newest import Newest
+from delfim.base.selection import Newest
 from delfim.canproxy.dsor.messages import Navigation
 from delfim.vehicle.navigation.fusion import MOVING, SLOW_S, VARIATION_S, Fusion, over_ground
 

@@ -14,7 +14,7 @@ import msgspec
 import pytest
 
 from delfim.base.clock import ManualClock
-from delfim.base.keys import new_key, read_key
+from delfim.base.input.keys import new_key, read_key
 from delfim.campaign.runplan import read
 from delfim.campaign.store import Store
 from delfim.console.boats.fleet import Fleet
@@ -325,7 +325,7 @@ READ_BY = {  # function: the readers above that come by it
     "campaign/store.py: head_of": {"head of a campaign's results", "a campaign's results"},
     "parts/nmea2000/nmea2000d.py: __init__": {"address on NMEA 2000"},
     "parts/dronecan/numbering.py: known_numbers": {"numbers of DroneCAN devices"},
-    "base/outside.py: read_private": {"password at a caster", "signing key"},
+    "base/input/untrusted.py: read_private": {"password at a caster", "signing key"},
     "services/supervision/supervisorfile.py: last_deadman": {"supervisor's record"},
     "services/image/slots.py: environment": {"boot environment"},
     "services/image/slots.py: manifest": {"manifest of a slot"},
@@ -345,7 +345,7 @@ OTHERS = {  # what the kernel tells, and what is only copied or digested
         "commands/image.py: confirm",
         "commands/image.py: status",
     ),
-    *("base/outside.py: read_file", "base/outside.py: read_text"),
+    *("base/input/untrusted.py: read_file", "base/input/untrusted.py: read_text"),
     *("logging/ashore/fetch.py: _condition", "logging/ashore/fetch.py: _digest", "logging/ashore/fetch.py: _read"),
     *("campaign/store.py: flush", "desk/firstcontact.py: user_of", "parts/dronecan/numbering.py: identity"),
     *("services/supervision/cgroup.py: exceeded", "services/computer.py: _read", "services/supervision/shutdown.py: _read"),

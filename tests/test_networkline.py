@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator
 
 import pytest
 
-from delfim.base.allowance import BURST_S, PIECE_BYTES, SECOND_BYTES
+from delfim.base.input.ratelimit import BURST_S, PIECE_BYTES, SECOND_BYTES
 from delfim.lines.networkline import NetworkLine
 
 LOOPBACK = ("127.0.0.0/8", "::1/128")

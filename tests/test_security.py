@@ -22,7 +22,7 @@ import pytest
 
 from delfim import config
 from delfim.base.errors import DelfimError
-from delfim.base.keys import new_key
+from delfim.base.input.keys import new_key
 from delfim.console.link.mavlink import mavlink
 from delfim.services.access.door import hashed
 from delfim.services.access.doors import doors

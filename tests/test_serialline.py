@@ -10,9 +10,9 @@ from types import SimpleNamespace
 
 import pytest
 
-from delfim.base.allowance import PIECE_BYTES, Allowance
 from delfim.base.clock import ManualClock
 from delfim.base.errors import DelfimError
+from delfim.base.input.ratelimit import PIECE_BYTES, Allowance
 from delfim.lines import serialline
 from delfim.lines.serialline import SerialLine, open_port
 

@@ -226,7 +226,7 @@ CORE = (  # what every boat runs, whatever it owns
     *("vehicle/*", "vehicle/control/*", "vehicle/*/__init__", "vehicle/plans/*", "vehicle/navigation/*"),
     *("config", "logging/*", "services/supervision/*", "services/vehicle", "services/suite", "services/runtime"),
     *("services/priority", "services/window", "services/servicestatus", "lines/*line"),
-    *(f"base/{name}" for name in ("slices", "tables", "modes", "newest", "outside", "allowance")),
+    *(f"base/{name}" for name in ("cooperative", "tables", "modes", "selection", "input/untrusted", "input/ratelimit")),
 )
 NAMED = {  # with the reason; a row that goes does not come back
     "config.py: dsor.rpm_max",  # where a key of older files went

@@ -12,8 +12,8 @@ import pytest
 from delfim import config
 from delfim.base import tables
 from delfim.base.clock import ManualClock
+from delfim.base.cooperative import SLICE, Sliced
 from delfim.base.frames import Frame
-from delfim.base.slices import SLICE, Sliced
 from delfim.canproxy.dsor import messages
 from delfim.canproxy.dsor.messages import BatteriesStatus, Fault, Navigation, Node, PropellerCommand, PropellerStatus, Status
 from delfim.canproxy.dsor.protocol import Message, segments

@@ -55,7 +55,7 @@ def compass(angle_rad: float) -> float:
 
 def polygon_fault(corners: Sequence[tuple[float, float]]) -> Generator[int, None, str | None]:
     """Why corners, in any unit, are not a usable polygon, in words; None if they are. Work in slices
-    (delfim/base/slices.py): sides are compared with each other."""
+    (delfim/base/cooperative.py): sides are compared with each other."""
     if len(corners) < 3:
         return f"a polygon of {len(corners)} corners: it needs three"
     if len(set(corners)) < len(corners):

@@ -13,7 +13,7 @@ from typing import Annotated, Any, ClassVar, Final, Literal, NamedTuple, TypeVar
 import msgspec
 
 from delfim.base.errors import ConfigError, FormatError, did_you_mean
-from delfim.base.outside import parse_toml, read_text
+from delfim.base.input.untrusted import parse_toml, read_text
 
 
 class Table(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):

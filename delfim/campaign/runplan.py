@@ -18,7 +18,7 @@ import msgspec
 from delfim import config
 from delfim.base import tables
 from delfim.base.errors import ConfigError, FormatError
-from delfim.base.outside import read_text
+from delfim.base.input.untrusted import read_text
 from delfim.simulator.scenarios.encounters import staged_of
 from delfim.simulator.scenarios.scenario import FaultAt, Scenario, fault_of, load_scenario
 from delfim.simulator.scenarios.searching import DRAWN

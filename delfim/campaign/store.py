@@ -18,7 +18,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from delfim.base.errors import DelfimError, in_words
-from delfim.base.outside import parse_json, read_text
+from delfim.base.input.untrusted import parse_json, read_text
 from delfim.campaign.measures import MEASURES
 from delfim.campaign.runplan import Plan
 

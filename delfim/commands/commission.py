@@ -130,7 +130,7 @@ def _users(text: str) -> dict[str, str]:
     """The users, with the public ssh key of those who have one. Raises DelfimError."""
     import re
 
-    from delfim.base.outside import read_file
+    from delfim.base.input.untrusted import read_file
     from delfim.services.access.credentials import public_ssh_key
 
     users = dict[str, str]()
@@ -149,7 +149,7 @@ def _consoles_key(fleet: str | None) -> str:
     """That of the boat that was commissioned into a folder, or a new one. Raises ConfigError."""
     from secrets import token_hex
 
-    from delfim.base.keys import read_key
+    from delfim.base.input.keys import read_key
 
     return f"{read_key(Path(fleet) / 'shore/mavlink.key').hex() if fleet else token_hex(32)}\n"
 
@@ -194,7 +194,7 @@ def _everywhere(listen: str) -> str:
 
 def _mission(file: str, settings: config.Vehicle) -> dict[str, str]:
     """The file's mission, by its name beside the copies of the file. Raises ConfigError, OSError."""
-    from delfim.base.outside import read_text
+    from delfim.base.input.untrusted import read_text
 
     place = config.mission_place(file, settings) if settings.of(Simulation).mission else None
     return {place.name: read_text(place)} if place else {}
@@ -256,7 +256,7 @@ def _flat(tree: Mapping[str, Any], above: str = "") -> list[tuple[str, Any]]:
 
 def _is_fit(text: str, file: str) -> None:
     """Raises ConfigError for a wrong answer, Refused for a boat that strangers could move or write to."""
-    from delfim.base.outside import parse_toml
+    from delfim.base.input.untrusted import parse_toml
     from delfim.services.access.doors import doors
     from delfim.services.suite import services
 

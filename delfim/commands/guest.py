@@ -13,7 +13,7 @@ def options(parser: argparse.ArgumentParser) -> None:
 def run(asked: argparse.Namespace) -> int:
     import asyncio
 
-    from delfim.base.keys import read_key
+    from delfim.base.input.keys import read_key
     from delfim.base.ranges import address
     from delfim.config import load
     from delfim.services.tables import GuestTable

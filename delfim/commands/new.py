@@ -12,7 +12,7 @@ from typing import Any, Final, NamedTuple
 
 from delfim.base import parts
 from delfim.base.errors import ConfigError, DelfimError, FormatError
-from delfim.base.outside import read_text
+from delfim.base.input.untrusted import read_text
 from delfim.base.questions import MotorsAnswer, PositionsAnswer
 from delfim.commands import PACKAGE
 

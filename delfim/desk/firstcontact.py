@@ -8,9 +8,9 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Final, NamedTuple
 
-from delfim.base.allowance import UNREAD_BYTES
 from delfim.base.clock import Clock
 from delfim.base.errors import DelfimError
+from delfim.base.input.ratelimit import UNREAD_BYTES
 from delfim.desk.hearing import Hearing
 from delfim.lines.serialline import SerialLine
 from delfim.parts.nmea0183.mixedline import MixedLine

@@ -8,8 +8,8 @@ from collections.abc import Callable
 from ipaddress import ip_address, ip_network
 from typing import Final
 
-from delfim.base.allowance import PIECE_BYTES, SECOND_BYTES, Allowance
 from delfim.base.clock import Clock
+from delfim.base.input.ratelimit import PIECE_BYTES, SECOND_BYTES, Allowance
 
 DATAGRAM_BYTES: Final = 2048
 LISTENING: Final = ("udp:", "tcp-listen:")

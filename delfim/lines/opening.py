@@ -4,8 +4,8 @@ import contextlib
 from collections.abc import Callable
 
 from delfim import config
-from delfim.base.allowance import SECOND_BYTES, Allowance
 from delfim.base.clock import Clock
+from delfim.base.input.ratelimit import SECOND_BYTES, Allowance
 from delfim.canproxy.opening import open_bound
 from delfim.canproxy.socket import CanAddress, CanSocket
 from delfim.lines.forms import Bias, Form

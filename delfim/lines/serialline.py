@@ -11,9 +11,9 @@ import tty
 from collections.abc import Callable
 from typing import Final
 
-from delfim.base.allowance import PIECE_BYTES, Allowance
 from delfim.base.clock import Clock
 from delfim.base.errors import DelfimError
+from delfim.base.input.ratelimit import PIECE_BYTES, Allowance
 from delfim.lines.forms import Form
 
 TCGETS2, TCSETS2 = 0x802C542A, 0x402C542B  # asm-generic/ioctls.h: x86, ARM, RISC-V

@@ -9,7 +9,7 @@ from typing import Final, NamedTuple
 
 from delfim.base.clock import Clock
 from delfim.base.errors import FormatError
-from delfim.base.outside import parse_json
+from delfim.base.input.untrusted import parse_json
 from delfim.config import LogTable as Limits
 from delfim.logging.ashore.tree import LogFile
 from delfim.logging.blackbox import device

@@ -8,7 +8,7 @@ from typing import Annotated, Any, Final, NamedTuple
 import msgspec
 
 from delfim.base.errors import FormatError
-from delfim.base.outside import parse_json, read_file
+from delfim.base.input.untrusted import parse_json, read_file
 
 LOG_BYTES: Final = 1 << 27  # of a log that is read, inflated or not: a larger one was made to exhaust memory
 LINE_BYTES: Final = 1 << 24  # of a line

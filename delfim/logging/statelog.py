@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 from delfim.base.errors import FormatError
-from delfim.base.outside import parse_json
+from delfim.base.input.untrusted import parse_json
 from delfim.logging.reading import in_order, read_log
 
 MAGIC: Final = b"DELFIM STATE 1\n"

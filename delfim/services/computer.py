@@ -22,7 +22,7 @@ from typing import Any, Final
 import msgspec
 
 from delfim.base.errors import FormatError
-from delfim.base.outside import parse_json
+from delfim.base.input.untrusted import parse_json
 from delfim.services.clock.kernelclock import KernelClock
 from delfim.services.page.api import Bus, Computer, Disk, Memory, Network, Process, Time
 from delfim.services.page.saidlines import last_lines

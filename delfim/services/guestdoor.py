@@ -14,8 +14,8 @@ from typing import Final, cast
 import msgspec
 
 from delfim.base.clock import Clock
-from delfim.base.keys import read_key
-from delfim.base.outside import UNREADABLE
+from delfim.base.input.keys import read_key
+from delfim.base.input.untrusted import UNREADABLE
 from delfim.canproxy.cantcp.access import Networks
 from delfim.services.access.door import Door
 from delfim.services.tables import GuestTable

@@ -20,7 +20,7 @@ from typing import Any, Literal, NamedTuple
 from delfim import __version__, config
 from delfim.base import parts, pulses
 from delfim.base.errors import DelfimError, FormatError, PermanentFailure, in_words
-from delfim.base.outside import parse_json, read_file
+from delfim.base.input.untrusted import parse_json, read_file
 from delfim.canproxy.tables import Canip, Routing
 from delfim.logging import systemlog
 from delfim.services.can.buses import bring_up

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from delfim.base.errors import DelfimError
-from delfim.base.outside import parse_toml, read_text
+from delfim.base.input.untrusted import parse_toml, read_text
 
 
 def changed(file: str, changes: Mapping[str, Any]) -> str:

@@ -14,9 +14,9 @@ from typing import Final
 
 from delfim import config
 from delfim.base.clock import Clock
+from delfim.base.cooperative import Sliced
 from delfim.base.errors import ConfigError, FormatError
-from delfim.base.keys import read_key
-from delfim.base.slices import Sliced
+from delfim.base.input.keys import read_key
 from delfim.logging.kept import Keeper, newest
 from delfim.logging.keptwriter import VOYAGE
 from delfim.vehicle import console

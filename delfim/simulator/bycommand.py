@@ -17,7 +17,7 @@ from typing import Any, Final, Self
 from delfim import config
 from delfim.base.clock import Clock
 from delfim.base.errors import DelfimError, FormatError, Refused
-from delfim.base.outside import parse_json
+from delfim.base.input.untrusted import parse_json
 from delfim.simulator.faults import ABOARD, Breakage, Broken, FaultyGuest, FaultyLog, fault
 from delfim.vehicle.state import State, StateLog
 

@@ -11,9 +11,9 @@ import msgspec
 
 from delfim import config
 from delfim.base.clock import ManualClock
+from delfim.base.cooperative import Sliced
 from delfim.base.modes import Mode
 from delfim.base.pulses import STATES, PulseAnswer, pack_answer, socket_path, unpack_head
-from delfim.base.slices import Sliced
 from delfim.canproxy.socket import CanAddress, CanSocket
 from delfim.lines.forms import Form
 from delfim.simulator.faults import Breakage, Faults, FaultyLog

@@ -14,7 +14,7 @@ from typing import Annotated, cast
 import msgspec
 
 from delfim.base.clock import Clock
-from delfim.base.outside import UNREADABLE
+from delfim.base.input.untrusted import UNREADABLE
 from delfim.base.vessels import VesselFacts, VesselPosition
 from delfim.vehicle.state import Setpoint, State
 

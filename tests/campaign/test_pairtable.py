@@ -4,7 +4,7 @@ import msgspec
 
 from delfim import config
 from delfim.base import tables
-from delfim.base.outside import parse_toml
+from delfim.base.input.untrusted import parse_toml
 from delfim.campaign import findings, pairtable, sailing
 from delfim.campaign.runplan import read
 from delfim.campaign.store import Store

@@ -11,7 +11,7 @@ import pytest
 
 from delfim import config
 from delfim.__main__ import main
-from delfim.base.keys import read_key
+from delfim.base.input.keys import read_key
 from delfim.services.access.door import matches
 from delfim.services.access.doors import Entrance, doors
 from delfim.services.suite import services

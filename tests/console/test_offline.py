@@ -13,9 +13,9 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from delfim import config
 from delfim.base.clock import ManualClock
+from delfim.base.cooperative import Sliced
 from delfim.base.errors import DelfimError
-from delfim.base.outside import TEXT_BYTES
-from delfim.base.slices import Sliced
+from delfim.base.input.untrusted import TEXT_BYTES
 from delfim.console.boats.fleet import Fleet
 from delfim.console.link.session import Session
 from delfim.console.plans.dry_run import dry_run

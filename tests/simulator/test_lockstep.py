@@ -9,8 +9,8 @@ import pytest
 from delfim import config
 from delfim.base import geodesy
 from delfim.base.clock import ManualClock
+from delfim.base.cooperative import Sliced
 from delfim.base.modes import Mode
-from delfim.base.slices import Sliced
 from delfim.simulator.lockstep import Lockstep
 from delfim.simulator.tables import Sea, Simulation
 from delfim.vehicle import console

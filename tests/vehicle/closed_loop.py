@@ -9,9 +9,9 @@ from typing import Any, NamedTuple, cast
 
 import msgspec
 
+from delfim.base.cooperative import Sliced
 from delfim.base.geodesy import Origin, origin, wrap
 from delfim.base.modes import Mode
-from delfim.base.slices import Sliced
 from delfim.canproxy.socket import CanSocket
 from delfim.config import Vehicle, load
 from delfim.simulator.model import WATER, Hull, Model, hull_of

@@ -8,8 +8,8 @@ import pytest
 
 from delfim import config
 from delfim.base import geodesy
+from delfim.base.cooperative import Sliced
 from delfim.base.modes import Mode
-from delfim.base.slices import Sliced
 from delfim.simulator.lockstep import Lockstep
 from delfim.vehicle import console
 from delfim.vehicle.helm import detour

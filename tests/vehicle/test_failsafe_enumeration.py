@@ -14,8 +14,8 @@ import pytest
 
 from delfim import config
 from delfim.base.clock import ManualClock
+from delfim.base.cooperative import Sliced
 from delfim.base.modes import Mode
-from delfim.base.slices import Sliced
 from delfim.canproxy.dsor import messages
 from delfim.canproxy.dsor.messages import BatteriesStatus, Fault, GpsStatus, Navigation, PropellerStatus, Status
 from delfim.canproxy.socket import ANYTHING, CanSocket

@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 
 from delfim import config
 from delfim.base import geodesy
+from delfim.base.cooperative import Sliced
 from delfim.base.errors import ConfigError
-from delfim.base.slices import Sliced
 from delfim.vehicle.plans import fence
 from delfim.vehicle.plans.fence import Fence, stopping_m
 from delfim.vehicle.plans.legs import complaint

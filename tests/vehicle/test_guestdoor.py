@@ -14,7 +14,7 @@ import pytest
 
 from delfim.base import tables
 from delfim.base.errors import ConfigError
-from delfim.base.keys import new_key, read_key
+from delfim.base.input.keys import new_key, read_key
 from delfim.parts.ros.rossteering import GuestLine
 from delfim.services import guestdoor
 from delfim.services.guestdoor import GuestDoor

@@ -12,8 +12,8 @@ import pytest
 from delfim import config
 from delfim.base import geodesy
 from delfim.base.clock import ManualClock
+from delfim.base.cooperative import Sliced
 from delfim.base.frames import Frame, extended
-from delfim.base.slices import Sliced
 from delfim.base.vessels import VesselPosition
 from delfim.canproxy.nmea2000.fastpacket import split
 from delfim.parts.traffic import lookout, watchkeeper

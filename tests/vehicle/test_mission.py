@@ -9,8 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from delfim.base import geodesy
+from delfim.base.cooperative import Sliced
 from delfim.base.errors import ConfigError
-from delfim.base.slices import Sliced
 from delfim.config import ControlTable
 from delfim.vehicle.control.modes.path import arc_point
 from delfim.vehicle.plans.mission import (

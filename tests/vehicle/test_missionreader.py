@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
+from delfim.base.cooperative import SLICE, Sliced
 from delfim.base.errors import FormatError, Refused
-from delfim.base.slices import SLICE, Sliced
 from delfim.vehicle.operator.command import CommandServer
 from delfim.vehicle.operator.link import Link
 from delfim.vehicle.operator.reviews import Reviews

@@ -11,7 +11,7 @@ from types import SimpleNamespace
 import pytest
 
 from delfim import config
-from delfim.base import slices
+from delfim.base import cooperative
 from delfim.base.errors import Refused
 from delfim.base.modes import Mode
 from delfim.parts.mavlink.codec import plans
@@ -191,7 +191,7 @@ def test_what_cannot_be_done_is_refused_in_words_and_changes_nothing(sea):
 
 
 def test_work_without_end_is_given_up_in_words(sea, monkeypatch):
-    monkeypatch.setattr(slices, "MOST", 1000)
+    monkeypatch.setattr(cooperative, "MOST", 1000)
     answers: list[str | None] = []
     sea.reviews.begin("local", console.Upload(mission(1000)), answers.append)
     turn(sea)
@@ -369,7 +369,7 @@ def test_what_large_plans_were_made_of_is_let_go_little_by_little(sea):
     remains, met, had = sea.vehicle.helm.plans.remains, 0, 0
     while remains._walks or remains._things:
         sea.vehicle.helm.go_on()
-        new, had = len(remains._things) - max(0, had - slices.LET_GO), len(remains._things)
-        assert 0 <= new <= slices.LET_GO
+        new, had = len(remains._things) - max(0, had - cooperative.LET_GO), len(remains._things)
+        assert 0 <= new <= cooperative.LET_GO
         met += new
     assert met > 2 * (1000 + 31 * 100)

@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from delfim.base.slices import Sliced
+from delfim.base.cooperative import Sliced
 from delfim.parts.traffic import targets
 from delfim.parts.traffic.targets import Tracker, met_s
 from delfim.vehicle.target import NEVER_S

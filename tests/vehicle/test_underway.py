@@ -9,8 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from delfim import config
+from delfim.base.cooperative import Sliced
 from delfim.base.modes import Mode
-from delfim.base.slices import Sliced
 from delfim.simulator.replay.rerun import rerun
 from delfim.vehicle import console
 from delfim.vehicle.plans import legs, underway

@@ -5,7 +5,7 @@ import math
 import msgspec
 
 from delfim.base import geodesy
-from delfim.base.slices import Sliced
+from delfim.base.cooperative import Sliced
 from delfim.parts.traffic.vesselwords import making, traffic_told
 from delfim.vehicle.target import Target, Traffic
 

@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from delfim.base.slices import Sliced
+from delfim.base.cooperative import Sliced
 from delfim.vehicle.plans.zones import (
     LOOKS,
     OVERLAP,

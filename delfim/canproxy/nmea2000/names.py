@@ -3,7 +3,7 @@
 from collections.abc import Iterable
 from typing import Any, Final
 
-from delfim.base.newest import Newest
+from delfim.base.selection import Newest
 from delfim.canproxy.nmea2000.parcels import CLAIM, EVERYBODY
 from delfim.canproxy.nmea2000.pgns import ADDRESS_MAX
 

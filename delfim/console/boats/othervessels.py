@@ -8,8 +8,8 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, Final, NamedTuple, Protocol
 
+from delfim.base.cooperative import Sliced
 from delfim.base.geodesy import Origin, from_plane, origin
-from delfim.base.slices import Sliced
 from delfim.base.vessels import VesselFacts, VesselPosition
 from delfim.config import TrafficNear, TrafficTable
 from delfim.console.link.mavlink import GUARD, NUMBERS, facts_of, number_of, position_of

@@ -17,7 +17,7 @@ from PIL import Image, UnidentifiedImageError
 from delfim.base import tables
 from delfim.base.errors import ConfigError, DelfimError
 from delfim.base.geodesy import origin
-from delfim.base.outside import read_text
+from delfim.base.input.untrusted import read_text
 from delfim.console.charts.projection import GEOGRAPHIC, plane
 
 WORLD_FILES: Final = {".png": ".pgw", ".jpg": ".jgw", ".jpeg": ".jgw", ".tif": ".tfw", ".tiff": ".tfw"}

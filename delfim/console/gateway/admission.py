@@ -15,7 +15,7 @@ from typing import Any, Final
 from aiohttp import web
 
 from delfim.base.errors import FormatError
-from delfim.base.outside import read_text
+from delfim.base.input.untrusted import read_text
 
 TOKEN_BYTES: Final = 12
 NUMBERS: Final = range(200, 255)  # of consoles; QGroundControl and MAVProxy have 255

@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any, Final
 
 from delfim import config
+from delfim.base.cooperative import Sliced
 from delfim.base.errors import DelfimError, FormatError, Refused, in_words
-from delfim.base.slices import Sliced
 from delfim.console.boats.fleet import Fleet
 from delfim.console.charts.charts import Charts
 from delfim.console.gateway import page_messages

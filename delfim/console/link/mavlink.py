@@ -10,7 +10,7 @@ from typing import Any, Final
 
 from delfim.base.clock import Clock, SystemClock
 from delfim.base.errors import ConfigError, FormatError
-from delfim.base.keys import new_key, read_key
+from delfim.base.input.keys import new_key, read_key
 from delfim.parts.mavlink.codec import ownorders, plans, wire
 from delfim.parts.mavlink.codec.aisvessel import GUARD, GUARDED, NUMBERS, ORDERED, facts_of, number_of, position_of
 from delfim.parts.mavlink.codec.ardupilot import WaterDepth

@@ -6,9 +6,9 @@ from pathlib import Path
 from threading import Timer
 from typing import Any, Final
 
+from delfim.base.cooperative import Sliced
 from delfim.base.errors import DelfimError, Refused, in_words
-from delfim.base.outside import read_text
-from delfim.base.slices import Sliced
+from delfim.base.input.untrusted import read_text
 from delfim.console.plans.plan import checked_tables, page_of
 from delfim.vehicle.plans.mission import canonical, checked
 from delfim.vehicle.plans.missionreader import Reading, gathered

@@ -6,7 +6,7 @@ from typing import Any, Final
 
 from delfim import config
 from delfim.base import geodesy
-from delfim.base.slices import Work
+from delfim.base.cooperative import Work
 from delfim.console.plans.plan import checked_tables
 from delfim.vehicle.helm.planning import laid
 from delfim.vehicle.plans.estimate import in_hours, mission_s

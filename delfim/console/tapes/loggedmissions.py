@@ -6,8 +6,8 @@ from typing import Any, Final
 
 import msgspec
 
+from delfim.base.cooperative import Sliced
 from delfim.base.errors import DelfimError
-from delfim.base.slices import Sliced
 from delfim.console.plans.plan import page_of, with_digest
 from delfim.vehicle import console
 from delfim.vehicle.plans.mission import Mission

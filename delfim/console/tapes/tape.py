@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple, Protocol
 
 from delfim.base.errors import FormatError
-from delfim.base.outside import read_file
+from delfim.base.input.untrusted import read_file
 from delfim.console.boats.boat import Boat
 from delfim.console.boats.othervessels import VesselsTold
 from delfim.console.link.mavlink import COMPONENT, FENCE, MISSION, RALLY, SYSTEM, Item, WaterDepth, mavlink

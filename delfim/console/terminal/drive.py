@@ -13,8 +13,8 @@ from collections.abc import Iterator
 from typing import Any, NamedTuple, TextIO, get_args
 
 from delfim.base.errors import DelfimError, FormatError, Refused, in_words
+from delfim.base.input.untrusted import parse_toml, read_text
 from delfim.base.modes import Mode
-from delfim.base.outside import parse_toml, read_text
 from delfim.config import EndMode
 from delfim.vehicle.operator.link import Link
 

@@ -7,7 +7,7 @@ from datetime import UTC, datetime
 from typing import Any, Final
 
 from delfim.base.errors import FormatError, one_line
-from delfim.base.outside import parse_json
+from delfim.base.input.untrusted import parse_json
 from delfim.logging.ashore.tree import Run, Span
 from delfim.logging.reading import read_lines
 

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any, Final, Literal, NamedTuple
 
 from delfim.base.errors import DelfimError, FormatError
-from delfim.base.outside import parse_json
+from delfim.base.input.untrusted import parse_json
 from delfim.logging.reading import read_events
 
 PLACES: Final = ("/log", "run/sim*/log")  # searched for logs if no path is named

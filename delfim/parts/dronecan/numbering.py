@@ -18,7 +18,7 @@ from typing import Final
 from delfim import __version__
 from delfim.base.clock import Clock
 from delfim.base.errors import BusError, FormatError
-from delfim.base.outside import parse_json, read_file
+from delfim.base.input.untrusted import parse_json, read_file
 from delfim.canproxy.dronecan.datatypes import (
     ALLOCATION,
     NODE_STATUS,

@@ -3,7 +3,7 @@
 from typing import Final
 
 from delfim import config
-from delfim.base.newest import Newest
+from delfim.base.selection import Newest
 from delfim.canproxy.dronecan.datatypes import BATTERY_INFO, BatteryInfo
 from delfim.canproxy.dronecan.transfers import TransferReceiver
 from delfim.canproxy.dsor.messages import BatteriesStatus, Fault, Node, Status

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from delfim.base.clock import Clock
 from delfim.base.errors import ConfigError, in_words
-from delfim.base.outside import read_credentials
+from delfim.base.input.untrusted import read_credentials
 
 if TYPE_CHECKING:
     import aiomqtt

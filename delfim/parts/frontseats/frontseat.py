@@ -10,7 +10,7 @@ from collections.abc import Callable
 from typing import Final
 
 from delfim import config
-from delfim.base.allowance import PIECE_BYTES
+from delfim.base.input.ratelimit import PIECE_BYTES
 from delfim.lines.nmea0183.proprietary import FieldReader
 from delfim.vehicle.links import ReadableLine
 from delfim.vehicle.state import Actuation, State

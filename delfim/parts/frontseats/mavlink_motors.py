@@ -15,7 +15,7 @@ from typing import Any, Final, NamedTuple
 from pymavlink.dialects.v20 import development as dialect
 
 from delfim import config
-from delfim.base.allowance import PIECE_BYTES
+from delfim.base.input.ratelimit import PIECE_BYTES
 from delfim.canproxy.dsor.messages import BatteriesStatus, Fault, Node, Status
 from delfim.parts.frontseats.frontseat import FrontSeatLine, SeatSide, sides
 from delfim.parts.frontseats.table import MavlinkFrontSeat

@@ -10,7 +10,7 @@ from typing import Any, Final
 from pymavlink.dialects.v20 import development as dialect
 
 from delfim import config
-from delfim.base.allowance import PIECE_BYTES
+from delfim.base.input.ratelimit import PIECE_BYTES
 from delfim.canproxy.dsor.messages import Navigation
 from delfim.parts.frontseats.table import MavlinkFrontSeat
 from delfim.vehicle.links import Links, LoopInput, ReadableLine, SecondEnd

@@ -20,7 +20,7 @@ import msgspec
 from delfim import config
 from delfim.base.clock import Clock
 from delfim.base.errors import PermanentFailure, in_words
-from delfim.base.outside import read_credentials
+from delfim.base.input.untrusted import read_credentials
 from delfim.canproxy.dsor.messages import Navigation
 from delfim.lines.nmea0183.speaking import gga
 from delfim.lines.rtcm import FRAME_MAX, RtcmFrames, doorstep

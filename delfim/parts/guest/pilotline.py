@@ -10,8 +10,8 @@ from typing import Final
 import msgspec
 
 from delfim import config
-from delfim.base.allowance import PIECE_BYTES
 from delfim.base.errors import FormatError
+from delfim.base.input.ratelimit import PIECE_BYTES
 from delfim.base.modes import Mode
 from delfim.lines.nmea0183.proprietary import FieldReader
 from delfim.lines.nmea0183.tracklines import TrackLine, track_line

@@ -9,8 +9,8 @@ from collections.abc import Callable, Iterator
 from typing import Final, NamedTuple, Protocol
 
 from delfim import config
+from delfim.base.cooperative import Sliced
 from delfim.base.errors import DelfimError, FormatError, Refused
-from delfim.base.slices import Sliced
 from delfim.parts.mavlink.codec import plans
 from delfim.parts.mavlink.codec.plans import ALL, FENCE, ITEMS, MISSION, RALLY, Item
 from delfim.parts.mavlink.codec.wire import Message, Speaker, dialect

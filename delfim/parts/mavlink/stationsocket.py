@@ -13,7 +13,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Final, Self
 
-from delfim.base.keys import read_key
+from delfim.base.input.keys import read_key
 from delfim.base.ranges import address
 from delfim.lines.rtcm import doorstep
 from delfim.parts.mavlink.codec.signing import Kept, Signing, read_stamps, write_stamps

@@ -15,7 +15,7 @@ from typing import Final
 from delfim import config
 from delfim.base.clock import Clock
 from delfim.base.errors import BusError, FormatError, PermanentFailure, in_words
-from delfim.base.outside import read_text
+from delfim.base.input.untrusted import read_text
 from delfim.canproxy.nmea2000.device import FIRST, Device, facts_of
 from delfim.canproxy.nmea2000.parcels import NOBODY, Parcel, frames
 from delfim.canproxy.nmea2000.pgns import ADDRESS_MAX

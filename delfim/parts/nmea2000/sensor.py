@@ -7,7 +7,7 @@ from typing import Final
 from delfim import config
 from delfim.base.errors import FormatError
 from delfim.base.frames import CAN_IDE, Frame, extended
-from delfim.base.newest import Newest
+from delfim.base.selection import Newest
 from delfim.canproxy.dsor.messages import BatteriesStatus, Fault, Node, Status
 from delfim.canproxy.nmea2000.device import device_name, facts_of
 from delfim.canproxy.nmea2000.fastpacket import FastPacket

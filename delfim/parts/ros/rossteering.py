@@ -13,8 +13,8 @@ import msgspec
 
 from delfim.base import geodesy
 from delfim.base.errors import FormatError, in_words
-from delfim.base.keys import read_key
-from delfim.base.outside import UNREADABLE
+from delfim.base.input.keys import read_key
+from delfim.base.input.untrusted import UNREADABLE
 from delfim.base.ranges import address
 from delfim.services.tables import GuestTable
 from delfim.vehicle.grex import proof

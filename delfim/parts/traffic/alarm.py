@@ -4,7 +4,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Final, Literal, NamedTuple
 
-from delfim.base.slices import Work
+from delfim.base.cooperative import Work
 from delfim.config import TrafficNear
 from delfim.parts.traffic.cpa import approach, closest, passing_by
 from delfim.parts.traffic.encounter import AT_REST_MPS, Own

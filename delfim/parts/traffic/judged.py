@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from heapq import nsmallest
 from typing import Final
 
-from delfim.base.slices import Work
+from delfim.base.cooperative import Work
 from delfim.parts.traffic.cpa import passing_by
 from delfim.parts.traffic.encounter import Own
 from delfim.parts.traffic.keepclear import MOST, PASS, SLOWEST_MPS, SOFT, Choice, measured, plausible

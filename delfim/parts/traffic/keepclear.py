@@ -16,8 +16,8 @@ from heapq import nsmallest
 from itertools import chain
 from typing import Final, NamedTuple
 
+from delfim.base.cooperative import Sliced, Work
 from delfim.base.geodesy import wrap
-from delfim.base.slices import Sliced, Work
 from delfim.parts.traffic.cpa import Approach, Domain, Leg, approach, domain, passing_by
 from delfim.parts.traffic.encounter import PRIVILEGED, Duty, Own, duty, passing, stands_on, words
 from delfim.parts.traffic.shoreline import Shoreline

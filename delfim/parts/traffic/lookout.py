@@ -4,7 +4,7 @@ of them at a time."""
 from itertools import islice
 from typing import Final
 
-from delfim.base.slices import Sliced, Work
+from delfim.base.cooperative import Sliced, Work
 from delfim.base.vessels import VesselFacts, VesselPosition
 from delfim.config import TrafficTable
 from delfim.parts.traffic.targets import MOST, Tracker

@@ -9,8 +9,8 @@ from collections import Counter
 from operator import itemgetter
 from typing import Final
 
+from delfim.base.cooperative import Sliced, Work
 from delfim.base.geodesy import Origin
-from delfim.base.slices import Sliced, Work
 from delfim.base.vessels import VesselFacts, VesselPosition
 from delfim.config import TrafficTable
 from delfim.parts.traffic.reckoning import VesselTrack, begun

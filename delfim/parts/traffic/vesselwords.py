@@ -5,8 +5,8 @@ from typing import Final, cast
 
 import msgspec
 
+from delfim.base.cooperative import Work
 from delfim.base.geodesy import Origin, from_plane
-from delfim.base.slices import Work
 from delfim.vehicle.report import OrderInForce, TrafficSeen, VesselSeen
 from delfim.vehicle.target import NEVER_S, CourseOrder, Danger, Target, Traffic, VesselTold
 

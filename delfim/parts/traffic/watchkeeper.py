@@ -11,9 +11,9 @@ from typing import Final
 
 from delfim import config
 from delfim.base.clock import Clock
+from delfim.base.cooperative import Sliced, Work
 from delfim.base.geodesy import wrap
 from delfim.base.modes import Mode
-from delfim.base.slices import Sliced, Work
 from delfim.parts.traffic import alarm, keepclear
 from delfim.parts.traffic.beside import Company, company, danger_beside
 from delfim.parts.traffic.judged import judged

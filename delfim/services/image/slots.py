@@ -19,7 +19,7 @@ from typing import Final, Literal
 import msgspec
 
 from delfim.base.errors import FormatError, Refused
-from delfim.base.outside import read_file
+from delfim.base.input.untrusted import read_file
 from delfim.logging.filelog import sync_directory
 from delfim.services.image.imagefile import (
     MANIFEST,

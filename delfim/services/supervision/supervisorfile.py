@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from delfim.base.errors import FormatError
-from delfim.base.outside import parse_json, read_file
+from delfim.base.input.untrusted import parse_json, read_file
 from delfim.services.supervision.children import Child
 
 

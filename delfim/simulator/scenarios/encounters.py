@@ -15,7 +15,7 @@ import msgspec
 from delfim.base import tables
 from delfim.base.errors import ConfigError, in_words
 from delfim.base.geodesy import from_plane, origin, wrap
-from delfim.base.outside import read_text
+from delfim.base.input.untrusted import read_text
 from delfim.simulator.nodes.shipping import axes_m, within
 from delfim.simulator.scenarios.scenario import Scenario, laid_over, mission_of
 

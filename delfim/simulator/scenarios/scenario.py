@@ -13,7 +13,7 @@ import msgspec
 from delfim import config
 from delfim.base import tables
 from delfim.base.errors import ConfigError, FormatError, in_words
-from delfim.base.outside import parse_toml, read_text
+from delfim.base.input.untrusted import parse_toml, read_text
 from delfim.simulator.faults import Breakage, fault
 from delfim.simulator.handset import HandsetAt
 from delfim.vehicle import console

@@ -10,7 +10,7 @@ from collections.abc import Iterator, Sequence
 from heapq import heappop, heappush
 from typing import Final, NamedTuple
 
-from delfim.base.slices import Sliced, Work
+from delfim.base.cooperative import Sliced, Work
 from delfim.vehicle.helm.setpoints import too_far
 from delfim.vehicle.plans import fence
 from delfim.vehicle.plans.fence import RECEDES_M, Fence

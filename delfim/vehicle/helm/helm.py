@@ -7,10 +7,10 @@ from typing import Protocol
 from delfim import config
 from delfim.base import geodesy
 from delfim.base.clock import Clock
+from delfim.base.cooperative import Sliced
 from delfim.base.errors import Refused
 from delfim.base.modes import Mode
 from delfim.base.parts import OrderRow
-from delfim.base.slices import Sliced
 from delfim.vehicle import console
 from delfim.vehicle.control.control import Memory, Settings, Stepped, admit, lacking, settings_of
 from delfim.vehicle.control.control import control as step

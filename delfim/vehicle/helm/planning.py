@@ -11,9 +11,9 @@ import msgspec
 
 from delfim import config
 from delfim.base import geodesy
+from delfim.base.cooperative import Remains, Sliced, Work
 from delfim.base.errors import DelfimError, Refused
 from delfim.base.modes import Mode
-from delfim.base.slices import Remains, Sliced, Work
 from delfim.vehicle import console
 from delfim.vehicle.control.memory import Settings
 from delfim.vehicle.control.modes.path import piece_of

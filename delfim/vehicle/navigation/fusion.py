@@ -7,7 +7,7 @@ docs/nmea2000.md, "Which source counts", on all of them.
 import math
 from typing import Any, Final, Generic, NamedTuple, Protocol
 
-from delfim.base.newest import A, Newest
+from delfim.base.selection import A, Newest
 from delfim.canproxy.dsor.messages import Navigation
 
 # Ages to which a value counts, whatever the vehicle's `stale_s`, of kinds that come less often than positions.

@@ -8,8 +8,8 @@ from collections.abc import Callable
 from functools import partial
 from typing import NamedTuple, TypeVar
 
+from delfim.base.cooperative import Sliced
 from delfim.base.errors import DelfimError, Refused
-from delfim.base.slices import Sliced
 from delfim.vehicle import console
 from delfim.vehicle.loop import VehicleLoop
 from delfim.vehicle.orders.entrusting import forbidden, payload_of, within

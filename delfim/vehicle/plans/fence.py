@@ -11,7 +11,7 @@ from typing import Final, NamedTuple
 
 from delfim import config
 from delfim.base import geodesy
-from delfim.base.slices import Work
+from delfim.base.cooperative import Work
 from delfim.vehicle.plans.zones import LOOKS, Point, Zone, circle, clearance_m, cost, least, may, polygon, together
 from delfim.vehicle.state import Motion
 

@@ -6,7 +6,7 @@ from itertools import islice, pairwise
 from typing import Final, NamedTuple
 
 from delfim.base import geodesy
-from delfim.base.slices import Work
+from delfim.base.cooperative import Work
 from delfim.vehicle.control.modes.path import arc_point
 from delfim.vehicle.plans.fence import BOXES, Fence, stopping_m, through
 from delfim.vehicle.plans.zones import Box, Point, Zone, apart, box_of, circle, searched

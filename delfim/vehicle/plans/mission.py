@@ -17,9 +17,9 @@ import msgspec
 
 from delfim import config
 from delfim.base import geodesy, tables
+from delfim.base.cooperative import Sliced, Work
 from delfim.base.errors import ConfigError, FormatError
-from delfim.base.outside import parse_toml
-from delfim.base.slices import Sliced, Work
+from delfim.base.input.untrusted import parse_toml
 from delfim.vehicle.state import Arc, Line, Plan
 from delfim.vehicle.state import Waypoint as PlanWaypoint
 

@@ -14,8 +14,8 @@ from typing import Any, Final, Literal
 import msgspec
 
 from delfim import config
+from delfim.base.cooperative import Work
 from delfim.base.errors import ConfigError, DelfimError, FormatError
-from delfim.base.slices import Work
 from delfim.vehicle.plans.mission import Mission, PathPoint, PayloadItem, Waypoint, read_mission
 
 PROGRAM: Final = (sys.executable, "-m", "delfim.vehicle.plans.missionreader")

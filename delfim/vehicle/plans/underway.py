@@ -4,8 +4,8 @@ may change. Pure.
 
 from typing import Final, NamedTuple
 
+from delfim.base.cooperative import Work
 from delfim.base.modes import Mode
-from delfim.base.slices import Work
 from delfim.vehicle.control.memory import Memory
 from delfim.vehicle.control.modes.path import piece_of
 from delfim.vehicle.plans import fence

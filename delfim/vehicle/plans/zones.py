@@ -11,7 +11,7 @@ from itertools import pairwise
 from typing import Final, NamedTuple
 
 from delfim.base import geodesy
-from delfim.base.slices import Sliced, Work
+from delfim.base.cooperative import Sliced, Work
 
 Point = tuple[float, float]  # north_m, east_m
 Box = tuple[float, float, float, float]  # south_m, west_m, north_m, east_m

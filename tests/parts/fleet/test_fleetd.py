@@ -19,7 +19,7 @@ import pytest
 from delfim import config
 from delfim.base.clock import ManualClock, SystemClock
 from delfim.base.errors import ConfigError, PermanentFailure
-from delfim.base.keys import new_key
+from delfim.base.input.keys import new_key
 from delfim.console.boats.fleet import Fleet
 from delfim.console.gateway.serving import broker_line
 from delfim.console.link.mavlink import Key

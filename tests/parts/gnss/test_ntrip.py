@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from delfim.base.errors import ConfigError
-from delfim.base.outside import read_credentials
+from delfim.base.input.untrusted import read_credentials
 from delfim.parts.gnss.ntrip import LINE_BYTES, Caster, CasterRefusal, open_stream, request
 
 GGA = b"$GPGGA,120000.00,3841.4,N,00912.9,W,1,09,0.9,,M,,M,,*5B\r\n"

@@ -9,9 +9,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from delfim import config
+from delfim.base.cooperative import Sliced
 from delfim.base.errors import FormatError
 from delfim.base.modes import Mode
-from delfim.base.slices import Sliced
 from delfim.parts.mavlink import missions
 from delfim.parts.mavlink.codec import plans
 from delfim.parts.mavlink.codec.plans import FENCE, MISSION, RALLY, Item

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from delfim import config
 from delfim.base.clock import ManualClock
 from delfim.base.errors import ConfigError
-from delfim.base.keys import new_key, read_key
+from delfim.base.input.keys import new_key, read_key
 from delfim.base.modes import Mode
 from delfim.parts.mavlink.codec import wire
 from delfim.parts.mavlink.codec.signing import Kept, Signing, read_stamps, write_stamps

@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 
 from delfim import config
-from delfim.base.allowance import Allowance
 from delfim.base.clock import ManualClock
+from delfim.base.input.ratelimit import Allowance
 from delfim.lines.nmea0183.framing import framed
 from delfim.lines.serialline import SerialLine
 from delfim.parts.nmea0183.source import GARBLED_S, Nmea0183Navigation, opened

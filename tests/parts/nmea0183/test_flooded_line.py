@@ -8,7 +8,7 @@ from random import Random
 
 import pytest
 
-from delfim.base.allowance import PIECE_BYTES, Allowance
+from delfim.base.input.ratelimit import PIECE_BYTES, Allowance
 from delfim.canproxy.dsor.messages import Navigation
 from delfim.canproxy.socket import ANYTHING
 from delfim.lines.nmea0183.speaking import gga, hdt, rmc

@@ -16,7 +16,7 @@ from delfim import config
 from delfim.base import geodesy
 from delfim.base.clock import SystemClock
 from delfim.base.errors import ConfigError, FormatError, PermanentFailure
-from delfim.base.keys import new_key
+from delfim.base.input.keys import new_key
 from delfim.base.ranges import address
 from delfim.parts.ros import rosd, roskeys, rosmessages
 from delfim.parts.ros.cdr import HEAD, CdrReader, CdrWriter

@@ -16,8 +16,8 @@ import msgspec
 
 from delfim import config
 from delfim.base import tables
+from delfim.base.cooperative import Work
 from delfim.base.errors import ConfigError, FormatError
-from delfim.base.slices import Work
 from delfim.parts.mavlink.codec.wire import dialect
 from delfim.vehicle.plans.mission import CARRIED, HOLD_MAX_S, ROWS, Mission, Number, PathPoint, PayloadItem, Waypoint
 

@@ -13,7 +13,7 @@ from typing import Annotated, Final, NamedTuple
 import msgspec
 
 from delfim.base.clock import MADE_NS, Clock
-from delfim.base.outside import UNREADABLE, read_file
+from delfim.base.input.untrusted import UNREADABLE, read_file
 
 EPOCH_NS: Final = 1_420_070_400_000_000_000  # time stamps count 10 us since 2015
 PER_S: Final = 100_000  # of them

@@ -6,8 +6,8 @@ from itertools import cycle
 from hypothesis import given
 from hypothesis import strategies as st
 
-from delfim.base.allowance import BURST_S, LONGEST, PIECE_BYTES, UNREAD_BYTES, Allowance
 from delfim.base.clock import ManualClock
+from delfim.base.input.ratelimit import BURST_S, LONGEST, PIECE_BYTES, UNREAD_BYTES, Allowance
 from delfim.lines.nmea0183.framing import Sentences
 
 

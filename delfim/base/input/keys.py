@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Final
 
 from delfim.base.errors import ConfigError
-from delfim.base.outside import read_private
+from delfim.base.input.untrusted import read_private
 
 KEY_BYTES: Final = 32
 

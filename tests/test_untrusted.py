@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from delfim.base.errors import FormatError
-from delfim.base.outside import parse_json, parse_toml, read_file
+from delfim.base.input.untrusted import parse_json, parse_toml, read_file
 
 
 def test_a_file_is_read_up_to_its_limit(tmp_path: Path) -> None:
