@@ -25,7 +25,7 @@ from delfim import config
 from delfim.base.clock import Clock, SystemClock
 from delfim.logging import systemlog
 from delfim.services import suite
-from delfim.services.priority import Practice, speaker
+from delfim.services.priority.navigation_loop import Practice, speaker
 from delfim.services.runtime import LoadedService, Runtime
 
 KINDS: Final = ("delfim", "apart", "services", "asyncio", "uvloop")

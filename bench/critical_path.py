@@ -32,7 +32,7 @@ from delfim import config
 from delfim.base.errors import DelfimError, Refused
 from delfim.canproxy.canloop import group_of
 from delfim.logging.statelog import columns
-from delfim.services.window import ARRIVALS
+from delfim.services.priority.window import ARRIVALS
 from delfim.vehicle.operator.link import Link
 
 SOURCES: Final = Path(__file__).parent

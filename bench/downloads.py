@@ -15,7 +15,7 @@ from typing import Final
 from bench.critical_path import free_ports, running, until
 from bench.load import ASHORE, IDLE, LOG
 from delfim.base.errors import DelfimError
-from delfim.services.access.door import hashed
+from delfim.services.access.connection_limits import hashed
 
 BYTES_PER_S: Final = 12_500_000  # 100 Mbit/s
 BEGUN_BYTES: Final = 1 << 16

@@ -27,7 +27,7 @@ ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT))
 
 from bench import cantcpd  # noqa: E402
-from delfim.services.access.door import hashed  # noqa: E402
+from delfim.services.access.connection_limits import hashed  # noqa: E402
 
 VEHICLE = str(ROOT / "etc/delfimx.toml")
 LOG_BYTES = 64 << 20

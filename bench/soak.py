@@ -27,7 +27,7 @@ from typing import Any, Final, NamedTuple
 
 from bench.critical_path import command_line, cpu_ns, family, free_ports, running, until
 from delfim.base.errors import DelfimError, Refused
-from delfim.services.access.door import hashed
+from delfim.services.access.connection_limits import hashed
 from delfim.vehicle.operator.link import Link
 
 LOOK_S: Final = 5.0  # between two samples; shorter where the whole is short

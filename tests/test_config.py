@@ -17,7 +17,7 @@ from delfim.base.errors import ConfigError
 from delfim.base.tables import Table
 from delfim.canproxy.dsor import messages
 from delfim.config import OTHER_NODES, TAKEN_VEHICLES, ServiceTable, Vehicle
-from delfim.services.access.doors import doors
+from delfim.services.access.exposure import doors
 
 BOAT_KEYS = ", ".join(config.BoatTable.__struct_fields__)
 BOAT = '[boat]\nname = "delfimx"\n'

@@ -356,8 +356,8 @@ OTHERS = {  # what the kernel tells, and what is only copied or digested
         "services/supervision/children.py: process_state",
         "services/supervision/processes.py: _all",
     ),
-    "services/voyagekeeping.py: _boot",
-    *("services/clock/kernelclock.py: _read", "services/suite.py: _started", "parts/pwm/sim.py: _part"),
+    "services/voyage_on_disk.py: _boot",
+    *("services/clock/kernel.py: _read", "services/suite.py: _started", "parts/pwm/sim.py: _part"),
 }
 
 

@@ -24,8 +24,8 @@ from delfim import config
 from delfim.base.errors import DelfimError
 from delfim.base.input.keys import new_key
 from delfim.console.link.mavlink import mavlink
-from delfim.services.access.door import hashed
-from delfim.services.access.doors import doors
+from delfim.services.access.connection_limits import hashed
+from delfim.services.access.exposure import doors
 from delfim.services.suite import services
 from delfim.vehicle.operator.link import Link
 

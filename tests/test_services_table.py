@@ -84,7 +84,7 @@ def test_a_service_whose_package_is_missing_says_so_and_is_not_started_again(lat
 
 def test_the_supervisor_loads_none_of_the_services() -> None:
     """What it loads at sea it loads before the first actuation."""
-    modules = "sys, delfim.services.suite, delfim.services.clock.kernelclock, delfim.services.supervision.supervisor"
+    modules = "sys, delfim.services.suite, delfim.services.clock.kernel, delfim.services.supervision.supervisor"
     look = f"import {modules}; print(*sys.modules)"
     loaded = set(subprocess.run([sys.executable, "-c", look], capture_output=True, text=True, check=True).stdout.split())
     assert loaded & {"asyncio", "aiohttp", "pymavlink", "delfim.vehicle", "delfim.services.runtime"} == set()

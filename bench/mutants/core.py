@@ -16,7 +16,7 @@ _TRAFFIC: Final = (
 )
 _SERVICES: Final = (
     *("supervision/supervisor", "supervision/stop", "supervision/watchdog"),
-    *("access/door", "access/doors"),
+    *("access/connection_limits", "access/exposure"),
 )
 CORE: Final = (
     *map("delfim/vehicle/{}.py".format, _FILES),
@@ -32,12 +32,12 @@ TESTS: Final = (  # files that take long, and see nothing that others do not see
     "tests/parts/nmea2000/test_nmea2000_drive.py",
     *("tests/parts/pwm/test_outlet.py", "tests/services/test_supervisor.py", "tests/services/test_shutdown.py"),
     *(
-        "tests/services/test_door.py",
+        "tests/services/test_connection_limits.py",
         "tests/test_deadman.py",
         "tests/test_security.py",
         "tests/parts/test_misbehaving_parts.py",
         "tests/parts/test_orders.py",
     ),
-    *("tests/services/test_supervisor_turns.py", "tests/services/test_stop.py", "tests/services/test_doors.py"),
+    *("tests/services/test_supervisor_turns.py", "tests/services/test_stop.py", "tests/services/test_exposure.py"),
 )
 NOT_ASKED: Final = "test_qgroundcontrol.py", "test_mavlink_fuzz.py"

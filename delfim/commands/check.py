@@ -65,7 +65,7 @@ def _told(vehicle: config.Vehicle) -> str:
 
 def _at_sea(vehicle: config.Vehicle, running: list[str]) -> bool:
     """Prints the boat's doors. Whether it must not go to sea with them."""
-    from delfim.services.access.doors import doors, unheard
+    from delfim.services.access.exposure import doors, unheard
 
     found = doors(vehicle, running)
     titles = {"anyone": "Open to anyone:", "known": "Behind a key or a password:", "here": "On this computer alone:"}

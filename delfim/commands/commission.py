@@ -213,7 +213,7 @@ def _secrets(answers: Mapping[str, str], crew: Mapping[str, str], console_key: s
     from secrets import token_hex
 
     from delfim.services.access import credentials
-    from delfim.services.access.door import hashed
+    from delfim.services.access.connection_limits import hashed
 
     boat = answers["name"]
     places = [
@@ -257,7 +257,7 @@ def _flat(tree: Mapping[str, Any], above: str = "") -> list[tuple[str, Any]]:
 def _is_fit(text: str, file: str) -> None:
     """Raises ConfigError for a wrong answer, Refused for a boat that strangers could move or write to."""
     from delfim.base.input.untrusted import parse_toml
-    from delfim.services.access.doors import doors
+    from delfim.services.access.exposure import doors
     from delfim.services.suite import services
 
     settings = config.read(parse_toml(text), file)

@@ -10,7 +10,7 @@ def options(parser: argparse.ArgumentParser) -> None:
 def run(_: argparse.Namespace) -> int:
     import getpass
 
-    from delfim.services.access.door import hashed
+    from delfim.services.access.connection_limits import hashed
 
     print(hashed(getpass.getpass("password: ")))
     return 0

@@ -23,7 +23,7 @@ import msgspec
 
 from delfim.base.errors import FormatError
 from delfim.base.input.untrusted import parse_json
-from delfim.services.clock.kernelclock import KernelClock
+from delfim.services.clock.kernel import KernelClock
 from delfim.services.page.api import Bus, Computer, Disk, Memory, Network, Process, Time
 from delfim.services.page.saidlines import last_lines
 from delfim.services.supervision.processes import PAGE_BYTES, TICKS_PER_S

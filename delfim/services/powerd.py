@@ -37,10 +37,10 @@ from delfim.canproxy.dsor.messages import (
 )
 from delfim.canproxy.opening import open_can
 from delfim.canproxy.socket import CanAddress
+from delfim.services.report_feed import watch
 from delfim.services.runtime import Runtime
 from delfim.services.supervision import shutdown
 from delfim.services.tables import PowerdTable
-from delfim.services.watching import watch
 from delfim.vehicle.failsafe.nodehealth import NAMES
 from delfim.vehicle.failsafe.troubles import DEAD_V
 from delfim.vehicle.report import BoatReport

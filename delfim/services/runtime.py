@@ -24,14 +24,14 @@ from typing import Final, NamedTuple
 from delfim import config
 from delfim.base.clock import Clock
 from delfim.base.errors import DelfimError, PermanentFailure, in_words
-from delfim.services.garbage import Collector
-from delfim.services.priority import ACCOUNT, Account, NavigationLoop, Practice
+from delfim.services.priority.garbage import Collector
+from delfim.services.priority.navigation_loop import ACCOUNT, Account, NavigationLoop, Practice
+from delfim.services.priority.window import NavigationWindow
 from delfim.services.servicestatus import ServiceStatus, Stage, status_file
 from delfim.services.supervision.children import LAST_WORD, LEAVES
 from delfim.services.supervision.privileges import asked, real_time, set_privileges
 from delfim.services.supervision.supervisor import EXIT_PERMANENT
 from delfim.services.supervision.supervisorfile import last_deadman
-from delfim.services.window import NavigationWindow
 
 BEAT_S: Final = 0.1  # the longest time between two beats of a healthy loop
 SETTLE_S: Final = 1.0  # a service is starting for this long; the cost of its callbacks counts afterwards

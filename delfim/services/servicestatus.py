@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from delfim.services.priority import Account
+from delfim.services.priority.navigation_loop import Account
 
 Stage = Literal["starting", "running", "waiting", "failed", "stopped"]
 

@@ -171,7 +171,8 @@ def run(file: str, overrides: Sequence[str], *, service: str | None, beat_fd: in
 
     from delfim.base.clock import SystemClock
     from delfim.base.eventloop import new_event_loop
-    from delfim.services import priority, runtime
+    from delfim.services import runtime
+    from delfim.services.priority import navigation_loop
 
     settings = config.load(file, overrides)
     rows = services(settings)
@@ -179,7 +180,7 @@ def run(file: str, overrides: Sequence[str], *, service: str | None, beat_fd: in
     if not wanted:
         raise PermanentFailure(f"{file}: no service {service!r} is enabled")
     alone = service is not None
-    systemlog.begin(settings.runtime.run_directory, service or "runtime", _levels(settings), priority.speaker)
+    systemlog.begin(settings.runtime.run_directory, service or "runtime", _levels(settings), navigation_loop.speaker)
     starts = [row.loading() if row.late and not alone else row.loaded() for row in wanted]  # the loop has no time to do it
     loaded = [runtime.LoadedService(row.name, start, row.budget_s) for row, start in zip(wanted, starts, strict=True)]
     new_loop = (new_event_loop if wanted[0].uvloop else asyncio.new_event_loop) if alone else None
@@ -217,12 +218,12 @@ def supervise(
         for row in services(settings)
         if row.place == "process"
     ]
-    from delfim.services.clock import kernelclock
+    from delfim.services.clock import kernel
 
     place = Path(settings.runtime.run_directory)
     place.mkdir(parents=True, exist_ok=True)
     systemlog.begin(str(place), "supervisor", _levels(settings))
-    kernelclock.set_from_battery(settings.clock.set, settings.buses)  # before any log has a name
+    kernel.set_from_battery(settings.clock.set, settings.buses)  # before any log has a name
     log.info("delfim %s starts %s, sha256 %s, with %s", *_started(file, overrides))
     _above(settings.runtime.fifo_priority)
     from delfim.services.supervision.stop import CutOff, PropellerStop
@@ -247,7 +248,7 @@ def supervise(
         )
         code = supervisor.run_forever()
         if supervisor.word in ("off", "reboot"):
-            kernelclock.write_battery(settings.clock.set, settings.buses)
+            kernel.write_battery(settings.clock.set, settings.buses)
             is_safe = _last_act(settings, supervisor.reason, stop.tell)
             code = 0 if is_safe else 1
             if init:

@@ -23,14 +23,14 @@ from delfim.lines.forms import Form
 from delfim.lines.opening import AnyLine, OpenedLinks
 from delfim.logging.linelog import LineLog
 from delfim.services import powerd
-from delfim.services.clock import kernelclock
-from delfim.services.clock.clockkeeping import ClockKeeping
-from delfim.services.clock.kernelclock import KernelClock
-from delfim.services.guestdoor import GuestDoor
+from delfim.services.access.guest_listener import GuestDoor
+from delfim.services.clock import kernel
+from delfim.services.clock.kernel import KernelClock
+from delfim.services.clock.sources import ClockKeeping
 from delfim.services.image import slots
 from delfim.services.runtime import Runtime
 from delfim.services.tables import GuestTable
-from delfim.services.voyagekeeping import VoyageKeeping
+from delfim.services.voyage_on_disk import VoyageKeeping
 from delfim.simulator.tables import Simulation
 from delfim.vehicle import snapshot
 from delfim.vehicle.aboard import Hand
@@ -263,10 +263,10 @@ def _attended(
 def _clock_keeping(runtime: Runtime, opened: BoatLinks, log: Logbook) -> ClockKeeping:
     """The look at other programs takes milliseconds, which the service has while it starts."""
     settings = runtime.config
-    why_not = kernelclock.left_alone(settings.clock.set, settings.buses)
+    why_not = kernel.left_alone(settings.clock.set, settings.buses)
     arb = time_frame(settings.can.vehicle)
     frames = opened.bus(settings.can.interface, (CanAddress(arb),))
-    battery_ns = kernelclock.battery_ns()
+    battery_ns = kernel.battery_ns()
 
     def stepped(by_s: float, source: str) -> None:
         log.event("clock step", value=by_s, source=source)

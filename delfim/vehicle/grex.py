@@ -2,7 +2,7 @@
 
 The vehicle is the TCP server. Both directions are JSON, one object a line (`docs/guest.md`). One guest at a time: a new
 connection replaces the one before, so that a restarted guest need not wait for its old connection to end. The service that
-listens decides who may be the guest (`delfim/services/guestdoor.py`).
+listens decides who may be the guest (`delfim/services/access/guest_listener.py`).
 """
 
 import asyncio

@@ -14,7 +14,7 @@ import pytest
 from bench.__main__ import main
 from bench.critical_path import running
 from bench.soak import LOGS_WRITTEN, Sample, busiest, grown, oldest_log
-from delfim.services.access.door import hashed
+from delfim.services.access.connection_limits import hashed
 from delfim.services.files import ftpd
 from delfim.services.tables import Ftpd, FtpUser
 from tests.services.boat import served, vehicle_file

@@ -12,8 +12,8 @@ import pytest
 from delfim import config
 from delfim.__main__ import main
 from delfim.base.input.keys import read_key
-from delfim.services.access.door import matches
-from delfim.services.access.doors import Entrance, doors
+from delfim.services.access.connection_limits import matches
+from delfim.services.access.exposure import Entrance, doors
 from delfim.services.suite import services
 from delfim.services.vehiclefile import changed
 
@@ -250,7 +250,7 @@ def test_the_desks_boat_is_open_to_this_computer_alone() -> None:
 
 
 def test_every_address_of_a_vehicles_file_is_a_door(made: Path) -> None:
-    """A new key that listens somewhere belongs into `doors`."""
+    """A new key that listens somewhere belongs into `exposure`."""
     more = ['mavlink.serial="/dev/ttyS2"', 'cantcpd.slcan=["0.0.0.0:29537"]', 'fleet.broker="mqtts://broker.example:8883"']
     at_broker = ['mavlink.peers=["127.0.0.1:14560"]', 'mavlink.listen="0.0.0.0:14555"']
     settings = config.load(made / "boat/boat.toml", more + at_broker)

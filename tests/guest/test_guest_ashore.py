@@ -16,7 +16,7 @@ import can
 import pytest
 
 from delfim.canproxy.dsor.messages import ShutdownAcknowledge, ShutdownStage, pack_shutdown_acknowledge
-from delfim.services.access.door import hashed
+from delfim.services.access.connection_limits import hashed
 from tests.guest import boat_image
 from tests.guest.ashore import BOAT, disk, network, started
 from tests.guest.pc import PATH, Pc

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import pytest
 
-from delfim.services.access.door import hashed
+from delfim.services.access.connection_limits import hashed
 from tests.guest.harness import ROOT, Guest, guest
 from tests.services.frequency import Frequency
 

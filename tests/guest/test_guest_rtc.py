@@ -11,7 +11,7 @@ pytestmark = [pytest.mark.long, pytest.mark.timeout(900)]  # the first one waits
 BOOT_S = 240.0
 TRIED = """
 import time
-from delfim.services.clock import kernelclock as k
+from delfim.services.clock import kernel as k
 
 def told(words):
     battery = time.strftime("%F %H:%M", time.gmtime((k.battery_ns() or 0) / 1e9))

@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from delfim.services.access.door import hashed
+from delfim.services.access.connection_limits import hashed
 from tests.guest.guest_wire import Wire
 from tests.guest.harness import ROOT, Guest, guest
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import asyncssh
 
-from delfim.services.access.door import hashed
+from delfim.services.access.connection_limits import hashed
 from delfim.services.files import ftpd, sshd
 from delfim.services.runtime import Runtime
 from delfim.services.tables import Ftpd, FtpUser, Sshd, SshUser

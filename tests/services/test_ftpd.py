@@ -19,8 +19,8 @@ import pytest
 
 from delfim.base.errors import PermanentFailure
 from delfim.logging import guard
-from delfim.services.access import door
-from delfim.services.access.door import hashed
+from delfim.services.access import connection_limits
+from delfim.services.access.connection_limits import hashed
 from delfim.services.files import ftpd, ftpdata, uploads
 from delfim.services.tables import Ftpd, FtpUser
 from tests.services.boat import served, vehicle_file
@@ -356,7 +356,7 @@ async def test_an_upload_has_a_name_that_can_be_shown(there):
 
 
 async def test_wrong_passwords_are_slowed_and_logged_without_the_password(tmp_path, monkeypatch, caplog):
-    monkeypatch.setattr(door, "PAUSE_S", 0.2)
+    monkeypatch.setattr(connection_limits, "PAUSE_S", 0.2)
     async with files(tmp_path) as there:
         began_s = time.monotonic()
         ftp = await there.raw()
@@ -366,8 +366,8 @@ async def test_wrong_passwords_are_slowed_and_logged_without_the_password(tmp_pa
             assert (await ftp.say("PASS mistake")).startswith("530 wrong name or password")
         assert await ftp.answer() == "", "three are enough"
         assert time.monotonic() - began_s > 0.2 + 0.4
-        monkeypatch.setattr(door, "PAUSE_S", 1000.0)
-        monkeypatch.setattr(door, "PAUSE_MAX_S", 1000.0)
+        monkeypatch.setattr(connection_limits, "PAUSE_S", 1000.0)
+        monkeypatch.setattr(connection_limits, "PAUSE_MAX_S", 1000.0)
         await (await there.raw("127.0.0.2")).login()  # who did nothing wrong does not wait
     assert "wrong password for 'nobody' from 127.0.0.1" in caplog.text
     assert "mistake" not in caplog.text

@@ -7,8 +7,8 @@ from typing import cast
 import pytest
 
 from delfim.base.clock import ManualClock
-from delfim.services.garbage import COLLECT_AGAIN_S, COLLECT_EVERY_S, Collector
-from delfim.services.window import NavigationWindow
+from delfim.services.priority.garbage import COLLECT_AGAIN_S, COLLECT_EVERY_S, Collector
+from delfim.services.priority.window import NavigationWindow
 
 
 @pytest.fixture

@@ -22,7 +22,7 @@ import pytest
 
 from delfim import config
 from delfim.base.clock import SystemClock
-from delfim.services.access import door
+from delfim.services.access import connection_limits
 from delfim.services.page import api, board, httpd, page
 from delfim.services.runtime import Runtime
 from delfim.services.tables import Httpd
@@ -295,11 +295,11 @@ async def test_a_name_of_the_internet_is_not_the_boats(boat, host, status):
 
 def test_a_visitor_who_leaves_while_the_page_is_made_costs_the_next_none_of_it(tmp_path):
     settings = vehicle_file(tmp_path)
-    door = SimpleNamespace(inside=Counter[str](), refused=0)
+    connection_limits = SimpleNamespace(inside=Counter[str](), refused=0)
 
     async def left_after(steps: int) -> set[str]:
         runtime = Runtime(settings, SystemClock(), alone=True)
-        told = board.Board(runtime, board.Lookout(settings, runtime.clock.monotonic_s), door)
+        told = board.Board(runtime, board.Lookout(settings, runtime.clock.monotonic_s), connection_limits)
         visitor = asyncio.create_task(told.sections())
         for _ in range(steps):
             await asyncio.sleep(0)
@@ -336,7 +336,7 @@ async def test_a_page_that_is_not_read_costs_nothing_and_is_hung_up(tmp_path, mo
     monkeypatch.setattr(httpd, "EVERY_S", (0.005, 60.0))
     monkeypatch.setattr(board, "FRESH_S", 0.0)
     monkeypatch.setattr(httpd, "STALL_S", 0.3)
-    monkeypatch.setattr(door, "UNSENT_BYTES", 4096)
+    monkeypatch.setattr(connection_limits, "UNSENT_BYTES", 4096)
     async with site(tmp_path) as boat:
         link = socket.socket()
         link.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)

@@ -1,4 +1,4 @@
-"""The private details of asyncio on which priority.py rests, on every interpreter that this machine has.
+"""The private details of asyncio on which navigation_loop.py rests, on every interpreter that this machine has.
 
 As a program it says where the newest one is.
 """
@@ -19,8 +19,8 @@ import socket
 from contextvars import copy_context
 
 from delfim.base.clock import ManualClock
-from delfim.services.priority import ACCOUNT, Account, NavigationLoop
-from delfim.services.window import NavigationWindow
+from delfim.services.priority.navigation_loop import ACCOUNT, Account, NavigationLoop
+from delfim.services.priority.window import NavigationWindow
 
 clock, order, account = ManualClock(), [], Account("service", 0.1)
 receiver, sender = socket.socketpair(socket.AF_UNIX, socket.SOCK_DGRAM)

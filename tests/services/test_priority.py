@@ -14,14 +14,14 @@ from math import inf
 import pytest
 
 from delfim.base.clock import Clock, ManualClock, SystemClock
-from delfim.services.priority import (
+from delfim.services.priority.navigation_loop import (
     ACCOUNT,
     Account,
     NavigationFirst,
     NavigationLoop,
     NavigationSelector,
 )
-from delfim.services.window import NavigationWindow
+from delfim.services.priority.window import NavigationWindow
 
 
 class Navigation:

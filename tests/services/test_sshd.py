@@ -18,7 +18,7 @@ import pytest
 
 from delfim.base.errors import PermanentFailure
 from delfim.logging import guard
-from delfim.services.access import door
+from delfim.services.access import connection_limits
 from delfim.services.files import sshd, sshfiles, sshprograms, uploads
 from delfim.services.tables import Sshd, SshUser
 from tests.services.boat import served, vehicle_file
@@ -307,7 +307,7 @@ async def test_no_path_leads_out(there, tmp_path, path):
 
 
 async def test_only_the_keys_of_the_file_open_and_others_are_slowed_and_logged(tmp_path, keys, monkeypatch, caplog):
-    monkeypatch.setattr(door, "PAUSE_S", 0.4)
+    monkeypatch.setattr(connection_limits, "PAUSE_S", 0.4)
     async with boat(tmp_path, keys) as there:
         assert (await there.ssh("true"))[0] == 0
         code, _, told = await there.ssh("true", key="stranger")

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from delfim.services.window import HOLD_MAX_S, MISSES_MAX, NavigationWindow
+from delfim.services.priority.window import HOLD_MAX_S, MISSES_MAX, NavigationWindow
 
 GUARD_S, SHARE = 0.0006, 0.1
 

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from delfim.base.clock import MADE_NS
-from delfim.services.clock.clockkeeper import (
+from delfim.services.clock.discipline import (
     AGREE_S,
     DRIFT,
     ENOUGH,

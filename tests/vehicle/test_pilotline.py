@@ -15,7 +15,7 @@ from delfim.base.tables import decode
 from delfim.lines.nmea0183.proprietary import FieldReader
 from delfim.lines.nmea0183.tracklines import INVALID, MILE_M, TrackLine, track_line
 from delfim.parts.nmea0183.table import Nmea0183, Nmea0183Guest
-from delfim.services.access.doors import doors
+from delfim.services.access.exposure import doors
 from delfim.simulator.lockstep import Lockstep
 from delfim.simulator.tables import Sea, Simulation
 from delfim.vehicle import console

@@ -19,8 +19,8 @@ from delfim.base.ranges import address
 from delfim.parts.fleet.broker import DOWN, STATE, UP, BrokerLine, BrokerPlace
 from delfim.parts.fleet.table import FleetTable
 from delfim.parts.mavlink.table import Mavlink
+from delfim.services.report_feed import watch
 from delfim.services.runtime import Runtime
-from delfim.services.watching import watch
 from delfim.vehicle.report import BoatReport
 
 DATAGRAMS: Final = 16  # in one call

@@ -4,7 +4,7 @@ from collections.abc import Collection, Iterator
 
 from delfim import config
 from delfim.parts.mavlink.table import Mavlink
-from delfim.services.access.doors import EVERY, Entrance
+from delfim.services.access.exposure import EVERY, Entrance
 
 
 def entrances(settings: config.Vehicle, running: Collection[str]) -> Iterator[Entrance]:

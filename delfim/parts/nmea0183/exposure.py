@@ -6,7 +6,7 @@ from ipaddress import ip_network
 from delfim import config
 from delfim.base.ranges import is_loopback
 from delfim.parts.nmea0183.table import Nmea0183
-from delfim.services.access.doors import EVERY, STEER, Entrance, beyond, listed
+from delfim.services.access.exposure import EVERY, STEER, Entrance, beyond, listed
 
 
 def entrances(settings: config.Vehicle, running: Collection[str]) -> Iterator[Entrance]:

@@ -23,8 +23,8 @@ from delfim.canproxy.opening import open_bound
 from delfim.canproxy.socket import CanAddress, CanSocket
 from delfim.parts.nmea2000.nmea2000rows import TOLD, Alerts, Telling, pgns_of
 from delfim.parts.nmea2000.table import Nmea2000
+from delfim.services.report_feed import watch
 from delfim.services.runtime import Runtime
-from delfim.services.watching import watch
 from delfim.vehicle.report import BoatReport
 
 TICK_S: Final = 0.02

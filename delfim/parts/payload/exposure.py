@@ -3,7 +3,7 @@
 from collections.abc import Collection, Iterator
 
 from delfim import config
-from delfim.services.access.doors import Entrance
+from delfim.services.access.exposure import Entrance
 
 
 def entrances(settings: config.Vehicle, running: Collection[str]) -> Iterator[Entrance]:

@@ -24,13 +24,13 @@ from delfim.logging.nodelog import line as log_line
 from delfim.logging.openlog import open_log
 from delfim.parts.payload.payloadorders import OrderLine
 from delfim.parts.payload.table import PayloadTable
+from delfim.services.report_feed import watch
 from delfim.services.runtime import Runtime
 from delfim.services.supervision import processes
 from delfim.services.supervision.cgroup import ROOT, Limits
 from delfim.services.supervision.children import ended
 from delfim.services.supervision.confine import ALONE, NETWORK
 from delfim.services.supervision.supervisor import EXIT_PERMANENT
-from delfim.services.watching import watch
 from delfim.vehicle.orders.payloadlines import (
     LINE_BYTES,
     ORDER_BYTES,

@@ -4,7 +4,7 @@ from collections.abc import Collection, Iterator
 
 from delfim import config
 from delfim.parts.ros.table import RosTable
-from delfim.services.access.doors import STEER, Entrance
+from delfim.services.access.exposure import STEER, Entrance
 
 
 def entrances(settings: config.Vehicle, running: Collection[str]) -> Iterator[Entrance]:

@@ -20,9 +20,9 @@ from delfim.parts.ros import rosmessages as messages
 from delfim.parts.ros.roskeys import RosNode, RosType, attachment
 from delfim.parts.ros.rossteering import GuestLine, Steering
 from delfim.parts.ros.table import RosTable
+from delfim.services.report_feed import watch
 from delfim.services.runtime import Runtime
 from delfim.services.tables import GuestTable
-from delfim.services.watching import watch
 from delfim.vehicle.report import BoatReport
 
 TICK_S: Final = 0.1

@@ -20,7 +20,7 @@ from delfim import config
 from delfim.base.clock import Clock
 from delfim.base.errors import DelfimError, PermanentFailure
 from delfim.base.ranges import address
-from delfim.services.access.door import Door, Patience, bulk, hashed, matches
+from delfim.services.access.connection_limits import Door, Patience, bulk, hashed, matches
 from delfim.services.files import ftpdata
 from delfim.services.files.ftpfiles import FtpFiles
 from delfim.services.files.threads import worked

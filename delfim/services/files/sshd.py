@@ -22,7 +22,7 @@ from delfim import config
 from delfim.base.clock import Clock
 from delfim.base.errors import PermanentFailure
 from delfim.base.ranges import address
-from delfim.services.access.door import Door, Patience, bulk
+from delfim.services.access.connection_limits import Door, Patience, bulk
 from delfim.services.files.jail import Jail
 from delfim.services.files.sshfiles import SftpFiles
 from delfim.services.files.sshprograms import Programs, SshProcess

@@ -10,7 +10,7 @@ import msgspec
 
 from delfim import config
 from delfim.base.errors import DelfimError
-from delfim.services.access.door import Door
+from delfim.services.access.connection_limits import Door
 from delfim.services.page import page
 from delfim.services.page.api import Computer, Report, Server
 from delfim.services.runtime import Runtime

@@ -26,7 +26,7 @@ from delfim.base.errors import DelfimError, FormatError
 from delfim.base.ranges import address
 from delfim.logging import systemlog
 from delfim.logging.ashore.tree import readable
-from delfim.services.access.door import Door, bulk
+from delfim.services.access.connection_limits import Door, bulk
 from delfim.services.files.jail import Jail
 from delfim.services.files.threads import worked
 from delfim.services.page import api, document, files, metrics, saidlines

@@ -1,5 +1,5 @@
 """The voyage, as it is kept for a restart: what the operator sent, as the commands that send it again, and what the boat has
-sailed since. Pure; `delfim/services/voyagekeeping.py` writes it, `returning.py` acts on it.
+sailed since. Pure; `delfim/services/voyage_on_disk.py` writes it, `returning.py` acts on it.
 
 The text of a kept voyage is a line of `KeptHead`, one of `VoyageState`, and one for each command: `rally`, `set` for each
 changed key, and `upload` or `fence` for the plan.

@@ -27,7 +27,7 @@ from delfim.parts.fleet.broker import STALE_S, BrokerLine, BrokerPlace
 from delfim.parts.fleet.fleetd import FleetMember, serve
 from delfim.parts.fleet.table import FleetTable
 from delfim.parts.mavlink.table import Mavlink
-from delfim.services.access.doors import doors
+from delfim.services.access.exposure import doors
 from delfim.services.suite import services
 from delfim.vehicle.report import BoatReport
 from tests.console.fakeboat import FakeBoat

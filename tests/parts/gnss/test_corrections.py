@@ -22,7 +22,7 @@ from delfim.parts.gnss import corrections
 from delfim.parts.gnss.receiverport import WAITING_BYTES, ReceiverPort
 from delfim.parts.gnss.table import Corrections
 from delfim.parts.nmea0183.table import Nmea0183, Nmea0183Port
-from delfim.services.priority import Account
+from delfim.services.priority.navigation_loop import Account
 from delfim.services.runtime import Runtime
 from delfim.services.servicestatus import ServiceStatus
 from tests.parts.gnss.caster import Base, casting, free_port, needs_str2str

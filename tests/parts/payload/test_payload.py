@@ -26,7 +26,7 @@ from delfim.base.clock import SystemClock
 from delfim.base.errors import ConfigError
 from delfim.parts.payload import payload
 from delfim.parts.payload.table import PayloadTable
-from delfim.services import watching
+from delfim.services import report_feed
 from delfim.services.runtime import LoadedService, Runtime
 from delfim.services.supervision import processes
 from delfim.vehicle.orders.payloadlines import LINE_BYTES, VALUES, BoundedLines, lines, values
@@ -273,7 +273,7 @@ async def test_a_program_that_is_not_there_is_waited_for(tmp_path: Path) -> None
 
 
 async def test_without_the_vehicle_the_programs_run_and_the_page_says_so(tmp_path, monkeypatch):
-    monkeypatch.setattr(watching, "AGAIN_S", 0.01)
+    monkeypatch.setattr(report_feed, "AGAIN_S", 0.01)
     tables = {"well": PayloadTable(command=("/bin/sh", "-c", """echo '{"on": 1}'; cat >/dev/null"""))}
     async with served(vehicle_file(tmp_path, payload=tables), payload.serve, "payload") as runtime:
         async with asyncio.timeout(200):

@@ -22,8 +22,8 @@ from delfim.parts.ros import rosd, roskeys, rosmessages
 from delfim.parts.ros.cdr import HEAD, CdrReader, CdrWriter
 from delfim.parts.ros.rossteering import GOAL_S, TURN_MAX_RAD, TWIST_S, Steering
 from delfim.parts.ros.table import RosTable
-from delfim.services.access.doors import doors
-from delfim.services.guestdoor import GuestDoor
+from delfim.services.access.exposure import doors
+from delfim.services.access.guest_listener import GuestDoor
 from delfim.services.suite import services
 from delfim.services.tables import GuestTable
 from delfim.vehicle.grex import Guest, HeadingReference, reference

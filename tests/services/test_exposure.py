@@ -8,8 +8,8 @@ import pytest
 
 from delfim import config
 from delfim.base.tables import decode
-from delfim.services.access.door import hashed
-from delfim.services.access.doors import SERVICES, doors, unheard
+from delfim.services.access.connection_limits import hashed
+from delfim.services.access.exposure import SERVICES, doors, unheard
 
 KEY, LAN = "/etc/delfim/key", "192.168.5.10:80"
 # A service and values of the vehicle's file; below, its doors: place | reach | who | may | what keeps the boat from the sea.

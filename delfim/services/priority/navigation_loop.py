@@ -4,7 +4,7 @@ Navigation first: `NavigationLoop` looks at the navigation sockets between any t
 tasks, timers, protocols, completions of workers). From the moment a frame is readable, at most one other callback runs
 before its handler does. For all others the loop stays what it is: first come, first served, nobody starves.
 
-Navigation window: navigation is periodic. `NavigationWindow` (delfim.services.window) learns when the next message is due;
+Navigation window: navigation is periodic. `NavigationWindow` (`window.py`) learns when the next message is due;
 shortly before, the loop runs nothing else and polls without sleeping until the message is there or the window ends. No callback
 is under way then.
 
@@ -25,7 +25,7 @@ from math import inf
 from typing import Any, Final, Protocol
 
 from delfim.base.clock import Clock
-from delfim.services.window import NavigationWindow
+from delfim.services.priority.window import NavigationWindow
 
 EPOLL_TICK_S: Final = 0.001
 

@@ -15,9 +15,9 @@ from delfim.base.errors import BusError
 from delfim.base.modes import Mode
 from delfim.canproxy.dsor.messages import TIME, TIME_FRAME, Navigation
 from delfim.canproxy.socket import CanSocket
-from delfim.services.clock import clockkeeper
-from delfim.services.clock.clockkeeper import HEARD_S, ClockKeeper, Correction
-from delfim.services.clock.kernelclock import BATTERY
+from delfim.services.clock import discipline
+from delfim.services.clock.discipline import HEARD_S, ClockKeeper, Correction
+from delfim.services.clock.kernel import BATTERY
 from delfim.vehicle.report import ClockStatus
 from delfim.vehicle.state import State
 
@@ -29,7 +29,7 @@ log = logging.getLogger(__name__)
 
 
 class Settable(Protocol):
-    """The kernel's clock; delfim.services.clock.kernelclock.KernelClock. Each method raises OSError or returns at once."""
+    """The kernel's clock; delfim.services.clock.kernel.KernelClock. Each method raises OSError or returns at once."""
 
     def disciplined(self) -> bool: ...
     def step(self, by_s: float) -> None: ...
@@ -106,7 +106,7 @@ class ClockKeeping:
             now_s, age_s = self._clock.monotonic_s(), (self._clock.time_ns() - frame.t_ns) / 1e9
             if 0.0 <= age_s <= HEARD_S:  # otherwise it is too old, or the clock was stepped after its stamp
                 at_s = now_s - age_s
-                self._keeper.tell(clockkeeper.TIME_FRAME, TIME.unpack(frame.data)[0] - round(at_s * 1e9), at_s)
+                self._keeper.tell(discipline.TIME_FRAME, TIME.unpack(frame.data)[0] - round(at_s * 1e9), at_s)
 
     def _hear_navigation(self, state: State) -> None:
         """A receiver without a fix may tell the time of a clock of its own."""

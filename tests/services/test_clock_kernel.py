@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from delfim.base.clock import MADE_NS
-from delfim.services.clock import kernelclock
-from delfim.services.clock.kernelclock import (
+from delfim.services.clock import kernel
+from delfim.services.clock.kernel import (
     KernelClock,
     Timex,
     battery_ns,
@@ -108,12 +108,12 @@ def board(monkeypatch: pytest.MonkeyPatch, proc: Path):
             self.written: list[tuple[int, bytes]] = []
 
     found = Board()
-    monkeypatch.setattr(kernelclock.time, "time_ns", lambda: found.time_ns)
-    monkeypatch.setattr(kernelclock.time, "clock_settime_ns", lambda which, ns: found.set.append(ns))
-    monkeypatch.setattr(kernelclock, "battery_ns", lambda: found.battery_ns)
-    monkeypatch.setattr(kernelclock, "left_alone", lambda mode, buses: found.alone)
+    monkeypatch.setattr(kernel.time, "time_ns", lambda: found.time_ns)
+    monkeypatch.setattr(kernel.time, "clock_settime_ns", lambda which, ns: found.set.append(ns))
+    monkeypatch.setattr(kernel, "battery_ns", lambda: found.battery_ns)
+    monkeypatch.setattr(kernel, "left_alone", lambda mode, buses: found.alone)
     monkeypatch.setattr(KernelClock, "disciplined", lambda self: False)
-    monkeypatch.setattr(kernelclock.fcntl, "ioctl", lambda fd, request, words: found.written.append((request, words)))
+    monkeypatch.setattr(kernel.fcntl, "ioctl", lambda fd, request, words: found.written.append((request, words)))
     return found
 
 
@@ -166,7 +166,7 @@ def test_a_battery_clock_that_fails_costs_a_line(board, tmp_path, monkeypatch, c
         raise OSError(22, "Invalid argument")
 
     board.time_ns = NOW_NS
-    monkeypatch.setattr(kernelclock.fcntl, "ioctl", refuse)
+    monkeypatch.setattr(kernel.fcntl, "ioctl", refuse)
     (tmp_path / "rtc0").touch()
     write_battery("auto", ("can0",), tmp_path / "rtc0")
     assert [each.message for each in caplog.records] == [f"clock: {tmp_path}/rtc0: Invalid argument"]

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from delfim.base.errors import FormatError
-from delfim.services.access.door import Door, Patience, bulk, hashed, matches
+from delfim.services.access.connection_limits import Door, Patience, bulk, hashed, matches
 
 
 def test_connections_are_counted_and_forgotten():

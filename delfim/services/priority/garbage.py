@@ -5,7 +5,7 @@ import gc
 from typing import Final
 
 from delfim.base.clock import Clock
-from delfim.services.window import NavigationWindow
+from delfim.services.priority.window import NavigationWindow
 
 COLLECT_EVERY_S: Final = 0.1  # garbage is looked for so often ...
 COLLECT_QUIET_S: Final = 0.002  # ... and collected when no navigation is due for so long ...

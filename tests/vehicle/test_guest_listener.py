@@ -16,8 +16,8 @@ from delfim.base import tables
 from delfim.base.errors import ConfigError
 from delfim.base.input.keys import new_key, read_key
 from delfim.parts.ros.rossteering import GuestLine
-from delfim.services import guestdoor
-from delfim.services.guestdoor import GuestDoor
+from delfim.services.access import guest_listener
+from delfim.services.access.guest_listener import GuestDoor
 from delfim.services.tables import GuestTable
 from delfim.simulator.guest import Zigzag, guest
 from delfim.vehicle.grex import proof
@@ -147,7 +147,7 @@ async def test_a_stranger_neither_replaces_the_guest_nor_hears_the_boat(boat, lo
 
 
 async def test_who_does_not_answer_has_five_seconds_and_four_places_an_address(boat, locked, monkeypatch):
-    monkeypatch.setattr(guestdoor, "ANSWER_S", 0.2)
+    monkeypatch.setattr(guest_listener, "ANSWER_S", 0.2)
     async with at_the_door(boat, locked) as (opened, door, _port):
         slow = [await opened() for _ in range(4)]
         for link in slow:

@@ -17,7 +17,7 @@ from delfim.base.clock import Clock
 from delfim.base.input.keys import read_key
 from delfim.base.input.untrusted import UNREADABLE
 from delfim.canproxy.cantcp.access import Networks
-from delfim.services.access.door import Door
+from delfim.services.access.connection_limits import Door
 from delfim.services.tables import GuestTable
 from delfim.vehicle.grex import Guest, proof
 from delfim.vehicle.state import State

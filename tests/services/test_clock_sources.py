@@ -13,8 +13,8 @@ from delfim.canproxy.dsor.messages import TIME, TIME_FRAME, Navigation, time_fra
 from delfim.canproxy.nmea2000.pgns import GnssPosition, PositionRapid, SystemTime, encode
 from delfim.parts.nmea2000.combining import Nmea2000Source
 from delfim.parts.nmea2000.table import Nmea2000
-from delfim.services.clock.clockkeeper import ENOUGH
-from delfim.services.clock.clockkeeping import OURS, ClockKeeping
+from delfim.services.clock.discipline import ENOUGH
+from delfim.services.clock.sources import OURS, ClockKeeping
 from delfim.vehicle.state import State
 
 START_NS = MADE_NS + 300 * 86_400_000_000_000  # UTC at monotonic zero
