@@ -24,7 +24,7 @@ from delfim.campaign.rulecheck import Instant
 from delfim.parts.traffic.encounter import Own
 from delfim.parts.traffic.keepclear import Memory, decide
 from delfim.parts.traffic.trialways import Caution, RouteAhead
-from delfim.simulator.nodes.shipping import axes_m, within
+from delfim.simulator.nodes.other_vessels import axes_m, within
 from delfim.simulator.scenarios.encounters import Encounter, Ship, StraightWay, drawn, read_encounters
 from delfim.vehicle.target import Target
 

@@ -30,7 +30,7 @@ from delfim.campaign.rulecheck import Instant
 from delfim.campaign.runplan import Plan, Seeds, read
 from delfim.campaign.sailing import sailed_run
 from delfim.campaign.store import parts
-from delfim.simulator.nodes.shipping import axes_m
+from delfim.simulator.nodes.other_vessels import axes_m
 
 CAMPAIGN: Final = Path(__file__).parents[1] / "etc/campaigns/encounters.toml"
 HEARD, GUARD = "simulation.traffic.heard", "traffic.guard.enabled"

@@ -12,10 +12,10 @@ from typing import Any, Final
 import matplotlib
 import numpy as np
 
+from delfim.simulator.invariants.onlooker import TruePlace
 from delfim.simulator.lockstep import Lockstep
 from delfim.simulator.scenarios.scenario import load_scenario, settings_of
 from delfim.simulator.scenarios.trial import sail
-from delfim.simulator.scenarios.watch import TruePlace
 
 ROOT: Final = Path(__file__).parents[1]
 SCENARIO, VEHICLE, PROGRAM = (ROOT / "etc" / name for name in ("scenarios/payload.toml", "delfimx.toml", "payloads/uphill.py"))

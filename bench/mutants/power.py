@@ -89,7 +89,7 @@ def sailed(seed: int) -> tuple[str, list[str]]:
     """The digest of a run, and what the watch says of it. Whatever the boat's program raises is a failure."""
     from delfim import config
     from delfim.campaign.measures import RunTape
-    from delfim.simulator.scenarios.mixed import mixed, mixed_mission
+    from delfim.simulator.scenarios.random_faults import mixed, mixed_mission
     from delfim.simulator.scenarios.scenario import settings_of
     from delfim.simulator.scenarios.trial import sail
     from delfim.simulator.tables import Simulation

@@ -10,9 +10,9 @@ from delfim.base.clock import ManualClock
 from delfim.base.modes import Mode
 from delfim.campaign.rulecheck import Check, RuleTape, alterations
 from delfim.campaign.steertape import Deviation, SteerTape
+from delfim.simulator.invariants.onlooker import TruePlace
 from delfim.simulator.lockstep import Lockstep, OrderLog
 from delfim.simulator.scenarios.trial import Event
-from delfim.simulator.scenarios.watch import TruePlace
 from delfim.vehicle.console import Commands
 from delfim.vehicle.log.logbook import ORDERLY
 from delfim.vehicle.plans.zones import Point

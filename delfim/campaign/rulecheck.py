@@ -8,7 +8,7 @@ from typing import Final, NamedTuple
 
 from delfim.base.geodesy import wrap
 from delfim.simulator.lockstep import Lockstep
-from delfim.simulator.nodes.shipping import Vessel, axes_m, nearness
+from delfim.simulator.nodes.other_vessels import Vessel, axes_m, nearness
 from delfim.simulator.scenarios.encounters import START_S
 from delfim.vehicle.helm import setpoints
 

@@ -18,14 +18,14 @@ from delfim.base.clock import ManualClock
 from delfim.base.errors import DelfimError
 from delfim.campaign.measures import MEASURES, RunTape, Sailed, Truth
 from delfim.campaign.runplan import Batch, Plan, broken_of, laid, parted
+from delfim.simulator.invariants.onlooker import TruePlace
 from delfim.simulator.lockstep import Lockstep
 from delfim.simulator.scenarios.encounters import OWN_MPS, RANDOM, drawn, staged
-from delfim.simulator.scenarios.mixed import mixed_mission
 from delfim.simulator.scenarios.pairs import PairTape
+from delfim.simulator.scenarios.random_faults import mixed_mission
 from delfim.simulator.scenarios.scenario import Scenario, laid_upon
 from delfim.simulator.scenarios.searching import DRAWN
 from delfim.simulator.scenarios.trial import Event, sail
-from delfim.simulator.scenarios.watch import TruePlace
 from delfim.simulator.tables import Simulation
 from delfim.vehicle.log.logbook import Logbook
 from delfim.vehicle.state import NoLog, StateLog

@@ -102,7 +102,7 @@ def there(asked: argparse.Namespace) -> list[str]:
     """The overrides that lead to a running boat: those of `delfim sim`, if its boat is asked for, and the operator's."""
     if not asked.sim and asked.sim_in is None:
         return list(asked.set)
-    from delfim.simulator.berth import found
+    from delfim.simulator.workspace import found
 
     place = found(asked.sim_in)
     return [f'console.socket="{place}/command"', f'runtime.run_directory="{place}"', *asked.set]

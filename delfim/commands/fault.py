@@ -20,7 +20,7 @@ def options(parser: argparse.ArgumentParser) -> None:
 
 def run(asked: argparse.Namespace) -> int:
     from delfim.config import load
-    from delfim.simulator.bycommand import tell
+    from delfim.simulator.realtime.fault_socket import tell
 
     print(f"delfim: {tell(load(asked.file, there(asked)), asked.kind, asked.where, asked.value, asked.for_s)}")
     return 0

@@ -12,6 +12,6 @@ def options(parser: argparse.ArgumentParser) -> None:
 
 def run(asked: argparse.Namespace) -> int:
     from delfim.config import load
-    from delfim.simulator.realtime import run_nodes
+    from delfim.simulator.realtime.nodes import run_nodes
 
     return run_nodes(load(asked.file, asked.set), asked.seed)

@@ -27,8 +27,8 @@ from delfim.canproxy.socket import ANYTHING
 from delfim.commands import OWN_FILE, example_file, seconds, shipped
 from delfim.console.terminal.onlooker import CTRL_C, START_S, Voyage
 from delfim.parts.mavlink.table import Mavlink
-from delfim.simulator.berth import BOATS, PAGE, SIMULATED, Berth, berth, settings_of
 from delfim.simulator.tables import Simulation
+from delfim.simulator.workspace import BOATS, PAGE, SIMULATED, Berth, berth, settings_of
 from delfim.vehicle.log.logbook import Logbook
 from delfim.vehicle.plans.mission import Mission, canonical, load_mission
 
@@ -83,12 +83,12 @@ def run(asked: argparse.Namespace) -> int:
 
 def _scenario(asked: argparse.Namespace) -> int:
     from delfim.logging.statelog import columns
-    from delfim.simulator.scenarios import mixed, searching, trial
+    from delfim.simulator.scenarios import random_faults, searching, trial
 
     logged = bool(asked.output)
     overrides = (*asked.set, *(_kept(asked) if logged else ()))
     if draw := searching.DRAWN.get(asked.scenario):
-        result = mixed.sail_mixed(asked.file, asked.seed, overrides, draw, logged=logged)
+        result = random_faults.sail_mixed(asked.file, asked.seed, overrides, draw, logged=logged)
     else:
         result = trial.run_file(asked.scenario, asked.file, asked.seed, overrides, logged=logged)
     print(*trial.report(result), sep="\n")
@@ -99,7 +99,9 @@ def _scenario(asked: argparse.Namespace) -> int:
         print("\n".join(f"  {name:12} {words}" for name, words in [*_figures(data), ("log", _beside(log))]))
         _pictures(data, Mission(version=1, name=asked.scenario, waypoint=()), settings, Path(asked.output), timed=False)
     if result.failures:
-        print(f"delfim: failed; again: {mixed.again(asked.file, asked.scenario, asked.seed, asked.set)}", file=sys.stderr)
+        print(
+            f"delfim: failed; again: {random_faults.again(asked.file, asked.scenario, asked.seed, asked.set)}", file=sys.stderr
+        )
         return 1
     print(f"delfim: {asked.scenario}, seed {asked.seed}: all as it must be, {result.elapsed_s:.0f} s sailed")
     return 0
@@ -237,8 +239,8 @@ def _process(command: str, *arguments: str, stdout: int | None = None) -> Iterat
 def _lockstep(asked: argparse.Namespace, settings: config.Vehicle, mission: Mission) -> int:
     """The same mission as fast as the machine can; the state log's bytes depend on file, mission and seed alone."""
     from delfim.logging.statelog import columns
-    from delfim.simulator.external import SteppedModel
     from delfim.simulator.lockstep import Lockstep
+    from delfim.simulator.realtime.external_model import SteppedModel
 
     settings = config.load(asked.file, [*asked.set, *_kept(asked)])
     log = Path(settings.log.directory)

@@ -58,7 +58,7 @@ words = logging.getLogger(__name__)  # `log` is the state log here
 
 
 class Breakable(Protocol):
-    """The faults that `delfim fault` can inject into this program; `delfim.simulator.bycommand` has them."""
+    """The faults that `delfim fault` can inject into this program; `delfim.simulator.realtime.fault_socket` has them."""
 
     @property
     def deaf(self) -> str | None: ...  # why the operator is not heard; None: he is
@@ -283,7 +283,7 @@ def _breakable(runtime: Runtime, links: contextlib.ExitStack) -> Breakable | Non
     """The faults that `delfim fault` can inject into this program. None at sea: nothing of it is loaded there."""
     if not runtime.config.of(Simulation).faults:
         return None
-    from delfim.simulator.bycommand import Aboard
+    from delfim.simulator.realtime.fault_socket import Aboard
 
     return links.enter_context(Aboard(runtime.config, runtime.clock))
 

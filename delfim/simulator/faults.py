@@ -17,7 +17,7 @@ from delfim.simulator.model import Bank
 from delfim.simulator.nodes import Nodes
 from delfim.simulator.nodes.measuring import Compass, GnssReceiver
 from delfim.simulator.nodes.navigation import SATELLITES, NavigationNode
-from delfim.simulator.nodes.shipping import Shipping
+from delfim.simulator.nodes.other_vessels import Shipping
 from delfim.simulator.propulsor import Drive
 from delfim.vehicle.grex import Guest
 from delfim.vehicle.state import State, StateLog

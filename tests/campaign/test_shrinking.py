@@ -12,8 +12,8 @@ from delfim.campaign import conduct, report, shrinking
 from delfim.campaign.runplan import Plan, read
 from delfim.campaign.sailing import Drawn, drawn_run
 from delfim.campaign.store import Store
+from delfim.simulator.invariants.onlooker import Onlooker
 from delfim.simulator.scenarios.trial import run_file
-from delfim.simulator.scenarios.watch import Onlooker
 from tests.campaign.test_runplan import written
 
 SEED = 4  # its scenario has several faults and orders

@@ -15,7 +15,7 @@ from delfim.base.vessels import VesselFacts, VesselPosition
 from delfim.canproxy.nmea2000 import ais
 from delfim.canproxy.nmea2000.ais import decode
 from delfim.canproxy.nmea2000.fastpacket import FastPacket
-from delfim.simulator.nodes import aisframes
+from delfim.simulator.nodes.other_vessels import frames
 from tests.canproxy.pgn_of import pgn_of
 from tests.canproxy.test_recordings import BUSY, RAYMARINE, recording
 
@@ -66,7 +66,7 @@ def test_every_field_of_every_vessel_is_what_the_independent_decoder_says() -> N
 def test_names_that_a_transponder_tells_of_its_own_boat_are_marked(is_class_a: bool, transceiver: int, is_own: bool) -> None:
     """Sent on channel A or B, or not broadcast; the recordings have received ones alone."""
     told = VesselFacts(263_000_009, "DELFIM", "CS1234", 36, 12.0, 4.0, 2.0, 6.0)
-    for pgn, data in aisframes.facts(told, is_class_a):
+    for pgn, data in frames.facts(told, is_class_a):
         marked = data[:-2] + bytes((data[-2] | transceiver, data[-1]))
         assert decode(pgn, marked).is_own == is_own
         assert decode(pgn, marked[:-2]).is_own is False, "receivers of old leave it away"

@@ -7,7 +7,7 @@ import sys
 import time
 
 from delfim import config
-from delfim.simulator import realtime
+from delfim.simulator.realtime import nodes
 
 
 class SatelliteClock:
@@ -19,5 +19,5 @@ class SatelliteClock:
         return round(float(sys.argv[1]) * 1e9) + time.monotonic_ns()
 
 
-realtime.SystemClock = SatelliteClock  # type: ignore[assignment,misc]
-realtime.run_nodes(config.load(sys.argv[2], sys.argv[3:]), 1)
+nodes.SystemClock = SatelliteClock  # type: ignore[assignment,misc]
+nodes.run_nodes(config.load(sys.argv[2], sys.argv[3:]), 1)

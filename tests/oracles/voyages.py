@@ -9,12 +9,12 @@ import msgspec
 
 from delfim import config
 from delfim.base.clock import ManualClock
+from delfim.simulator.invariants.onlooker import TruePlace
 from delfim.simulator.lockstep import Lockstep
 from delfim.simulator.scenarios.encounters import staged_of
-from delfim.simulator.scenarios.mixed import mixed, mixed_mission, place_of
+from delfim.simulator.scenarios.random_faults import mixed, mixed_mission, place_of
 from delfim.simulator.scenarios.scenario import Scenario, load_scenario, mission_of, settings_of
 from delfim.simulator.scenarios.trial import sail
-from delfim.simulator.scenarios.watch import TruePlace
 from delfim.simulator.tables import Simulation
 from tests.oracles.traces import Layout, Tape, Trace
 

@@ -9,11 +9,11 @@ import pytest
 from delfim import config
 from delfim.base.modes import Mode
 from delfim.parts.dronecan.table import Dronecan
-from delfim.simulator.berth import Berth, settings_of
 from delfim.simulator.faults import fault
 from delfim.simulator.lockstep import Lockstep
 from delfim.simulator.nodes.cansensors import FIRST_NODE, CanSensors
 from delfim.simulator.tables import Sea, Simulation
+from delfim.simulator.workspace import Berth, settings_of
 from delfim.vehicle import console
 from delfim.vehicle.state import NoLog, State
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from delfim.base.errors import ConfigError
-from delfim.simulator.nodes.shipping import axes_m, nearness
+from delfim.simulator.nodes.other_vessels import axes_m, nearness
 from delfim.simulator.scenarios import trial
 from delfim.simulator.scenarios.encounters import Encounter, drawn, kind_of, staged_of
 from delfim.simulator.scenarios.scenario import Scenario, load_scenario

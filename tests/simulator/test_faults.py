@@ -19,7 +19,6 @@ from delfim.base.modes import Mode
 from delfim.canproxy.dsor import messages
 from delfim.canproxy.dsor.messages import Navigation, Node, Status
 from delfim.canproxy.dsor.receiver import Receiver
-from delfim.simulator import bycommand
 from delfim.simulator.faults import (
     ABOARD,
     KINDS,
@@ -36,6 +35,7 @@ from delfim.simulator.faults import (
 )
 from delfim.simulator.lockstep import Lockstep
 from delfim.simulator.nodes import nodes_of
+from delfim.simulator.realtime import fault_socket
 from delfim.vehicle import console
 from delfim.vehicle.state import NoLog, State
 
@@ -344,19 +344,19 @@ def test_running_nodes_break_by_command(tmp_path: Path):
     overrides = [f'can.interface="canloop:{tmp_path.name[-20:]}"', f'runtime.run_directory="{tmp_path}"']
     words = [word for override in overrides for word in ("--set", override)]
     boat = config.load(vehicle, overrides)
-    place = bycommand.place(boat, bycommand.NODES)
+    place = fault_socket.place(boat, fault_socket.NODES)
     with pytest.raises(DelfimError, match="is one running"):
-        bycommand.tell(boat, "bus_off")
+        fault_socket.tell(boat, "bus_off")
     nodes = subprocess.Popen([sys.executable, "-m", "delfim", "nodes", str(vehicle), *words])
     try:
         until(lambda: Path(place).exists())
-        assert bycommand.tell(boat, "thruster_dead", "port", None, 4.0) == "thruster_dead port for 4 s"
-        assert bycommand.tell(boat, "frames_late", "", 0.1) == "frames_late until it is ended"
-        assert bycommand.tell(boat, "clock_stepped") == "clock_stepped until it is ended"
+        assert fault_socket.tell(boat, "thruster_dead", "port", None, 4.0) == "thruster_dead port for 4 s"
+        assert fault_socket.tell(boat, "frames_late", "", 0.1) == "frames_late until it is ended"
+        assert fault_socket.tell(boat, "clock_stepped") == "clock_stepped until it is ended"
         with pytest.raises(Refused, match="needs one of"):
-            bycommand.tell(boat, "thruster_dead")
+            fault_socket.tell(boat, "thruster_dead")
         with pytest.raises(DelfimError, match="is one running"):
-            bycommand.tell(boat, "disk_full")
+            fault_socket.tell(boat, "disk_full")
         for nonsense in (
             b"",
             b"\xff",
@@ -368,7 +368,7 @@ def test_running_nodes_break_by_command(tmp_path: Path):
             json.dumps("x").encode(),
         ):
             assert not answered(place, nonsense)["ok"]
-        assert bycommand.tell(boat, "end").startswith("all faults ended")
+        assert fault_socket.tell(boat, "end").startswith("all faults ended")
         asked = subprocess.run(
             [sys.executable, "-m", "delfim", "fault", "--for", "2", *words, str(vehicle), "sensor_bad", "gps"],
             capture_output=True,

@@ -21,12 +21,12 @@ from delfim.base.modes import Mode
 from delfim.lines.networkline import NetworkLine
 from delfim.lines.serialline import SerialLine
 from delfim.parts.nmea0183.table import Nmea0183, Nmea0183Port
-from delfim.simulator.berth import berth, settings_of
 from delfim.simulator.faults import fault
-from delfim.simulator.instrumentlines import InstrumentLines
 from delfim.simulator.lockstep import Lockstep
 from delfim.simulator.nodes import Nodes, nodes_of
+from delfim.simulator.realtime.instrument_lines import InstrumentLines
 from delfim.simulator.tables import Sea, Simulation
+from delfim.simulator.workspace import berth, settings_of
 from delfim.vehicle import console
 from delfim.vehicle.state import NoLog
 

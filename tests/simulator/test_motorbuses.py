@@ -31,11 +31,11 @@ from delfim.canproxy.socket import ANYTHING, CanAddress
 from delfim.parts.dronecan.table import Dronecan
 from delfim.parts.vesc import driver as vesc
 from delfim.parts.vesc.table import Vesc
-from delfim.simulator.berth import Berth, settings_of
 from delfim.simulator.faults import fault
 from delfim.simulator.lockstep import Lockstep
 from delfim.simulator.nodes import nodes_of
 from delfim.simulator.tables import Simulation
+from delfim.simulator.workspace import Berth, settings_of
 from delfim.vehicle import console
 from delfim.vehicle.state import NoLog, ThrusterReport
 from tests.parts.pwm.test_pulsefiles import rows, written

@@ -12,10 +12,10 @@ from delfim import config
 from delfim.audit import auditor
 from delfim.base.errors import ConfigError
 from delfim.simulator.faults import KINDS
+from delfim.simulator.invariants.onlooker import Onlooker
 from delfim.simulator.lockstep import Lockstep
-from delfim.simulator.scenarios import mixed, scenario, trial
+from delfim.simulator.scenarios import random_faults, scenario, trial
 from delfim.simulator.scenarios.chased import chased
-from delfim.simulator.scenarios.watch import Onlooker
 from delfim.vehicle.failsafe.troubles import NUMBERS, Trigger
 from delfim.vehicle.state import NoLog
 
@@ -151,8 +151,8 @@ def test_orders_are_repeated_until_obeyed_and_then_given_up(tmp_path):
 def test_a_run_is_repeated_by_its_seed_and_a_file_by_its_command():
     file = ROOT / "etc/scenarios/bad-wire.toml"
     assert trial.run_file(file, VEHICLE, 3) == trial.run_file(file, VEHICLE, 3)
-    assert mixed.sail_mixed(VEHICLE, 7) == mixed.sail_mixed(VEHICLE, 7)
-    assert mixed.again("a b.toml", "mixed", 7, ["log.required=false"]) == (
+    assert random_faults.sail_mixed(VEHICLE, 7) == random_faults.sail_mixed(VEHICLE, 7)
+    assert random_faults.again("a b.toml", "mixed", 7, ["log.required=false"]) == (
         "delfim sim 'a b.toml' --scenario mixed --seed 7 --set log.required=false"
     )
 
@@ -174,16 +174,16 @@ def test_mixed_faults_end_in_nothing_that_must_never_happen(seeds):
     bad = dict[int, list[str]]()
     for seed in seeds:
         with TemporaryDirectory() as folder:
-            failures = mixed.sail_mixed(VEHICLE, seed, logged_in(folder), logged=True).failures
+            failures = random_faults.sail_mixed(VEHICLE, seed, logged_in(folder), logged=True).failures
             if found := failures + auditor.complaints(folder):
                 bad[seed] = found
-    assert not bad, "\n".join(f"{mixed.again(str(VEHICLE), 'mixed', seed, [])}: {why}" for seed, why in bad.items())
+    assert not bad, "\n".join(f"{random_faults.again(str(VEHICLE), 'mixed', seed, [])}: {why}" for seed, why in bad.items())
 
 
 @pytest.mark.parametrize("seed", [1, 2, 5, 4452])
 def test_vessels_that_follow_and_chase_the_boat_drive_it_nowhere(seed):
     """Some of etc/campaigns/chased.toml: outside the fence in none, though led away from its place beyond a zone (4452)."""
-    assert not mixed.sail_mixed(VEHICLE, seed, (), chased).failures
+    assert not random_faults.sail_mixed(VEHICLE, seed, (), chased).failures
 
 
 @pytest.mark.parametrize(
@@ -200,7 +200,7 @@ def test_vessels_that_follow_and_chase_the_boat_drive_it_nowhere(seed):
     ],
 )
 def test_seeds_that_failed_once(seed):
-    assert not mixed.sail_mixed(VEHICLE, seed).failures
+    assert not random_faults.sail_mixed(VEHICLE, seed).failures
 
 
 def test_resets_one_after_the_other_do_not_keep_a_motor_that_turns_on_from_being_cut_off(tmp_path):
@@ -271,7 +271,7 @@ def test_what_runs_that_searched_were_shrunken_to(tmp_path, seed, text, faults):
     ],
 )
 def test_what_a_boat_does_not_have_does_not_break_and_is_not_blamed_on_it(boat, seed):
-    assert not mixed.sail_mixed(VEHICLE.parent / f"boats/{boat}.toml", seed).failures
+    assert not random_faults.sail_mixed(VEHICLE.parent / f"boats/{boat}.toml", seed).failures
 
 
 @pytest.mark.parametrize(
@@ -290,7 +290,7 @@ def test_without_a_row_of_the_table_the_campaign_finds_it(monkeypatch, trigger, 
     monkeypatch.setattr(module, "troubles", lambda *given: [each for each in whole(*given) if each[0] is not trigger])
     found: list[str] = []
     for seed in range(100):
-        found += mixed.sail_mixed(VEHICLE, seed).failures
+        found += random_faults.sail_mixed(VEHICLE, seed).failures
         if any(failure in words for words in found):
             return
     pytest.fail(f"not found in 100 runs: {failure}; only {found}")

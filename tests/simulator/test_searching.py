@@ -6,8 +6,8 @@ import pytest
 
 from delfim import config
 from delfim.simulator.scenarios import pairs
-from delfim.simulator.scenarios.mixed import mixed_mission, sail_mixed
 from delfim.simulator.scenarios.pairs import ALL, IMPOSSIBLE, PAIRS, THINGS, PairTape
+from delfim.simulator.scenarios.random_faults import mixed_mission, sail_mixed
 from delfim.simulator.scenarios.scenario import settings_of
 from delfim.simulator.scenarios.searching import AIMS, searching
 from delfim.simulator.scenarios.trial import sail

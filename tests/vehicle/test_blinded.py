@@ -14,7 +14,7 @@ from delfim.base.modes import Mode
 from delfim.base.vessels import VesselPosition
 from delfim.parts.traffic.targets import MOST
 from delfim.simulator.lockstep import Lockstep
-from delfim.simulator.nodes.shipping import Vessel
+from delfim.simulator.nodes.other_vessels import Vessel
 from delfim.simulator.tables import SimulatedTraffic, SimulatedVessel
 from delfim.vehicle import console
 from delfim.vehicle.state import NoLog

@@ -11,9 +11,9 @@ from delfim import config
 from delfim.base import tables
 from delfim.base.clock import ManualClock
 from delfim.base.modes import Mode
+from delfim.simulator.invariants.onlooker import Onlooker
 from delfim.simulator.lockstep import Lockstep
 from delfim.simulator.scenarios.scenario import laid_over
-from delfim.simulator.scenarios.watch import Onlooker
 from delfim.vehicle import console
 from delfim.vehicle.plans.fence import Fence
 from delfim.vehicle.plans.zones import circle

@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 from delfim import config
 from delfim.base.geodesy import from_plane
 from delfim.base.modes import Mode
+from delfim.simulator.invariants.onlooker import Onlooker
 from delfim.simulator.lockstep import Lockstep
-from delfim.simulator.scenarios.watch import Onlooker
 from delfim.vehicle import console
 from delfim.vehicle.orders import voyage
 from delfim.vehicle.orders.returning import RESTART

@@ -18,12 +18,12 @@ from delfim.simulator.model import Model, hull_of
 from delfim.simulator.nodes.cansensors import CanSensors
 from delfim.simulator.nodes.devices import Devices
 from delfim.simulator.nodes.navigation import NavigationNode
-from delfim.simulator.nodes.shipping import Shipping
+from delfim.simulator.nodes.other_vessels import Shipping
 from delfim.simulator.nodes.talkers import SimulatedInstruments, instruments_of
 from delfim.simulator.tables import Simulation
 
 NODES: Final = ("gps", "navigation", "propeller", "batteries")  # files of this folder, with `nodes` in each
-OTHER_BUSES: Final = ("devices", "cansensors", "sounders", "shipping")  # files for other buses, with `devices_of` in each
+OTHER_BUSES: Final = ("devices", "cansensors", "sounders", "other_vessels")  # files for other buses, with `devices_of` in each
 _ARBITRATION: Final = itemgetter(0)
 STALL_S: Final = 1.0  # longer pauses of the whole simulator are left out of the modelled world
 

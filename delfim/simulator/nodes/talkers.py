@@ -1,7 +1,8 @@
 """Off-the-shelf instruments that speak NMEA 0183: receivers, of AIS, too, compass, gyro, sounder and vane, each on its port.
 
 Where they are says `simulation.instruments` of the vehicle's file; without it all are on its first port, as behind a
-multiplexer. Bytes come out: simulator/instrumentlines.py brings them to a pty or over the network, lock step to its lines.
+multiplexer. Bytes come out: simulator/realtime/instrument_lines.py brings them to a pty or over the network, lock step to
+its lines.
 """
 
 import math

@@ -9,7 +9,7 @@ from random import Random
 from typing import Any, Final
 
 from delfim import config
-from delfim.simulator.scenarios.mixed import place_of
+from delfim.simulator.scenarios.random_faults import place_of
 from delfim.simulator.scenarios.scenario import Scenario
 from delfim.simulator.tables import Simulation
 

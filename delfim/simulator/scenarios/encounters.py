@@ -16,7 +16,7 @@ from delfim.base import tables
 from delfim.base.errors import ConfigError, in_words
 from delfim.base.geodesy import from_plane, origin, wrap
 from delfim.base.input.untrusted import read_text
-from delfim.simulator.nodes.shipping import axes_m, within
+from delfim.simulator.nodes.other_vessels import axes_m, within
 from delfim.simulator.scenarios.scenario import Scenario, laid_over, mission_of
 
 RANDOM: Final = "random"

@@ -19,9 +19,9 @@ from delfim.simulator.faults import OF_AIS, OF_COMPASS, OF_PULSES, OF_THRUSTERS,
 from delfim.simulator.handset import HandsetAt
 from delfim.simulator.nodes import nodes_of
 from delfim.simulator.scenarios.chased import CHASED, chased
-from delfim.simulator.scenarios.mixed import MIXABLE, MIXED, mixed, place_of
 from delfim.simulator.scenarios.ordering import DrawnOperator, Words
 from delfim.simulator.scenarios.pairs import PAIRS, kind_of
+from delfim.simulator.scenarios.random_faults import MIXABLE, MIXED, mixed, place_of
 from delfim.simulator.scenarios.scenario import FaultAt, Scenario, ScenarioGuest, laid_over
 from delfim.simulator.tables import Simulation
 

@@ -1,6 +1,6 @@
 """A scenario sailed in lock step, and its results compared with the expected ones.
 
-Every run is also checked against the invariants of `delfim.simulator.scenarios.watch`.
+Every run is also checked against the invariants of `delfim.simulator.invariants.onlooker`.
 """
 
 import contextlib
@@ -18,12 +18,12 @@ from delfim import config
 from delfim.base.clock import ManualClock
 from delfim.base.errors import ConfigError
 from delfim.base.modes import Mode
+from delfim.simulator.invariants.onlooker import TURNS, Onlooker, TruePlace
 from delfim.simulator.lockstep import Lockstep
-from delfim.simulator.nodes.shipping import Vessel
+from delfim.simulator.nodes.other_vessels import Vessel
 from delfim.simulator.payloadprogram import PayloadProgram
 from delfim.simulator.scenarios.encounters import OWN_MPS, RANDOM, drawn, staged, staged_of
 from delfim.simulator.scenarios.scenario import Expect, OperatorWord, Scenario, fault_of, load_scenario, settings_of
-from delfim.simulator.scenarios.watch import TURNS, Onlooker, TruePlace
 from delfim.vehicle import console
 from delfim.vehicle.log.logbook import Logbook
 from delfim.vehicle.state import NoLog, StateLog

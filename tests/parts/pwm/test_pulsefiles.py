@@ -8,8 +8,8 @@ from delfim import config
 from delfim.base.errors import DelfimError
 from delfim.parts.pwm import sim as pulsefiles
 from delfim.parts.pwm.table import Pwm
-from delfim.simulator.berth import Berth, settings_of
 from delfim.simulator.lockstep import Lockstep
+from delfim.simulator.workspace import Berth, settings_of
 from delfim.vehicle import console
 from delfim.vehicle.state import NoLog
 

@@ -17,10 +17,10 @@ import pytest
 
 from delfim import config
 from delfim.base.errors import DelfimError
-from delfim.simulator.external import ANSWER_S, ExternalModel, SteppedModel
 from delfim.simulator.model import Hull
 from delfim.simulator.nodes import nodes_of
 from delfim.simulator.nodes.navigation import NavigationNode, Noise
+from delfim.simulator.realtime.external_model import ANSWER_S, ExternalModel, SteppedModel
 
 ROOT = Path(__file__).parents[2]
 EXAMPLES = dict(re.findall(r"```(python|octave)\n(.*?)```", (ROOT / "docs/external-model.md").read_text(), re.DOTALL))
@@ -134,7 +134,7 @@ def test_without_noise_the_sensors_measure_the_state_itself():
 
 
 def test_in_lock_step_states_of_another_time_are_left_out_and_silence_ends_the_run(monkeypatch):
-    monkeypatch.setattr("delfim.simulator.external.STEP_S", 0.05)
+    monkeypatch.setattr("delfim.simulator.realtime.external_model.STEP_S", 0.05)
     model = SteppedModel(Hull(), "127.0.0.1:0", 0.67, -0.16)
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
         other.connect(model._socket.getsockname())

@@ -8,9 +8,9 @@ from delfim.base import geodesy
 from delfim.base.modes import Mode
 from delfim.canproxy.dsor.messages import BatteriesStatus, Status
 from delfim.simulator.invariants.cycle import Before, CycleSeen, before
-from delfim.simulator.invariants.fencespec import PlainFence
-from delfim.simulator.invariants.guidespec import begun
-from delfim.simulator.invariants.troublespec import BATTERIES, NEEDS
+from delfim.simulator.invariants.fence import PlainFence
+from delfim.simulator.invariants.guidance import begun
+from delfim.simulator.invariants.troubles import BATTERIES, NEEDS
 from delfim.simulator.lockstep import Lockstep
 from delfim.vehicle import console
 from delfim.vehicle.state import Motion, Setpoint, Waypoint

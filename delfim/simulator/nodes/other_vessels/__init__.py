@@ -16,8 +16,8 @@ from delfim.base.geodesy import from_plane, to_plane, wrap
 from delfim.base.vessels import VesselFacts, VesselPosition
 from delfim.canproxy.socket import CanAddress
 from delfim.simulator.model import Model
-from delfim.simulator.nodes.aisframes import facts, framed, position
-from delfim.simulator.nodes.aivdm import facts_said, position_said
+from delfim.simulator.nodes.other_vessels.frames import facts, framed, position
+from delfim.simulator.nodes.other_vessels.sentences import facts_said, position_said
 from delfim.simulator.nodes.period import TOLERANCE_S, Period
 from delfim.simulator.nodes.talkers import placed
 from delfim.simulator.tables import SimulatedVessel, Simulation

@@ -10,7 +10,7 @@ from delfim import config
 from delfim.base.modes import Mode
 from delfim.canproxy.dsor.messages import BatteriesStatus, Fault, Status
 from delfim.simulator.invariants.cycle import CycleSeen
-from delfim.simulator.invariants.fencespec import PlainFence
+from delfim.simulator.invariants.fence import PlainFence
 from delfim.simulator.lockstep import Lockstep
 from delfim.vehicle.state import Actuation, Notice, State
 

@@ -1,4 +1,4 @@
-"""Short runs of mixed faults, drawn from a seed, checked against the invariants of `watch`.
+"""Short runs of mixed faults, drawn from a seed, checked against the invariants.
 
 A run has a boat with a fence and a mission, an operator who changes his mind, and up to five faults that begin, overlap and
 mostly end.

@@ -18,9 +18,9 @@ from delfim.parts.nmea0183.table import Nmea0183, Nmea0183Port
 from delfim.simulator.lockstep import Lockstep
 from delfim.simulator.model import Hull, Model
 from delfim.simulator.nodes import nodes_of
-from delfim.simulator.nodes.aisframes import facts, framed, position
-from delfim.simulator.nodes.aivdm import facts_said, position_said
-from delfim.simulator.nodes.shipping import Shipping, axes_m, nearness
+from delfim.simulator.nodes.other_vessels import Shipping, axes_m, nearness
+from delfim.simulator.nodes.other_vessels.frames import facts, framed, position
+from delfim.simulator.nodes.other_vessels.sentences import facts_said, position_said
 from delfim.simulator.tables import Sea, SimulatedTraffic, SimulatedVessel, Simulation, VesselTurn
 from delfim.vehicle.state import NoLog
 

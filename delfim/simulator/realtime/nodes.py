@@ -17,11 +17,11 @@ from delfim.base.errors import BusError
 from delfim.base.frames import Frame
 from delfim.canproxy.opening import open_can
 from delfim.canproxy.socket import CanSocket
-from delfim.simulator.bycommand import NODES, listening, obey, place
-from delfim.simulator.external import ExternalModel
 from delfim.simulator.faults import Faults
-from delfim.simulator.instrumentlines import InstrumentLines
 from delfim.simulator.nodes import BusDevices, Nodes, nodes_of
+from delfim.simulator.realtime.external_model import ExternalModel
+from delfim.simulator.realtime.fault_socket import NODES, listening, obey, place
+from delfim.simulator.realtime.instrument_lines import InstrumentLines
 
 BUS_RETRY_S = 0.5
 

@@ -7,7 +7,7 @@ import pytest
 
 from delfim import config
 from delfim.base.errors import DelfimError
-from delfim.simulator.berth import berth, folders, settings_of
+from delfim.simulator.workspace import berth, folders, settings_of
 
 VEHICLE = config.load(Path(__file__).parents[2] / "etc/delfimx.toml")
 

@@ -7,7 +7,7 @@ from typing import Final
 from delfim.base.geodesy import wrap
 from delfim.base.modes import Mode
 from delfim.simulator.invariants.cycle import CycleSeen
-from delfim.simulator.invariants.fencespec import PlainFence
+from delfim.simulator.invariants.fence import PlainFence
 from delfim.simulator.lockstep import Lockstep
 from delfim.vehicle.control.memory import Integrals, LineOfSight, Memory
 from delfim.vehicle.state import Line, Motion, Setpoint, State, Waypoint

@@ -6,9 +6,9 @@ from typing import cast
 
 from delfim import config
 from delfim.base.geodesy import origin
+from delfim.simulator.invariants import onlooker
+from delfim.simulator.invariants.onlooker import TruePlace
 from delfim.simulator.lockstep import Lockstep
-from delfim.simulator.scenarios import watch
-from delfim.simulator.scenarios.watch import TruePlace
 from delfim.vehicle.plans.fence import Fence
 from delfim.vehicle.plans.zones import Zone, circle, clearance_m, polygon
 
@@ -30,7 +30,7 @@ def placed(zones: tuple[Zone, ...]) -> tuple[TruePlace, SimpleNamespace, SimpleN
 
 def test_a_clearance_is_exact_where_it_is_less_than_asked_and_seldom_found_where_it_is_not(monkeypatch):
     found = list[str]()
-    monkeypatch.setattr(watch, "clearance_m", lambda zone, *at: found.append(zone.name) or clearance_m(zone, *at))
+    monkeypatch.setattr(onlooker, "clearance_m", lambda zone, *at: found.append(zone.name) or clearance_m(zone, *at))
     (place, model, _), random, least_m = placed(ZONES), Random("walk"), 1e9
     for _ in range(5000):
         model.north_m += random.uniform(-1.0, 1.0)

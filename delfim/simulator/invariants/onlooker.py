@@ -7,12 +7,12 @@ from typing import Final
 from delfim.base.geodesy import from_plane
 from delfim.base.modes import Mode
 from delfim.simulator.invariants.cycle import CycleSeen, Invariant, before
-from delfim.simulator.invariants.factspec import Batteries, NotedChanges, Plausible, Reported
-from delfim.simulator.invariants.guidespec import Beginnings, Guidance
-from delfim.simulator.invariants.orderspec import Orders
-from delfim.simulator.invariants.returnspec import Returns
-from delfim.simulator.invariants.thrustspec import CommandedThrust, ControlLaw, DerivedGains
-from delfim.simulator.invariants.troublespec import Troubles
+from delfim.simulator.invariants.facts import Batteries, NotedChanges, Plausible, Reported
+from delfim.simulator.invariants.guidance import Beginnings, Guidance
+from delfim.simulator.invariants.orders import Orders
+from delfim.simulator.invariants.restart import Returns
+from delfim.simulator.invariants.thrust import CommandedThrust, ControlLaw, DerivedGains
+from delfim.simulator.invariants.troubles import Troubles
 from delfim.simulator.lockstep import Lockstep
 from delfim.vehicle import console
 from delfim.vehicle.orders.entrusting import payload_of

@@ -10,8 +10,8 @@ from msgspec.structs import replace
 from delfim import config
 from delfim.base.modes import Mode
 from delfim.parts.dsor.driver import Propellers
-from delfim.simulator.invariants import thrustspec
-from delfim.simulator.scenarios.mixed import mixed_mission, place_of
+from delfim.simulator.invariants import thrust
+from delfim.simulator.scenarios.random_faults import mixed_mission, place_of
 from delfim.simulator.scenarios.scenario import FaultAt, Scenario, settings_of
 from delfim.simulator.scenarios.trial import sail
 from delfim.vehicle import console, loop, snapshot
@@ -250,11 +250,11 @@ def test_a_refused_push_of_the_joystick_leaves_the_set_points_as_they_were():
 
 
 def test_the_forces_of_two_thrusters_keep_the_yaw_moment_where_both_are_too_much():
-    pair = thrustspec.pair_of(config.load(VEHICLE).thrusters)
+    pair = thrust.pair_of(config.load(VEHICLE).thrusters)
     assert pair is not None
     for surge_n, yaw_nm in ((400.0, 100.0), (2000.0, 300.0), (-900.0, -200.0), (0.0, 5000.0)):
-        forces = thrustspec.shared(pair, surge_n, yaw_nm)
+        forces = thrust.shared(pair, surge_n, yaw_nm)
         given_nm = sum(arm_m * force_n for arm_m, force_n in zip(pair.arms_m, forces, strict=True))
         assert all(low - 1e-9 <= f <= high + 1e-9 for low, f, high in zip(pair.least_n, forces, pair.most_n, strict=True))
         assert given_nm == pytest.approx(min(yaw_nm, 1.029 * (532.0 + 319.0)))
-    assert sum(thrustspec.shared(pair, 400.0, 100.0)) == pytest.approx(400.0)
+    assert sum(thrust.shared(pair, 400.0, 100.0)) == pytest.approx(400.0)
