@@ -342,7 +342,7 @@ def page_token(here: Path) -> Said:
 
 def kept_voyage(here: Path) -> Said:
     from delfim import config
-    from delfim.logging.kept import newest
+    from delfim.logging.kept.record import newest
     from delfim.vehicle.orders import voyage
 
     def told() -> None:

@@ -21,7 +21,7 @@ from delfim.console.boats.fleet import Fleet
 from delfim.console.link.session import Session
 from delfim.console.tapes.replay import open_tapes
 from delfim.logging import nodelog
-from delfim.logging.keptwriter import packed
+from delfim.logging.kept.writer import packed
 from delfim.logging.reading import read_log
 from delfim.parts.mavlink.codec.signing import Kept, write_stamps
 from delfim.simulator.scenarios.scenario import load_scenario
@@ -306,7 +306,7 @@ READ_BY = {  # function: the readers above that come by it
     "console/terminal/framefilter.py: decoder": {"CAN database"},
     "console/charts/charts.py: _add_tiles": {"MBTiles"},
     "console/gateway/admission.py: kept_token": {"page's token"},
-    "logging/kept.py: newest": {"kept voyage"},
+    "logging/kept/record.py: newest": {"kept voyage"},
     "console/terminal/drive.py: _file": {"mission to send"},
     "console/charts/georeference.py: _header": {"PNG", "JPEG", "GeoTIFF"},
     "console/charts/georeference.py: _world": {"world file"},
@@ -316,7 +316,7 @@ READ_BY = {  # function: the readers above that come by it
     "logging/reading.py: read_events": LOGS,
     "logging/reading.py: _pieces": LOGS,
     "logging/ashore/repair.py: repair": {"state log", "black box", "sidecar"},
-    "logging/systemlog.py: recent": {"last lines of the system log"},
+    "logging/systemlog/__init__.py: recent": {"last lines of the system log"},
     "logging/ashore/tree.py: _end": {"sidecar"},
     "logging/ashore/tree.py: _starts": {"sidecar"},
     "services/files/ftpd.py: _tls": {"certificate"},

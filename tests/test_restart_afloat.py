@@ -15,8 +15,8 @@ from typing import Any
 import pytest
 
 from delfim.base.errors import DelfimError
-from delfim.logging.kept import newest
-from delfim.logging.keptwriter import VOYAGE
+from delfim.logging.kept.record import newest
+from delfim.logging.kept.writer import VOYAGE
 from delfim.vehicle.operator.link import Link
 
 ROOT = Path(__file__).parents[1]

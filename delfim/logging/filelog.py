@@ -10,7 +10,7 @@ from collections.abc import Callable
 from typing import Any, Final
 
 from delfim.base.clock import Clock
-from delfim.logging import guard
+from delfim.logging import free_space
 from delfim.logging.liblog import LogSettings, LogStatus
 
 FLUSH_S: Final = 0.6  # with the writer's rhythm and a slow disk's own time a power cut costs less than a second
@@ -163,7 +163,7 @@ class FileLog:
         day = os.path.join(directory, self._day)
         folder = os.path.join(day, id_)
         os.makedirs(folder, exist_ok=True)
-        self._day_fd = guard.hold(day)
+        self._day_fd = free_space.hold(day)
         name = os.path.join(folder, time.strftime("%H%M%S", utc))
         for number in range(SAME_SECOND):
             stem = f"{name}-{number}" if number else name
@@ -240,18 +240,18 @@ class FileLog:
         if self._settings.when_full == "delete-oldest":
             words += ", and no day of logs may be deleted"
             wanted = free_bytes_min + self._upload_room()
-            if guard.free_bytes(directory) < wanted:
+            if free_space.free_bytes(directory) < wanted:
                 today = time.strftime("%Y%m%d", time.gmtime(self._clock.time_ns() // 1_000_000_000))
-                guard.make_room(directory, wanted, {today, self._day})
-        if guard.free_bytes(directory) < free_bytes_min:
+                free_space.make_room(directory, wanted, {today, self._day})
+        if free_space.free_bytes(directory) < free_bytes_min:
             raise OSError(errno.ENOSPC, words, directory)
 
     def _upload_room(self) -> int:
         """Bytes that uploads may still take. They are only counted when the disk is so full that it matters."""
         settings = self._settings
-        if guard.free_bytes(settings.directory) >= settings.free_bytes_min + settings.upload_bytes_max:
+        if free_space.free_bytes(settings.directory) >= settings.free_bytes_min + settings.upload_bytes_max:
             return 0
-        return guard.upload_room(os.path.join(settings.directory, settings.upload_folder), settings.upload_bytes_max)
+        return free_space.upload_room(os.path.join(settings.directory, settings.upload_folder), settings.upload_bytes_max)
 
     def _end(self, now_s: float) -> None:
         """End the file; the next record opens another."""

@@ -21,7 +21,7 @@ def open_log(
 
     `header` starts every file. A file ends past `file_bytes` on disk or `file_s`. The guard keeps `free_bytes_min` of the disk
     free by deleting the oldest days, or stops the log (`when_full`), and leaves uploads their own room; see
-    delfim.logging.guard. With "zpipe" the child lives by the computer's own clock, and `clock` only measures its
+    delfim.logging.free_space. With "zpipe" the child lives by the computer's own clock, and `clock` only measures its
     silence.
     """
     settings = log_settings(limits, id, suffix, header)

@@ -13,7 +13,7 @@ from delfim import __version__
 from delfim.base import tables
 from delfim.logging.openlog import log_settings
 from delfim.logging.systemlog import PIPE, open_pipe
-from delfim.logging.systemwriter import ID, SUFFIX, SystemWriter
+from delfim.logging.systemlog.writer import ID, SUFFIX, SystemWriter
 from delfim.logging.writer import step_back
 from delfim.services.runtime import Runtime
 

@@ -17,8 +17,8 @@ from delfim.base.clock import Clock
 from delfim.base.cooperative import Sliced
 from delfim.base.errors import ConfigError, FormatError
 from delfim.base.input.keys import read_key
-from delfim.logging.kept import Keeper, newest
-from delfim.logging.keptwriter import VOYAGE
+from delfim.logging.kept.record import Keeper, newest
+from delfim.logging.kept.writer import VOYAGE
 from delfim.vehicle import console
 from delfim.vehicle.loop import VehicleLoop
 from delfim.vehicle.operator.reviews import Reviews

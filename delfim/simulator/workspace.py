@@ -26,7 +26,7 @@ from delfim.base.pulses import CHANNELS
 from delfim.base.ranges import address, is_loopback
 from delfim.canproxy.tables import Cantcpd, Routing
 from delfim.logging.blackbox import device
-from delfim.logging.keptwriter import VOYAGE
+from delfim.logging.kept.writer import VOYAGE
 from delfim.simulator.nodes.talkers import BOARD
 from delfim.simulator.tables import Simulation
 

@@ -17,8 +17,8 @@ from delfim.base.modes import Mode
 from delfim.logging.ashore.repair import repair
 from delfim.logging.ashore.tree import LogFile, files
 from delfim.logging.candump import parse_line
-from delfim.logging.kept import newest
-from delfim.logging.keptwriter import VOYAGE
+from delfim.logging.kept.record import newest
+from delfim.logging.kept.writer import VOYAGE
 from delfim.logging.reading import read_log
 from delfim.logging.statelog import columns, read_state
 from tests.guest.harness import PATH, guest, missing

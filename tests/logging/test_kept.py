@@ -14,9 +14,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from delfim.base.errors import FormatError
-from delfim.logging import keptwriter
-from delfim.logging.kept import Keeper, newest
-from delfim.logging.keptwriter import NewestRecord, keep, packed, slot, store, unpacked
+from delfim.logging.kept import writer
+from delfim.logging.kept.record import Keeper, newest
+from delfim.logging.kept.writer import NewestRecord, keep, packed, slot, store, unpacked
 
 KEY = bytes(range(32))
 NEVER = threading.Event()
@@ -172,8 +172,8 @@ def test_each_call_may_fail_and_the_next_record_is_written(tmp_path, monkeypatch
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     ours = SimpleNamespace(**{name: getattr(os, name) for name in dir(os)} | {call: failing})
-    monkeypatch.setattr(keptwriter, "os", ours)
-    monkeypatch.setattr(keptwriter, "_say", lambda directory, why: said.append(why.encode()))
+    monkeypatch.setattr(writer, "os", ours)
+    monkeypatch.setattr(writer, "_say", lambda directory, why: said.append(why.encode()))
     newest_record.put(b"lost")
     thread = threading.Thread(target=keep, args=(newest_record, str(tmp_path), "voyage", KEY))
     thread.start()

@@ -10,7 +10,7 @@ import pytest
 
 from delfim import config
 from delfim.base.clock import ManualClock
-from delfim.logging import filelog, guard, liblog
+from delfim.logging import filelog, free_space, liblog
 from delfim.logging.liblog import LogStatus
 from delfim.logging.openlog import open_log
 from delfim.logging.reading import in_order, read_log
@@ -382,8 +382,8 @@ def run_with_faults(directory, monkeypatch, first: int, count: int, **how: bool)
     settings = liblog.LogSettings(str(directory), "gps", ".log", b"", 600, 12.0, 1, "delete-oldest")
     with monkeypatch.context() as patch:
         patch.setattr(filelog, "os", faulty)
-        patch.setattr(guard, "os", faulty)
-        patch.setattr(guard, "shutil", faulty)
+        patch.setattr(free_space, "os", faulty)
+        patch.setattr(free_space, "shutil", faulty)
         log = filelog.FileLog(settings, clock, **how)
         for number in range(60):
             log.put(record(number, size=10))

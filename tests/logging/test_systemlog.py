@@ -16,7 +16,7 @@ from delfim.logging import systemlog
 from delfim.logging.ashore import systemlines, tree
 from delfim.logging.liblog import LogSettings
 from delfim.logging.systemlog import BURST, RATE_HZ, RECENT, RECENT_BYTES, SystemHandler, open_pipe, recent
-from delfim.logging.systemwriter import WAITING_BYTES, SystemWriter
+from delfim.logging.systemlog.writer import WAITING_BYTES, SystemWriter
 
 LEVELS = {"": logging.INFO, "ftpd": logging.DEBUG, "httpd": logging.ERROR}
 
@@ -251,7 +251,7 @@ def test_lines_are_on_the_disk_and_at_hand_for_the_page(written):
 
 
 def test_what_is_no_line_is_left_out_and_a_line_in_two_reads_is_whole(written, monkeypatch):
-    monkeypatch.setattr("delfim.logging.systemwriter.READ_BYTES", 7)
+    monkeypatch.setattr("delfim.logging.systemlog.writer.READ_BYTES", 7)
     os.write(written.pipe, b"nonsense\n")
     told = written.say("whole")
     for _ in range(10):
@@ -276,7 +276,7 @@ def test_while_the_disk_takes_nothing_lines_wait_in_memory_and_then_go_on_it(tmp
 
 
 def test_after_a_flood_the_last_lines_are_the_newest_ones(written, monkeypatch):
-    monkeypatch.setattr("delfim.logging.systemwriter.RECENT_BYTES", 1000)
+    monkeypatch.setattr("delfim.logging.systemlog.writer.RECENT_BYTES", 1000)
     monkeypatch.setattr("delfim.logging.systemlog.RECENT_BYTES", 1000)
     told = [written.say(f"line {number}") for number in range(100)]
     written.turn()

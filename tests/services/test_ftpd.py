@@ -18,7 +18,7 @@ from typing import Any
 import pytest
 
 from delfim.base.errors import PermanentFailure
-from delfim.logging import guard
+from delfim.logging import free_space
 from delfim.services.access import connection_limits
 from delfim.services.access.connection_limits import hashed
 from delfim.services.files import ftpd, ftpdata, uploads
@@ -326,7 +326,7 @@ async def test_an_upload_that_breaks_off_is_not_there_but_can_be_resumed(there):
 
 
 async def test_an_upload_stops_where_the_room_of_uploads_ends(tmp_path, monkeypatch):
-    monkeypatch.setattr(uploads, "upload_room", lambda folder, bytes_max: guard.upload_room(folder, 2 << 20))
+    monkeypatch.setattr(uploads, "upload_room", lambda folder, bytes_max: free_space.upload_room(folder, 2 << 20))
     async with files(tmp_path) as there:
 
         def put(ftp: ftplib.FTP) -> None:

@@ -17,7 +17,7 @@ import asyncssh
 import pytest
 
 from delfim.base.errors import PermanentFailure
-from delfim.logging import guard
+from delfim.logging import free_space
 from delfim.services.access import connection_limits
 from delfim.services.files import sshd, sshfiles, sshprograms, uploads
 from delfim.services.tables import Sshd, SshUser
@@ -265,11 +265,11 @@ async def test_the_logs_are_for_reading_only(there, tmp_path, command):
 
 
 async def test_an_upload_stops_where_the_room_of_uploads_ends(tmp_path, keys, monkeypatch):
-    monkeypatch.setattr(uploads, "upload_room", lambda folder, bytes_max: guard.upload_room(folder, len(CONTENT) // 2))
+    monkeypatch.setattr(uploads, "upload_room", lambda folder, bytes_max: free_space.upload_room(folder, len(CONTENT) // 2))
     async with boat(tmp_path, keys) as there:
         (tmp_path / "new").write_bytes(CONTENT)
         assert (await there.batch("put new upload/new"))[0] != 0
-        assert guard.used(str(there.root / "upload"))[0] <= len(CONTENT) // 2
+        assert free_space.used(str(there.root / "upload"))[0] <= len(CONTENT) // 2
 
 
 @pytest.mark.parametrize("legacy", [(), ("-O",)], ids=["over SFTP", "the old protocol"])

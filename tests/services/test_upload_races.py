@@ -13,7 +13,7 @@ import pytest
 
 from delfim import config
 from delfim.base.errors import DelfimError
-from delfim.logging import guard
+from delfim.logging import free_space
 from delfim.services.files.threads import worked
 from delfim.services.files.uploads import LOOK_BYTES, PART, NoRoom, Uploads
 from delfim.services.page import files as webfiles
@@ -279,7 +279,7 @@ def test_whatever_clients_do_at_once_a_whole_file_is_whole_and_all_of_it_is_coun
     assert not sum(client.nameless for client in clients)
     assert sum(client.whole for client in clients) > mutations
     assert sum(client.refused for client in clients)
-    assert guard.used(str(tmp_path / "upload"))[0] <= QUOTA + LOOK_BYTES + len(clients) * BLOCK
+    assert free_space.used(str(tmp_path / "upload"))[0] <= QUOTA + LOOK_BYTES + len(clients) * BLOCK
 
 
 def test_many_uploads_at_once_pass_their_quota_by_nothing_in_one_daemon_and_by_one_look_in_two(tmp_path):
@@ -298,4 +298,4 @@ def test_many_uploads_at_once_pass_their_quota_by_nothing_in_one_daemon_and_by_o
 
         with ThreadPoolExecutor(16) as pool:
             list(pool.map(grow, range(16)))
-        assert QUOTA - 16 * BLOCK <= guard.used(str(place / "upload"))[0] <= QUOTA + (count - 1) * LOOK_BYTES
+        assert QUOTA - 16 * BLOCK <= free_space.used(str(place / "upload"))[0] <= QUOTA + (count - 1) * LOOK_BYTES

@@ -10,7 +10,7 @@ import pytest
 
 from delfim import config
 from delfim.base.errors import DelfimError
-from delfim.logging import guard
+from delfim.logging import free_space
 from delfim.services.files.uploads import NoRoom, Uploads
 
 BLOCK = 4096
@@ -85,9 +85,9 @@ def written(uploads: Uploads, files: list[int], size: int) -> None:
 @pytest.mark.parametrize("size", [1, 60_000, 1_000_000, 5_000_000])
 def test_uploads_of_any_size_end_at_their_share_of_the_disk(disk, size):
     filled(opened(disk, upload_names_max=10_000), size)
-    taken, _ = guard.used(str(disk / "upload"))
-    assert taken <= DISK_BYTES * guard.UPLOAD_SHARE
-    assert guard.free_bytes(str(disk)) >= FREE_MIN
+    taken, _ = free_space.used(str(disk / "upload"))
+    assert taken <= DISK_BYTES * free_space.UPLOAD_SHARE
+    assert free_space.free_bytes(str(disk)) >= FREE_MIN
 
 
 def test_uploads_end_at_the_quota_of_the_file_and_at_the_reserve_of_the_logs(disk):
@@ -126,7 +126,7 @@ def test_many_files_that_are_written_at_once_have_one_room(disk):
         written(uploads, files, 1 << 20)
     for fd in files:
         os.close(fd)
-    assert guard.used(str(disk / "upload"))[0] <= DISK_BYTES * guard.UPLOAD_SHARE
+    assert free_space.used(str(disk / "upload"))[0] <= DISK_BYTES * free_space.UPLOAD_SHARE
 
 
 def test_a_copy_needs_room_too(disk):

@@ -1,6 +1,6 @@
 """Where clients of FTP, SFTP and SCP may write: one folder, with a share of the disk of its own.
 
-The logs keep the rest (delfim.logging.guard). Room is looked for before each new name and every LOOK_BYTES over all files
+The logs keep the rest (delfim.logging.free_space). Room is looked for before each new name and every LOOK_BYTES over all files
 together, because many small files fill a disk as well as one large one, and folders take its inodes. Everything here blocks on
 the disk: call it in a worker.
 
@@ -18,7 +18,7 @@ from typing import Final
 
 from delfim import config
 from delfim.base.errors import DelfimError
-from delfim.logging.guard import free_bytes, upload_room, used
+from delfim.logging.free_space import free_bytes, upload_room, used
 from delfim.services.files.jail import Jail
 
 PART: Final = ".part"  # behind the name of what is not all here yet

@@ -1,4 +1,4 @@
-"""The niced child that keeps a record whole on disk: `python -m delfim.logging.keptwriter`, pipe on standard input.
+"""The niced child that keeps a record whole on disk: `python -m delfim.logging.kept.writer`, pipe on standard input.
 
 The newest record lies in two slots of each directory, written in turn, in place, and synced: whatever instant the power fails
 in, one of them is whole. A slot is `delfim kept SEQUENCE LENGTH DIGEST`, a line feed, and the record; the digest is an

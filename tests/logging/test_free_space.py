@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from delfim.logging import guard
+from delfim.logging import free_space
 from tests.logging.conftest import files
 
 DAYS = ("20100101", "20100102", "20100103", "20100104")
@@ -27,7 +27,7 @@ def disk(tmp_path, monkeypatch) -> Path:
         assert place == str(directory)
         return DISK_BYTES - sum(path.stat().st_size for path in directory.rglob("*") if path.is_file())
 
-    monkeypatch.setattr(guard, "free_bytes", free_bytes)
+    monkeypatch.setattr(free_space, "free_bytes", free_bytes)
     return directory
 
 
@@ -37,46 +37,46 @@ def days(directory: Path) -> tuple[str, ...]:
 
 def test_free_bytes_are_those_of_the_disk(tmp_path):
     disk = os.statvfs(tmp_path)
-    assert guard.free_bytes(str(tmp_path)) == pytest.approx(disk.f_bavail * disk.f_bsize, rel=0.05)
+    assert free_space.free_bytes(str(tmp_path)) == pytest.approx(disk.f_bavail * disk.f_bsize, rel=0.05)
 
 
 @pytest.mark.parametrize(("free_bytes_min", "gone"), [(1000, 0), (1001, 1), (2000, 1), (2001, 2), (5000, 4), (9000, 4)])
 def test_as_many_of_the_oldest_days_go_as_must(disk, free_bytes_min, gone):
-    guard.make_room(str(disk), free_bytes_min, ())
+    free_space.make_room(str(disk), free_bytes_min, ())
     assert days(disk) == DAYS[gone:]
     assert (disk / "lost+found").exists()
     assert (disk / "20091231").exists()
 
 
 def test_spared_days_stay(disk):
-    guard.make_room(str(disk), 9000, {"20100101", "20100104"})
+    free_space.make_room(str(disk), 9000, {"20100101", "20100104"})
     assert days(disk) == ("20100101", "20100104")
 
 
 @pytest.mark.parametrize("where", ["KEEP", "gps/KEEP"])
 def test_a_day_to_keep_stays(disk, where):
     (disk / "20100101" / where).write_bytes(b"")
-    guard.make_room(str(disk), 2000, ())
+    free_space.make_room(str(disk), 2000, ())
     assert days(disk) == ("20100101", "20100103", "20100104")
 
 
 def test_a_day_in_which_a_log_is_written_stays(disk):
     writer = os.open(disk / "20100102", os.O_RDONLY)
     fcntl.flock(writer, fcntl.LOCK_SH)
-    guard.make_room(str(disk), 9000, ())
+    free_space.make_room(str(disk), 9000, ())
     assert days(disk) == ("20100102",)
     os.close(writer)
-    guard.make_room(str(disk), 9000, ())
+    free_space.make_room(str(disk), 9000, ())
     assert days(disk) == ()
 
 
 def test_a_log_holds_its_day_while_it_writes(disk, file_log, clock):
     clock.step(86_400.0)
     log = file_log()
-    guard.make_room(str(disk), 9000, ())
+    free_space.make_room(str(disk), 9000, ())
     assert days(disk) == ("20100102",)
     log.close()
-    guard.make_room(str(disk), 9000, ())
+    free_space.make_room(str(disk), 9000, ())
     assert days(disk) == ()
 
 
@@ -129,7 +129,7 @@ def test_stop_deletes_nothing_and_says_so(disk, file_log, clock):
 def test_uploads_cost_no_day(disk, file_log, clock, monkeypatch, free_bytes_min, uploaded):
     """Which days go depends on the logs alone: what uploads have taken, and what they may still take, is one sum."""
     clock.step(3 * 86_400.0)
-    monkeypatch.setattr(guard, "upload_room", lambda folder, bytes_max: bytes_max - uploaded)
+    monkeypatch.setattr(free_space, "upload_room", lambda folder, bytes_max: bytes_max - uploaded)
     (disk / "upload").mkdir()
     (disk / "upload/image").write_bytes(bytes(uploaded))
     log = file_log(free_bytes_min=free_bytes_min, upload_folder="upload", upload_bytes_max=400)
@@ -140,7 +140,7 @@ def test_uploads_cost_no_day(disk, file_log, clock, monkeypatch, free_bytes_min,
 
 def test_a_log_goes_on_in_the_room_of_uploads_rather_than_stop(disk, file_log, clock, monkeypatch):
     clock.step(3 * 86_400.0)
-    monkeypatch.setattr(guard, "upload_room", lambda folder, bytes_max: bytes_max)
+    monkeypatch.setattr(free_space, "upload_room", lambda folder, bytes_max: bytes_max)
     log = file_log(free_bytes_min=3000, upload_folder="upload", upload_bytes_max=9000)
     assert days(disk) == DAYS[3:]
     assert log.status().writable
@@ -150,15 +150,15 @@ def test_a_log_goes_on_in_the_room_of_uploads_rather_than_stop(disk, file_log, c
 
 def test_what_uploads_may_still_take(tmp_path):
     folder = tmp_path / "upload"
-    assert guard.upload_room(str(folder), 1 << 20) == 0
+    assert free_space.upload_room(str(folder), 1 << 20) == 0
     folder.mkdir()
-    assert guard.upload_room(str(folder), 1 << 20) == 1 << 20
+    assert free_space.upload_room(str(folder), 1 << 20) == 1 << 20
     (folder / "sub").mkdir()
     (folder / "sub/x").write_bytes(bytes(100_000))
     (folder / "link").symlink_to("/")
-    taken, names = guard.used(str(folder))
+    taken, names = free_space.used(str(folder))
     assert names == 3
     assert 100_000 <= taken < 120_000
-    assert guard.upload_room(str(folder), 1 << 20) == (1 << 20) - taken
+    assert free_space.upload_room(str(folder), 1 << 20) == (1 << 20) - taken
     disk = os.statvfs(folder)
-    assert guard.upload_room(str(folder), 1 << 60) <= disk.f_blocks * disk.f_frsize / 4
+    assert free_space.upload_room(str(folder), 1 << 60) <= disk.f_blocks * disk.f_frsize / 4

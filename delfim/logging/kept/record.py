@@ -1,4 +1,4 @@
-"""A record that survives crashes, a full disk and power cuts: the newest one, kept whole by a child (`keptwriter.py`). Its
+"""A record that survives crashes, a full disk and power cuts: the newest one, kept whole by a child (`writer.py`). Its
 writer never waits: what the pipe has no room for is written with the next record."""
 
 import asyncio
@@ -16,9 +16,9 @@ with contextlib.suppress(ImportError):  # Windows has none, and no boat
     import fcntl
 
 from delfim.base.errors import FormatError
-from delfim.logging.keptwriter import LENGTH, RECORD_MAX, SLOTS, slot, unpacked
+from delfim.logging.kept.writer import LENGTH, RECORD_MAX, SLOTS, slot, unpacked
 
-PROGRAM: Final = (sys.executable, "-m", "delfim.logging.keptwriter")
+PROGRAM: Final = (sys.executable, "-m", "delfim.logging.kept.writer")
 PIPE_BYTES: Final = 1 << 20
 CLOSE_S: Final = 0.3  # the logs need the rest of the time that a program has for its end
 LOOK_S: Final = 0.01
