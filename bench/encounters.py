@@ -20,7 +20,7 @@ from typing import Any, Final
 
 from bench.record import draw
 from delfim.base.geodesy import wrap
-from delfim.campaign.rulecheck import Instant
+from delfim.campaign.colreg import Instant
 from delfim.parts.traffic.encounter import Own
 from delfim.parts.traffic.keepclear import Memory, decide
 from delfim.parts.traffic.trialways import Caution, RouteAhead

@@ -25,8 +25,8 @@ from typing import Any, Final
 
 import duckdb
 
-from delfim.campaign import conduct, findings
-from delfim.campaign.rulecheck import Instant
+from delfim.campaign import queries, runner
+from delfim.campaign.colreg import Instant
 from delfim.campaign.runplan import Plan, Seeds, read
 from delfim.campaign.sailing import sailed_run
 from delfim.campaign.store import parts
@@ -81,7 +81,7 @@ def sail(first: int, seeds: int, real: int, bare: int, output: Path, workers: in
         for seed in range(first, last + 1):
             for guarded in (True, False) if seed <= bare else (True,):
                 folder = output / f"seed{scale[:-1]}-{seed:03}-{'on' if guarded else 'off'}"
-                conduct.sail(plan_of(seed, guarded=guarded, scale=scale), folder, 2, workers, None)
+                runner.sail(plan_of(seed, guarded=guarded, scale=scale), folder, 2, workers, None)
 
 
 def connect(output: Path) -> duckdb.DuckDBPyConnection:
@@ -113,7 +113,7 @@ def tell(database: duckdb.DuckDBPyConnection) -> None:
     """The tables, from the results."""
     tables = ("All runs", TABLE), ("Rules not kept, guard on", RULES), ("Domains entered, guard on", LEFT)
     for title, sql in (*tables, ("Worse than without the guard", WORSE)):
-        names, rows = findings.asked(database, sql)
+        names, rows = queries.asked(database, sql)
         print(f"\n{title}\n\n{markdown(names, rows) if rows else 'none'}")
 
 
@@ -191,7 +191,7 @@ def main() -> None:
         tell(database)
         if asked.keep:
             keep(database, asked.keep)
-        _, rows = findings.asked(database, LEFT)
+        _, rows = queries.asked(database, LEFT)
         if asked.left and rows:
             draw(tracks((story, heard, seed) for story, heard, seed, *_ in rows), asked.left, "Domains entered")
         return

@@ -153,7 +153,7 @@ def missions_campaign(here: Path) -> Said:
 
 def results(here: Path) -> Said:
     """Those of a campaign, as somebody finds them who goes on with it."""
-    from delfim.campaign.findings import connect, quantities
+    from delfim.campaign.queries import connect, quantities
     from delfim.campaign.runplan import read
     from delfim.campaign.store import Store
 

@@ -273,7 +273,7 @@ READ = {  # parts whose tables others read, with the reason; a row that goes doe
     "commands/commission.py: fleet",  # what is carried to a boat
     "commands/commission.py: ros",
     "commands/sim.py: mavlink",  # the console beside a simulated boat
-    "desk/hearing.py: nmea0183",  # a line on a desk is opened as the boat opens it
+    "desk/listen.py: nmea0183",  # a line on a desk is opened as the boat opens it
     "parts/fleet/exposure.py: mavlink",
     "parts/fleet/fleetd.py: mavlink",  # the broker is another way for the same frames
     "parts/gnss/corrections.py: nmea0183",  # the receiver's port may be one of its lines

@@ -8,8 +8,8 @@ from typing import Final, NamedTuple
 
 from delfim.base.clock import ManualClock
 from delfim.base.modes import Mode
-from delfim.campaign.rulecheck import Check, RuleTape, alterations
-from delfim.campaign.steertape import Deviation, SteerTape
+from delfim.campaign.colreg import Check, RuleTape, alterations
+from delfim.campaign.steering import Deviation, SteerTape
 from delfim.simulator.invariants.onlooker import TruePlace
 from delfim.simulator.lockstep import Lockstep, OrderLog
 from delfim.simulator.scenarios.trial import Event

@@ -7,7 +7,7 @@ from typing import Final
 import duckdb
 
 from delfim.base.errors import DelfimError
-from delfim.campaign import findings
+from delfim.campaign import queries
 from delfim.simulator.scenarios.pairs import ALL, PAIRS, THINGS, kind_of
 
 LEAST: Final = 10  # pairs that are named one by one
@@ -21,7 +21,7 @@ Counts = Mapping[tuple[str, str], int]
 
 def counted(database: duckdb.DuckDBPyConnection) -> dict[tuple[str, str], int]:
     """In how many runs each pair was met that was."""
-    return {ALL[int(place)]: int(runs) for place, runs in findings.asked(database, SQL)[1]}
+    return {ALL[int(place)]: int(runs) for place, runs in queries.asked(database, SQL)[1]}
 
 
 def part(counts: Counts) -> float:

@@ -13,7 +13,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from delfim.campaign.findings import (
+from delfim.campaign.queries import (
     Holding,
     Printed,
     asked,

@@ -34,20 +34,20 @@ def run(asked: argparse.Namespace) -> int:
         raise DelfimError("SQL is for delfim campaign query")
     if not 1 <= asked.workers <= 1024 or not 1 <= asked.batch <= 10_000:
         raise DelfimError("--workers is 1 to 1024, --batch 1 to 10000")
-    from delfim.campaign import again, conduct, findings, shrinking
+    from delfim.campaign import queries, repeat, runner, shrinking
     from delfim.campaign.runplan import read
 
     file, plan = read(asked.file)
     folder = Path(asked.output) if asked.output else FOLDER / f"{_slug(plan.name)}-{plan.digest[:8]}"
     if asked.again:
-        return again.sail(plan, folder, *_run(asked.again, len(plan.points)))
+        return repeat.sail(plan, folder, *_run(asked.again, len(plan.points)))
     if asked.shrink:
         return shrinking.run(plan, folder, *_run(asked.shrink, len(plan.points)))
-    findings.rehearse(file, plan)
+    queries.rehearse(file, plan)
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # as Ctrl-C, which a shell keeps from what runs in the background
-    conduct.sail(plan, folder, asked.batch, asked.workers, asked.cluster)
+    runner.sail(plan, folder, asked.batch, asked.workers, asked.cluster)
     words = ["delfim", "campaign", asked.file, *(["--output", asked.output] if asked.output else [])]
-    return conduct.tell(file, plan, folder, shlex.join(words), Path(asked.against) if asked.against else None)
+    return runner.tell(file, plan, folder, shlex.join(words), Path(asked.against) if asked.against else None)
 
 
 def _slug(name: str) -> str:
@@ -62,7 +62,7 @@ def _run(text: str, points: int) -> tuple[int, int]:
 
 
 def _query(asked: argparse.Namespace) -> int:
-    from delfim.campaign import findings
+    from delfim.campaign import queries
 
     if asked.sql is None:
         raise DelfimError('say what to ask, as delfim campaign query "select count(*) from runs"')
@@ -70,5 +70,5 @@ def _query(asked: argparse.Namespace) -> int:
     folders = [Path(asked.output)] if asked.output else [each.parent for each in newest]
     if not folders:
         raise DelfimError(f"no campaign in {FOLDER}; name its folder with --output")
-    print(findings.shown(*findings.asked(findings.connect(folders[0]), asked.sql)))
+    print(queries.shown(*queries.asked(queries.connect(folders[0]), asked.sql)))
     return 0

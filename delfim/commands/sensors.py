@@ -41,8 +41,8 @@ def run(asked: argparse.Namespace) -> int:
         raise DelfimError("name the vehicle's file, or a port with --find")
     from delfim.config import load
     from delfim.desk.firstcontact import judged, turned
-    from delfim.desk.heardtable import table
-    from delfim.desk.hearing import listener
+    from delfim.desk.listen import listener
+    from delfim.desk.sensor_table import table
 
     settings = load(asked.file, there(asked))
     hearing = listener(settings, clock)

@@ -11,7 +11,7 @@ from typing import Final, NamedTuple
 from delfim.base.clock import Clock
 from delfim.base.errors import DelfimError
 from delfim.base.input.ratelimit import UNREAD_BYTES
-from delfim.desk.hearing import Hearing
+from delfim.desk.listen import Hearing
 from delfim.lines.serialline import SerialLine
 from delfim.parts.nmea0183.mixedline import MixedLine
 

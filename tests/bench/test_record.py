@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from bench import encounters, record
-from delfim.campaign.rulecheck import Instant
+from delfim.campaign.colreg import Instant
 from delfim.simulator.scenarios.encounters import Encounter, Ship, drawn
 
 ROOT = Path(__file__).parents[2]

@@ -19,7 +19,7 @@ import pytest
 
 from delfim.__main__ import main
 from delfim.base.errors import DelfimError
-from delfim.campaign import conduct, findings, sailing, store, workers
+from delfim.campaign import queries, runner, sailing, store, workers
 from delfim.campaign.runplan import read
 from tests.campaign.test_runplan import written
 
@@ -44,7 +44,7 @@ def sailed(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
 
 
 def digests(folder: Path) -> dict[tuple[int, int], str]:
-    rows = findings.asked(findings.connect(folder), "select point, seed, digest from runs")[1]
+    rows = queries.asked(queries.connect(folder), "select point, seed, digest from runs")[1]
     assert len(rows) == len({row[:2] for row in rows}), "a run is there twice"
     return {(point, seed): digest for point, seed, digest in rows}
 
@@ -57,7 +57,7 @@ def test_the_page_is_left_out_by_a_word_and_what_is_sailed_is_the_same(sailed: t
     assert plan.digest == read(str(path))[1].digest
     copied = shutil.copytree(folder, tmp_path / "out")
     (copied / "report.html").unlink()
-    assert conduct.tell(file, plan, copied, "delfim campaign FILE", None) == 0
+    assert runner.tell(file, plan, copied, "delfim campaign FILE", None) == 0
     assert not (copied / "report.html").exists()
 
 
@@ -88,9 +88,9 @@ def test_the_sql_of_a_file_reads_the_results_alone_and_writes_nothing(sailed, tm
             written(tmp_path / "file", 'scenario = "mixed"', f"[[{kind}]]", 'name = "slip"', f'sql = """{words}"""')
         )
         with pytest.raises(DelfimError, match="slip: "):
-            findings.rehearse(file, plan)
+            queries.rehearse(file, plan)
         with pytest.raises(DelfimError, match="slip: "):
-            findings.verdicts(findings.connect(folder), file.must) or findings.answered(findings.connect(folder), file.answers)
+            queries.verdicts(queries.connect(folder), file.must) or queries.answered(queries.connect(folder), file.answers)
     assert before == {each: each.stat().st_mtime_ns for place in places for each in place.iterdir() if each.is_file()}
 
 
@@ -236,8 +236,8 @@ def test_a_key_with_values_of_several_kinds_is_refused(tmp_path):
 
 
 def test_interval_of_a_share():
-    assert findings.share(0, 600) == (0.0, pytest.approx(0.00636, abs=1e-4))
-    assert findings.share(50, 100) == (pytest.approx(0.4038, abs=1e-3), pytest.approx(0.5962, abs=1e-3))
+    assert queries.share(0, 600) == (0.0, pytest.approx(0.00636, abs=1e-4))
+    assert queries.share(50, 100) == (pytest.approx(0.4038, abs=1e-3), pytest.approx(0.5962, abs=1e-3))
 
 
 # Workers that die.
@@ -264,12 +264,12 @@ def test_ctrl_c_keeps_what_was_sailed_and_the_same_command_goes_on(tmp_path, sai
     words = ["campaign", str(path), "--output", str(tmp_path / "out"), "--workers", "2", "--batch", "1"]
     taken = itertools.count()
 
-    def struck(progress: conduct.Progress, rows: list[dict]) -> None:
+    def struck(progress: runner.Progress, rows: list[dict]) -> None:
         if next(taken) == 3:
             raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr(conduct.Progress, "add", struck)
+        patch.setattr(runner.Progress, "add", struck)
         assert main(words) == 130
     assert "ended after 4 of 10 runs; the same command goes on" in capsys.readouterr().err
     assert len(digests(tmp_path / "out")) == 4
@@ -329,14 +329,14 @@ def test_twenty_killed_processes_cost_no_run_and_count_none_twice(tmp_path, monk
     path = written(tmp_path, 'scenario = "mixed"', "seeds = {first = 0, count = 60}")
     plan, killed = read(path)[1], set[int]()
 
-    def struck(progress: conduct.Progress, rows: list[dict]) -> None:
+    def struck(progress: runner.Progress, rows: list[dict]) -> None:
         if len(killed) < KILLS and rows[0]["pid"] not in killed:
             killed.add(rows[0]["pid"])
             with suppress(ProcessLookupError):  # it died with the pool of one that was killed before
                 os.kill(rows[0]["pid"], signal.SIGKILL)
 
-    monkeypatch.setattr(conduct.Progress, "add", struck)
-    conduct.sail(plan, tmp_path / "out", 1, 2, None)
+    monkeypatch.setattr(runner.Progress, "add", struck)
+    runner.sail(plan, tmp_path / "out", 1, 2, None)
     assert len(killed) == KILLS
     assert set(digests(tmp_path / "out")) == {(0, seed) for seed in range(60)}
 

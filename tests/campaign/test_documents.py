@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import pytest
 
-from delfim.campaign import findings, sailing
+from delfim.campaign import queries, sailing
 from delfim.campaign.runplan import read
 from delfim.campaign.store import Store
 
@@ -39,7 +39,7 @@ def shown() -> list[Shown]:
 def test_each_table_of_figures_names_the_campaign_that_makes_it_again(table: Shown) -> None:
     assert table.campaigns, "no campaign is named above it"
     files = [read(ROOT / name) for name in table.campaigns]
-    heads = {tuple(each.columns) for file in files for each in findings.rehearse(*file)}
+    heads = {tuple(each.columns) for file in files for each in queries.rehearse(*file)}
     assert table.head in heads, f"{table.campaigns} have a [[table]] with these columns: {heads}"
 
 
@@ -52,7 +52,7 @@ def test_the_documents_have_tables_of_figures() -> None:
 
 @pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.stem)
 def test_what_must_hold_and_the_tables_of_a_shipped_campaign_are_sql(path: Path) -> None:
-    findings.rehearse(*read(path))
+    queries.rehearse(*read(path))
 
 
 @pytest.mark.long
@@ -66,8 +66,8 @@ def test_two_seeds_of_a_campaign_give_figures_for_its_tables(name: str, tmp_path
     for batch, point in enumerate(points.values()):
         store.add(batch, [sailing.one(plan, batch, point, seed) for seed in (1, 2)])
     store.flush()
-    database = findings.connect(tmp_path)
-    assert findings.failed(database) == []
-    for _, columns, rows in findings.answered(database, file.answers):
+    database = queries.connect(tmp_path)
+    assert queries.failed(database) == []
+    for _, columns, rows in queries.answered(database, file.answers):
         assert rows
         assert not [column for row in rows for column, value in zip(columns, row, strict=True) if value is None]

@@ -5,7 +5,7 @@ import msgspec
 from delfim import config
 from delfim.base import tables
 from delfim.base.input.untrusted import parse_toml
-from delfim.campaign import findings, pairtable, sailing
+from delfim.campaign import pairtable, queries, sailing
 from delfim.campaign.runplan import read
 from delfim.campaign.store import Store
 from delfim.simulator.scenarios.pairs import ALL, PAIRS, possible
@@ -20,7 +20,7 @@ def test_pairs_are_kept_where_the_campaign_counts_them_and_too_few_are_told(tmp_
     store = Store(tmp_path / "out", plan, 2, sailing.VERSION)
     store.add(0, rows)
     store.flush()
-    database = findings.connect(tmp_path / "out")
+    database = queries.connect(tmp_path / "out")
     assert not pairtable.tell(database, 0.99, tmp_path)
     assert pairtable.tell(database, 0.001, tmp_path)
     counts = pairtable.counted(database)

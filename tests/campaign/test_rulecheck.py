@@ -9,7 +9,7 @@ import msgspec
 import pytest
 
 from delfim import config
-from delfim.campaign.rulecheck import Instant, RuleTape, alterations
+from delfim.campaign.colreg import Instant, RuleTape, alterations
 from delfim.simulator.lockstep import Lockstep
 from delfim.simulator.scenarios.encounters import START_S
 from delfim.simulator.tables import SimulatedTraffic, SimulatedVessel, Simulation

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from delfim import config
 from delfim.base import tables
 from delfim.base.errors import ConfigError
-from delfim.campaign import findings
+from delfim.campaign import queries
 from delfim.campaign.runplan import Draw, Plan, Seeds, laid, read
 
 ETC = Path(__file__).parents[2] / "etc"
@@ -38,7 +38,7 @@ def test_the_documents_example_can_be_read(tmp_path):
     (tmp_path / "campaign.toml").write_text(text.replace('"../', f'"{ETC}/'))
     file, plan = read(tmp_path / "campaign.toml")
     assert len(plan.points) == 9
-    assert [each.name for each in findings.rehearse(file, plan)] == ["By gain"]
+    assert [each.name for each in queries.rehearse(file, plan)] == ["By gain"]
 
 
 def test_every_run_is_in_one_batch_and_the_file_alone_cuts_them(tmp_path):

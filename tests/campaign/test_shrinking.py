@@ -8,7 +8,7 @@ import pytest
 
 from delfim.__main__ import main
 from delfim.base.errors import DelfimError
-from delfim.campaign import conduct, report, shrinking
+from delfim.campaign import report, runner, shrinking
 from delfim.campaign.runplan import Plan, read
 from delfim.campaign.sailing import Drawn, drawn_run
 from delfim.campaign.store import Store
@@ -70,7 +70,7 @@ def test_a_campaign_shrinks_what_failed_by_itself_and_ends_whatever_comes_of_it(
     store = Store(tmp_path / "out", plan, 2, "")
     store.add(0, rows)
     store.flush()
-    assert conduct.tell(file, plan, tmp_path / "out", "delfim campaign", None) == 0
+    assert runner.tell(file, plan, tmp_path / "out", "delfim campaign", None) == 0
     assert asked == [(0, SEED)], "not one that takes too long"
     assert "  not shrunken: this run does not fail\n" in capsys.readouterr().out
 

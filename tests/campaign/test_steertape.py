@@ -7,7 +7,7 @@ from typing import Any, cast
 import pytest
 
 from delfim.base.modes import Mode
-from delfim.campaign.steertape import Deviation, SteerTape
+from delfim.campaign.steering import Deviation, SteerTape
 from delfim.simulator.lockstep import Lockstep
 from delfim.vehicle.control.modes.path import APPROACH
 from delfim.vehicle.state import Arc, Line, Plan, Reference, Setpoint, State, Waypoint

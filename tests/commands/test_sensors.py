@@ -17,8 +17,8 @@ import pytest
 from delfim import config
 from delfim.base.clock import SystemClock
 from delfim.desk.firstcontact import Turned, judged, named, user_of
-from delfim.desk.heardtable import table
-from delfim.desk.hearing import Opened, Running, SensorsTold, listener
+from delfim.desk.listen import Opened, Running, SensorsTold, listener
+from delfim.desk.sensor_table import table
 from delfim.lines.nmea0183.framing import framed
 
 ROOT = Path(__file__).parents[2]

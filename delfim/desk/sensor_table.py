@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from typing import Any, Final
 
 from delfim import config
-from delfim.desk.hearing import SensorsTold
+from delfim.desk.listen import SensorsTold
 
 KINDS: Final = {  # of a source, as they stand in the table
     "position": lambda v: f"{_place(v[0], 'NS')} {_place(v[1], 'EW')}",

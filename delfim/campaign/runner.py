@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from delfim.base.errors import DelfimError
-from delfim.campaign import findings, pairtable, shrinking
+from delfim.campaign import pairtable, queries, shrinking
 from delfim.campaign.runplan import CampaignFile, Plan
 from delfim.campaign.sailing import VERSION, TooLong
 from delfim.campaign.store import Store
@@ -78,25 +78,25 @@ def sail(plan: Plan, folder: Path, size: int, workers: int, cluster: str | None)
 def tell(file: CampaignFile, plan: Plan, folder: Path, command: str, against: Path | None) -> int:
     """Tells verdicts, why runs failed and the tables of the file, and writes the page. `command` is the campaign's own, to
     which --again is added. Returns 0 where all that must hold does. Raises DelfimError."""
-    database = findings.connect(folder)
-    verdicts = findings.verdicts(database, file.must)
+    database = queries.connect(folder)
+    verdicts = queries.verdicts(database, file.must)
     for name, holds, where in verdicts:
         print(f"  {'holds' if holds else 'FAILS':6} {name}" + (f" (points {', '.join(map(str, where[:10]))})" if where else ""))
-    for number, (words, many, point, seed) in enumerate(findings.failed(database)[:10]):
+    for number, (words, many, point, seed) in enumerate(queries.failed(database)[:10]):
         print(f"  {many:6} failed: {words}; again: {command} --again {point}:{seed}", flush=True)
         if number < SHRUNK and not words.startswith(TooLong.__name__):
             try:
                 shrinking.run(plan, folder, point, seed)
             except DelfimError as error:
                 print(f"  not shrunken: {error}")
-    answers = findings.answered(database, file.answers)
+    answers = queries.answered(database, file.answers)
     for name, columns, rows in answers:
-        print(f"\n  {name}\n", *(f"  {line}" for line in findings.shown(columns, rows).splitlines()), "", sep="\n")
+        print(f"\n  {name}\n", *(f"  {line}" for line in queries.shown(columns, rows).splitlines()), "", sep="\n")
     searched = not file.pairs or pairtable.tell(database, file.pairs, folder)
     if file.page or against:
         from delfim.campaign import report  # its pictures take half a second to import: nobody waits before the first run
 
-        earlier = findings.connect(against) if against else None
+        earlier = queries.connect(against) if against else None
         print(f"  report {report.write(folder, plan, database, verdicts, answers, command, earlier)}")
     if database.execute("select count(distinct (point, seed)) from runs").fetchone() != (plan.runs,):
         raise DelfimError("runs are missing")
