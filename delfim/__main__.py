@@ -4,7 +4,6 @@ A failure that the user can put right is one line on standard error, with exit c
 """
 
 import argparse
-import importlib
 import select
 import sys
 from collections.abc import Sequence
@@ -12,7 +11,7 @@ from types import ModuleType
 
 from delfim import __version__
 from delfim.base.errors import DelfimError, PermanentFailure, Refused, did_you_mean, in_words
-from delfim.commands import GROUPS, LINUX, SENTENCES, Formatter
+from delfim.commands import GROUPS, LINUX, SENTENCES, Formatter, loaded
 
 EXIT_REFUSED, EXIT_WRONG, EXIT_PERMANENT = 1, 2, 100  # 100 tells the supervisor: do not start me again
 FORMATS = ("asammdf", "pyarrow", "scipy")  # packages of delfim[formats]; all others are of delfim[ground]
@@ -87,7 +86,7 @@ def declared(name: str) -> tuple[ModuleType, argparse.ArgumentParser]:
     """A command and the parser of its options. Raises DelfimError for an unknown command."""
     if name not in SENTENCES:
         raise DelfimError(f"there is no command {name!r}{did_you_mean(name, SENTENCES)}; delfim alone lists all")
-    command = importlib.import_module(f"delfim.commands.{name}")
+    command = loaded(name)
     parser = argparse.ArgumentParser(prog=f"delfim {name}", description=SENTENCES[name], formatter_class=Formatter)
     command.options(parser)
     return command, parser

@@ -320,7 +320,7 @@ READ_BY = {  # function: the readers above that come by it
     "logging/ashore/tree.py: _end": {"sidecar"},
     "logging/ashore/tree.py: _starts": {"sidecar"},
     "services/files/ftpd.py: _tls": {"certificate"},
-    "commands/commission.py: _users": {"user's ssh key"},
+    "commands/description/commission.py: _users": {"user's ssh key"},
     "campaign/runplan.py: _mission": {"mission of a campaign"},
     "campaign/store.py: head_of": {"head of a campaign's results", "a campaign's results"},
     "parts/nmea2000/nmea2000d.py: __init__": {"address on NMEA 2000"},
@@ -339,11 +339,11 @@ READ_BY = {  # function: the readers above that come by it
 }
 OTHERS = {  # what the kernel tells, and what is only copied or digested
     *(
-        "commands/commission.py: _mission",
-        "commands/new.py: _about",
-        "commands/parts.py: _new",
-        "commands/image.py: confirm",
-        "commands/image.py: status",
+        "commands/description/commission.py: _mission",
+        "commands/description/new.py: _about",
+        "commands/description/parts.py: _new",
+        "commands/aboard/image.py: confirm",
+        "commands/aboard/image.py: status",
     ),
     *("base/input/untrusted.py: read_file", "base/input/untrusted.py: read_text"),
     *("logging/ashore/fetch.py: _condition", "logging/ashore/fetch.py: _digest", "logging/ashore/fetch.py: _read"),

@@ -258,7 +258,7 @@ def test_the_core_names_no_part() -> None:
 
 
 KNOWN = {  # parts that others import, with the reason; a row that goes does not come back
-    "commands/check.py: nmea2000",  # which messages the boat sends
+    "commands/description/check.py: nmea2000",  # which messages the boat sends
     "console/gateway/gateway.py: fleet",  # and of the broker
     "console/link/mavlink.py: mavlink",  # the console is the other end of the link
     "console/boats/othervessels.py: traffic",  # whom it hears itself, it judges as the boat does
@@ -269,10 +269,10 @@ KNOWN = {  # parts that others import, with the reason; a row that goes does not
     "parts/nmea2000/sensor.py: nmea0183",  # the values that both measure
 }
 READ = {  # parts whose tables others read, with the reason; a row that goes does not come back
-    "commands/check.py: nmea2000",  # what the boat sends
-    "commands/commission.py: fleet",  # what is carried to a boat
-    "commands/commission.py: ros",
-    "commands/sim.py: mavlink",  # the console beside a simulated boat
+    "commands/description/check.py: nmea2000",  # what the boat sends
+    "commands/description/commission.py: fleet",  # what is carried to a boat
+    "commands/description/commission.py: ros",
+    "commands/simulation/sim.py: mavlink",  # the console beside a simulated boat
     "desk/listen.py: nmea0183",  # a line on a desk is opened as the boat opens it
     "parts/fleet/exposure.py: mavlink",
     "parts/fleet/fleetd.py: mavlink",  # the broker is another way for the same frames

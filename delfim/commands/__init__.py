@@ -1,12 +1,15 @@
 """The commands of `delfim`, a file each: `options(parser)` declares its options, `run(asked)` does it and gives the exit code.
 
-A file imports its libraries only when it runs: a boat does not load those for plots. To add a command: a file, and a row here.
+A file imports its libraries only when it runs: a boat does not load those for plots. To add a command: a file in the folder
+of its group, and a row here.
 """
 
 import argparse
 import contextlib
+import importlib
 import os
 from pathlib import Path
+from types import ModuleType
 from typing import Final
 
 GROUPS: Final[dict[str, dict[str, str]]] = {  # commands by task, each with a sentence
@@ -44,9 +47,16 @@ GROUPS: Final[dict[str, dict[str, str]]] = {  # commands by task, each with a se
     },
 }
 SENTENCES: Final = {name: sentence for group in GROUPS.values() for name, sentence in group.items()}
+FOLDERS: Final = ("simulation", "operation", "description", "aboard")  # of the groups, in their order
 LINUX: Final = frozenset((*GROUPS["On the boat"], "campaign", "drive", "fault", "guest", "nodes", "sensors", "shore"))
 OWN_FILE: Final = "etc/delfimx.toml"  # the default boat of a simulation
 PACKAGE: Final = Path(__file__).parents[1]  # etc/ is a part of it: a folder in a wheel, a link in a checkout
+
+
+def loaded(name: str) -> ModuleType:
+    """Import the module of a command."""
+    folder = next(folder for folder, group in zip(FOLDERS, GROUPS.values(), strict=True) if name in group)
+    return importlib.import_module(f"{__name__}.{folder}.{name}")
 
 
 class Formatter(argparse.HelpFormatter):

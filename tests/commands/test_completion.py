@@ -6,7 +6,8 @@ import subprocess
 
 import pytest
 
-from delfim.commands import SENTENCES, completion
+from delfim.commands import SENTENCES
+from delfim.commands.operation import completion
 
 BASH = shutil.which("bash")
 

@@ -23,8 +23,10 @@ def test_without_a_command_all_of_them_are_listed_by_what_people_do(words, capsy
 
 
 def test_every_command_is_a_file_and_every_file_a_command():
-    files = {path.stem for path in Path(commands.__file__).parent.glob("*.py")} - {"__init__"}
-    assert files == set(commands.SENTENCES)
+    folder = Path(commands.__file__).parent
+    files = {str(path.relative_to(folder).with_suffix("")) for path in folder.glob("*/[!_]*.py")}
+    groups = zip(commands.FOLDERS, commands.GROUPS.values(), strict=True)
+    assert files == {f"{its}/{name}" for its, group in groups for name in group}
 
 
 @pytest.mark.parametrize("name", commands.SENTENCES)
@@ -67,7 +69,10 @@ def test_a_boat_loads_its_own_command_alone():
     look = "import sys; from delfim.__main__ import parsed; parsed(['run', 'boat.toml']); print(*sys.modules)"
     loaded = subprocess.run([sys.executable, "-c", look], capture_output=True, text=True, check=True, cwd=ROOT).stdout.split()
     ours = {name for name in loaded if name.startswith("delfim.")}
-    assert ours == {"delfim.base", "delfim.commands", "delfim.base.errors", "delfim.__main__", "delfim.commands.run"}
+    assert ours == {
+        *("delfim.__main__", "delfim.base", "delfim.base.errors"),
+        *("delfim.commands", "delfim.commands.aboard", "delfim.commands.aboard.run"),
+    }
 
 
 def test_a_question_that_nobody_answers_ends_in_a_line():

@@ -8,7 +8,7 @@ import pytest
 
 from delfim import config
 from delfim.__main__ import main
-from delfim.commands.new import _shipped, asked_of_parts
+from delfim.commands.description.new import _shipped, asked_of_parts
 from delfim.simulator.lockstep import Lockstep
 from delfim.vehicle.console import LoadMission, Play
 from delfim.vehicle.plans.mission import load_mission

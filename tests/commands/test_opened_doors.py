@@ -18,7 +18,7 @@ import pytest
 from delfim import config
 from delfim.__main__ import main
 from delfim.base.ranges import address
-from delfim.commands.new import asked_of_parts
+from delfim.commands.description.new import asked_of_parts
 from delfim.services.access.exposure import doors
 from delfim.services.suite import services
 from tests.guest.ashore import alone

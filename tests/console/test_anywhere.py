@@ -21,7 +21,8 @@ for name in sys.argv[1:]:
 """
 READERS = ["candump", "liblog", "reading", "statelog", *(f"ashore.{name}" for name in ("canexport", "export", "fetch", "plot"))]
 READERS += [f"ashore.{name}" for name in ("progress", "repair", "summary", "systemlines", "table", "tree")]
-COMMANDS = ["can", "check", "commission", "console", "describe", "log", "new", "password", "sim"]
+COMMANDS = [f"description.{name}" for name in ("check", "commission", "describe", "new", "password")]
+COMMANDS += ["operation.can", "operation.console", "operation.log", "simulation.sim"]
 TESTS = ["console/test_fleet.py", "console/test_charts.py", "logging/test_candump.py"]
 DESK = (
     "sim --lockstep --for 5",

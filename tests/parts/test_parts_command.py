@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from delfim.commands.parts import KINDS
+from delfim.commands.description.parts import KINDS
 from tests.parts.laboratory import ROOT, installed, known
 
 

@@ -4,11 +4,10 @@ It is made of what the commands declare, when it is asked for: no other command 
 """
 
 import argparse
-import importlib
 from collections.abc import Iterable, Iterator
 from typing import Final
 
-from delfim.commands import SENTENCES
+from delfim.commands import SENTENCES, loaded
 
 SCRIPT: Final = """\
 # delfim completion: of a word that begins with a dash the options, else what may stand there; of all others the files.
@@ -49,7 +48,7 @@ def parsers() -> tuple[dict[str, argparse.ArgumentParser], list[str]]:
     found, with_verbs = dict[str, argparse.ArgumentParser](), list[str]()
     for name in SENTENCES:
         found[name] = argparse.ArgumentParser(prog=f"delfim {name}")
-        importlib.import_module(f"delfim.commands.{name}").options(found[name])
+        loaded(name).options(found[name])
         if verbs := _verbs(found[name]):
             with_verbs.append(name)
             found |= {f"{name} {verb}": parser for verb, parser in verbs.items()}

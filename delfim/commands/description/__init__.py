@@ -1,0 +1,1 @@
+"""Commands that describe a boat: its vehicle's file, keys and parts."""

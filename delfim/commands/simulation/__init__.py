@@ -1,0 +1,1 @@
+"""Commands that sail simulated boats."""
