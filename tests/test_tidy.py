@@ -7,7 +7,7 @@ import logging
 import re
 import subprocess
 import sysconfig
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
@@ -23,6 +23,8 @@ PLACES = "tests", "bench", "docker", "etc", "manual", "safety"  # of programs be
 PROGRAMS = [*MODULES, *sorted(path for folder in PLACES for path in (ROOT / folder).rglob("*.py"))]
 LINES_PER_FUNCTION = 60
 LINES_PER_FILE = 500
+FILES_PER_FOLDER = 15
+LOOSE = 4  # files at the root of the package
 FILES_PER_FOLDER = 15
 DECLARATIONS = {"config.py"}  # of nothing but tables, as long as what they declare
 BOTH_ENDS = {"Command", "Mission", "PathPoint", "Plan", "Profile", "Waypoint"}  # of a wire: the boat's, and the page's
@@ -90,6 +92,17 @@ def test_a_function_fits_on_one_screen() -> None:
 def test_a_file_is_read_in_one_sitting() -> None:
     lengths = {str(path.relative_to(ROOT / "delfim")): len(path.read_text().splitlines()) for path in MODULES}
     assert {name for name, lines in lengths.items() if lines > LINES_PER_FILE} == DECLARATIONS
+
+
+CROWDED = {"base", "parts/traffic"}  # not cut by subject yet; it only shrinks
+
+
+def test_a_folder_has_one_subject() -> None:
+    """A path is read aloud, and says whose a file is and what it is about: in few files, and few loose ones at the root."""
+    inside = ROOT / "delfim"
+    folders = Counter(str(path.parent.relative_to(inside)) for path in MODULES)
+    assert folders.pop(".") <= LOOSE
+    assert {folder for folder, files in folders.items() if files > FILES_PER_FOLDER} == CROWDED
 
 
 def test_a_class_has_its_name_for_itself() -> None:
