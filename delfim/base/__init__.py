@@ -1,1 +1,1 @@
-"""What every room stands on: errors, clocks, frames, angles, tables of TOML, bounded input, work in slices."""
+"""The base of every room: errors, clocks, CAN frames, angles, TOML tables, bounded input, cooperative work."""

@@ -1,4 +1,4 @@
-"""Time, in one place. Code that needs the time is given a clock and never asks the operating system itself.
+"""The clocks. Code that needs the time is given a clock and never asks the operating system itself.
 
 Two times exist: `monotonic_s` for ages and intervals, which never steps, and `time_ns` for stamps that people and the
 kernel share (CLOCK_REALTIME), which steps when it is set (docs/clock.md).
@@ -38,7 +38,7 @@ _BOOT: int | None = getattr(time, "CLOCK_BOOTTIME", getattr(time, "CLOCK_MONOTON
 
 
 class ManualClock:
-    """A clock that stands still until it is told to advance: tests and lock-step simulation."""
+    """A clock that stands still until it is advanced: for tests and lock-step simulation."""
 
     def __init__(self, monotonic_s: float = 0.0, time_ns: int = 1_262_304_000_000_000_000) -> None:
         self._elapsed_ns = round(monotonic_s * 1e9)

@@ -1,4 +1,4 @@
-"""Work in slices: work that would hold the loop for longer than a callback may is a generator that runs a slice at a time.
+"""Cooperative work: what would hold the loop for longer than a callback may is a generator that runs one slice at a time.
 
 The generator yields how much it has done since it last yielded, in comparisons (about a microsecond each), and returns what
 it found. Work is counted and no clock is read, so that a run in lock step comes out the same each time.
@@ -21,7 +21,7 @@ Work = Generator[int, None, T]
 
 
 class Sliced(Generic[T]):
-    """A piece of work under way, what it has cost so far, and its result once it is done."""
+    """A piece of work under way, with what it has cost so far, and its result once it is done."""
 
     result: T
 
@@ -29,7 +29,7 @@ class Sliced(Generic[T]):
         self._work, self.spent = work, 0
 
     def step(self, most: int = SLICE) -> bool:
-        """Runs a slice. Returns whether the work is done. Exceptions of the work pass; endless work gets Refused."""
+        """Run one slice, and return whether the work is done. Exceptions of the work pass; endless work gets Refused."""
         until = self.spent + most
         try:
             while self.spent < until:
@@ -42,7 +42,7 @@ class Sliced(Generic[T]):
         return False
 
     def finish(self) -> T:
-        """Does all that is left at once, for a caller that may take the time."""
+        """Do all that is left at once, for a caller that may take the time."""
         while not self.step():
             pass
         return self.result
@@ -57,11 +57,11 @@ class Remains:
         self._things: list[object] = []  # met on these walks
 
     def add(self, *things: Iterable[object]) -> None:
-        """The parts of something large, just before it is dropped."""
+        """Take over the parts of something large, just before it is dropped."""
         self._walks.extend(map(iter, things))
 
     def let_go(self) -> None:
-        """Frees some; more if there is much, so that nobody can make it grow for ever. Call it now and then."""
+        """Free some of the garbage; more if there is much, so that nobody can make it grow for ever. Call it now and then."""
         many = max(LET_GO, (len(self._things) + len(self._walks)) // 20)
         del self._things[-many:]
         left = many

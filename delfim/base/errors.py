@@ -41,7 +41,8 @@ class PermanentFailure(DelfimError):
 
 
 def one_line(text: str) -> str:
-    """The text made fit for a terminal, a log or a page: unprintable characters escaped, and only both ends if it is long."""
+    """Make text fit for a terminal, a log or a page: unprintable characters are escaped, and of a long text only both ends
+    stay."""
     if len(text) > LINE_MAX:
         text = f"{text[: LINE_MAX - _TAIL]} ... {text[-_TAIL:]}"
     if text.isprintable():
@@ -50,7 +51,7 @@ def one_line(text: str) -> str:
 
 
 def in_words(error: BaseException) -> str:
-    """The error for people: our own as it is, the system's without its number, a defect with its kind."""
+    """Describe an error to people: our own as it is, the system's without its number, a defect with its kind."""
     if isinstance(error, DelfimError):
         return str(error)
     if isinstance(error, OSError) and error.strerror:
@@ -59,7 +60,7 @@ def in_words(error: BaseException) -> str:
 
 
 def did_you_mean(word: str, known: Iterable[str]) -> str:
-    """ "; did you mean this?" if a known word resembles this one, otherwise empty."""
+    """Return "; did you mean this?" if a known word resembles this one, otherwise an empty text."""
     from difflib import get_close_matches  # loaded only for a mistake
 
     near = get_close_matches(word, list(known), 1)

@@ -8,7 +8,7 @@ import logging
 
 
 def new_event_loop() -> asyncio.AbstractEventLoop:
-    """A loop for `asyncio.Runner`. Without uvloop, one line in the log says so. It is then the loop that selects: Windows' own
+    """Make a loop for `asyncio.Runner`. Without uvloop, one line in the log says so, and the loop uses select(2): Windows' own
     stops hearing UDP for good once a datagram found nobody at its port, as when a boat was switched off."""
     try:
         import uvloop

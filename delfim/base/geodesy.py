@@ -15,7 +15,7 @@ _remainder = math.remainder
 
 
 class Origin(NamedTuple):
-    """Where north_m = east_m = 0, with metres per radian there."""
+    """The origin of the local plane, where north_m = east_m = 0, with metres per radian there."""
 
     latitude_rad: float
     longitude_rad: float
@@ -24,14 +24,14 @@ class Origin(NamedTuple):
 
 
 def origin(latitude_rad: float, longitude_rad: float) -> Origin:
-    """The local plane at a position; latitude within +-89 degrees."""
+    """The origin of a local plane at this position; latitude within +-89 degrees."""
     w = math.sqrt(1.0 - _E2 * math.sin(latitude_rad) ** 2)
     meridian, prime = _A * (1.0 - _E2) / w**3, _A / w
     return Origin(latitude_rad, longitude_rad, meridian, prime * math.cos(latitude_rad))
 
 
 def to_plane(at: Origin, latitude_rad: float, longitude_rad: float) -> tuple[float, float]:
-    """(north_m, east_m) of a position."""
+    """Project a position onto the plane: (north_m, east_m)."""
     return (
         (latitude_rad - at.latitude_rad) * at.north_m_per_rad,
         wrap(longitude_rad - at.longitude_rad) * at.east_m_per_rad,
@@ -39,22 +39,22 @@ def to_plane(at: Origin, latitude_rad: float, longitude_rad: float) -> tuple[flo
 
 
 def from_plane(at: Origin, north_m: float, east_m: float) -> tuple[float, float]:
-    """(latitude_rad, longitude_rad) of a point of the plane."""
+    """Convert a point of the plane to (latitude_rad, longitude_rad)."""
     return at.latitude_rad + north_m / at.north_m_per_rad, wrap(at.longitude_rad + east_m / at.east_m_per_rad)
 
 
 def wrap(angle_rad: float) -> float:
-    """The same angle in -pi..pi."""
+    """Wrap an angle to -pi..pi."""
     return _remainder(angle_rad, TAU)
 
 
 def compass(angle_rad: float) -> float:
-    """The same angle in 0..2 pi, as headings and courses are shown."""
+    """Wrap an angle to 0..2 pi, as headings and courses are shown."""
     return angle_rad % TAU % TAU  # twice, because -1e-20 % TAU is TAU
 
 
 def polygon_fault(corners: Sequence[tuple[float, float]]) -> Generator[int, None, str | None]:
-    """Why corners, in any unit, are not a usable polygon, in words; None if they are. Work in slices
+    """The reason, in words, why corners in any unit are not a usable polygon; None if they are. Cooperative work
     (delfim/base/cooperative.py): sides are compared with each other."""
     if len(corners) < 3:
         return f"a polygon of {len(corners)} corners: it needs three"
@@ -85,7 +85,7 @@ def segments_meet(a: tuple[float, float], b: tuple[float, float], c: tuple[float
 
 
 def _side(a: tuple[float, float], b: tuple[float, float], p: tuple[float, float]) -> float:
-    """On which side of the line through a and b the point p is, by sign."""
+    """The side of the line through a and b on which the point p is, by sign."""
     return (b[0] - a[0]) * (p[1] - a[1]) - (b[1] - a[1]) * (p[0] - a[0])
 
 

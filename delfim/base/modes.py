@@ -8,7 +8,7 @@ from delfim.base.errors import FormatError
 
 
 class Mode(IntEnum):
-    """Numbers are those of the console's link (ArduRover's where it has the mode)."""
+    """The modes by number: that of the console's link (ArduRover's where it has the mode)."""
 
     MANUAL = 0
     HEADING = 3
@@ -27,8 +27,8 @@ OF_PARTS = range(120, 140)  # numbers for the modes of a laboratory's parts
 
 
 def join(name: str, number: int) -> Mode:
-    """The mode of a laboratory's part, which is known in this process from now on. Raises ValueError where the number is not
-    one of OF_PARTS, or another mode has it or the name."""
+    """Add the mode of a laboratory's part, for this process. Raises ValueError where the number is not one of OF_PARTS, or
+    another mode has it or the name."""
     key = name.upper()
     if number in OF_PARTS and key in Mode.__members__ and Mode[key] == number:
         return Mode[key]
@@ -44,7 +44,7 @@ def join(name: str, number: int) -> Mode:
 
 
 def mode_named(text: str) -> Mode:
-    """Raises FormatError for a mode that does not exist, naming those that do."""
+    """The mode of this name. Raises FormatError for a mode that does not exist, naming those that do."""
     try:
         return Mode[text.upper()]
     except KeyError:

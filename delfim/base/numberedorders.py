@@ -14,7 +14,7 @@ KEYS_MAX: Final = 7  # that a MAVLink command carries
 
 
 class NumberKey(NamedTuple):
-    """A key of an order."""
+    """A key of an order, with its two limits."""
 
     name: str
     least: float
@@ -23,13 +23,13 @@ class NumberKey(NamedTuple):
 
 
 class NumberedOrder(NamedTuple):
-    """An order by its number."""
+    """An order of a part, with its number."""
 
     name: str
     keys: tuple[NumberKey, ...]
 
     def values(self, numbers: Sequence[float]) -> dict[str, float]:
-        """The keys of these numbers; NaN: not given. Raises ValueError for infinity, or a number without a key."""
+        """The keys that these numbers set; NaN: not given. Raises ValueError for infinity, or a number without a key."""
         if any(number and not math.isnan(number) for number in numbers[len(self.keys) :]):
             raise ValueError(f"{self.name} takes {len(self.keys)} numbers")
         if any(math.isinf(number) for number in numbers):
@@ -39,7 +39,7 @@ class NumberedOrder(NamedTuple):
 
 
 def numbered(number: int, name: str, table: type[tables.Table]) -> NumberedOrder:
-    """Raises ValueError for an order that numbers cannot give."""
+    """The order with its keys as numbers. Raises ValueError for an order that numbers cannot give."""
     if number not in NUMBERS:
         raise ValueError(f"order {name} has number {number}; MAVLink has {NUMBERS[0]} to {NUMBERS[-1]} for users")
     keys = tuple(_key(*row) for row in _rows(table))
@@ -66,7 +66,7 @@ def _rows(table: type[msgspec.Struct]) -> Iterator[tuple[FieldInfo, Any]]:
 
 
 def _key(field: FieldInfo, hint: Any) -> NumberKey:
-    """Raises ValueError."""
+    """The key of a field. Raises ValueError."""
     name, default = field.name, field.default
     kind, *metas = get_args(hint) if get_origin(hint) is Annotated else (hint,)
     least, most = (next((v for m in metas if (v := getattr(m, key, None)) is not None), None) for key in ("ge", "le"))

@@ -66,7 +66,7 @@ class OrderRow(NamedTuple):
 
 
 class Part(NamedTuple):
-    """A row. A text names a module, or a function as module:function, which is loaded when it is used."""
+    """The row of a part. A text names a module, or a function as module:function, which is loaded when it is used."""
 
     name: str  # as the vehicle's file has it, small letters, digits and _
     table: type[Table] | str | None = None  # its keys, in a table of its name; module:class
@@ -262,7 +262,7 @@ TABLED: Final = tuple(row for row in (*OWN.values(), *ROOMS) if row.table)  # th
 
 @cache
 def installed() -> "dict[str, list[EntryPoint]]":
-    """The entry points of all packages of this computer that have parts, by the names of the parts; nothing is imported."""
+    """The entry points of all packages of this computer that have parts, by the parts' names; nothing is imported."""
     from importlib.metadata import entry_points
 
     found: dict[str, list[EntryPoint]] = {}
@@ -299,7 +299,7 @@ def named(wanted: object, file: str) -> tuple[Part, ...]:
 
 
 def _check_orders(rows: tuple[Part, ...], file: str) -> None:
-    """Raises ConfigError where an order has no name or number of its own, or numbers cannot give it."""
+    """Check the parts' orders. Raises ConfigError where one has no name or number of its own, or numbers cannot give it."""
     from delfim.base.numberedorders import numbered  # few files name a part
 
     names, numbers = dict[str, str](), dict[int, str]()
@@ -342,7 +342,7 @@ def _loaded(name: str, version: str, file: str) -> Part:
 
 @cache
 def _row(entry: "EntryPoint") -> object:
-    """Raises DelfimError."""
+    """Load the row that an entry point names. Raises DelfimError."""
     try:
         return entry.load()
     except (Exception, SystemExit) as error:  # foreign code, of which anything may come
@@ -350,7 +350,7 @@ def _row(entry: "EntryPoint") -> object:
 
 
 def load(part: Part, place: str) -> Any:
-    """The module or function that a row names. Raises PermanentFailure."""
+    """Load the module or function that a row names. Raises PermanentFailure."""
     module, _, function = place.partition(":")
     try:
         found = import_module(module)
@@ -365,27 +365,27 @@ def table_of(part: Part) -> Any:
 
 
 def find(aboard: Sequence[Part], name: str) -> Part | None:
-    """The part of this name among those aboard; None: it is one of the boat's own names."""
+    """The part of this name among those aboard; None if the name is one of the boat's own."""
     return next((each for each in aboard if each.name == name), None)
 
 
 def row(aboard: Sequence[Part], name: str) -> Part:
-    """One of the boat's own, or of the parts aboard. Raises KeyError."""
+    """The row of this name, of the boat's own or of the parts aboard. Raises KeyError."""
     return OWN.get(name) or {each.name: each for each in aboard}[name]
 
 
 def module(aboard: Sequence[Part], kind: str, name: str) -> Any:
-    """The module of a driver, a source or a sensor. Raises PermanentFailure for a part's that cannot be imported."""
+    """The module of a driver, a source or a sensor. Raises PermanentFailure for a part that cannot be imported."""
     part = row(aboard, name)
     return import_module(getattr(part, kind)) if name in OWN else load(part, getattr(part, kind))
 
 
 def of_kind(aboard: Iterable[Part], kind: str) -> Iterator[str]:
-    """The names of those that have a driver, a source, a sensor ..."""
+    """The names of all rows that have a driver, a source, a sensor ..."""
     return (each.name for each in aboard if getattr(each, kind))
 
 
 def forget() -> None:
-    """Look anew for packages that were installed or removed meanwhile."""
+    """Forget the packages that were found, to look anew for those installed or removed meanwhile."""
     installed.cache_clear()
     _row.cache_clear()

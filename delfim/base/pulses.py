@@ -34,17 +34,17 @@ class PulseAnswer(NamedTuple):
 
 
 def socket_path(run_directory: str) -> Path:
-    """Where the outlet listens."""
+    """The path of the outlet's socket."""
     return Path(run_directory) / "outlet"
 
 
 def pack_command(counter: int, run: bool, fractions: Sequence[float]) -> bytes:
-    """Fractions of all channels, -1 to 1, finite."""
+    """Pack a command of all channels' fractions, -1 to 1, finite."""
     return _RECORD.pack(counter & 0xFFFF_FFFF, run, *[round(each * FULL) for each in fractions])
 
 
 def unpack_command(data: bytes) -> PulseCommand:
-    """Raises FormatError for another length or a fraction beyond full."""
+    """Unpack a command. Raises FormatError for another length or a fraction beyond full."""
     if len(data) != _RECORD.size:
         raise FormatError(f"{len(data)} bytes are no command")
     counter, run, *fractions = _RECORD.unpack(data)
@@ -64,7 +64,7 @@ def pack_answer(answer: PulseAnswer) -> bytes:
 
 
 def unpack_answer(data: bytes) -> PulseAnswer:
-    """Raises FormatError."""
+    """Unpack an answer of the outlet. Raises FormatError."""
     if len(data) < _ANSWER.size or data[4] >= len(STATES):
         raise FormatError("no answer of an outlet")
     counter, state = _ANSWER.unpack_from(data)

@@ -44,7 +44,7 @@ DeviceName = Annotated[str, text("[a-z][a-z0-9_.-]{0,14}", "a small letter, then
 
 
 def address(text: str) -> tuple[str, int]:
-    """Host and port of an `Endpoint` or a `Listen`."""
+    """Split an `Endpoint` or a `Listen` into host and port."""
     host, _, port = text.rpartition(":")
     return host.strip("[]"), int(port)
 

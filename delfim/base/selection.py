@@ -1,4 +1,4 @@
-"""Chooses which of several devices that send the same kind of data is used."""
+"""The choice among several devices that send the same kind of data."""
 
 from typing import Any, Generic, Protocol, TypeVar
 
@@ -22,18 +22,18 @@ class Newest(Generic[A, T]):
         self._order: tuple[A, ...] = preferred  # preferred, then the present one
 
     def prefer(self, preferred: tuple[A, ...]) -> None:
-        """Another order of preference from now on."""
+        """Set another order of preference."""
         self._preferred = self._order = preferred
 
     def put(self, address: A, value: T | None, now_s: float) -> None:
-        """File a value. None: the source says that it has none, which cancels its last value."""
+        """File a value. None: the device reports that it has none, which cancels its last value."""
         if value is None:
             self._values.pop(address, None)
         else:
             self._values[address] = value, now_s
 
     def choose(self, now_s: float) -> A | None:
-        """The address chosen now, None when none is fresh."""
+        """Choose an address; None when none is fresh."""
         values, oldest_s = self._values, now_s - self._limit_s
         for address in self._order:
             held = values.get(address)

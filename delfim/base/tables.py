@@ -22,14 +22,14 @@ class Table(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     MOVED: ClassVar[dict[str, str]] = {}  # keys of the past, and where their meaning is now
 
     def of(self, kind: "type[T]") -> "T":
-        """The table of this class within, as that of a laboratory's part in a vehicle's file. Raises LookupError."""
+        """The table of this class within, such as that of a laboratory's part in a vehicle's file. Raises LookupError."""
         for name in self.__struct_fields__:
             if isinstance(inner := getattr(self, name), kind):
                 return inner
         raise LookupError(f"{type(self).__name__} has no {kind.__name__}")
 
     def settled(self, vehicle: Any) -> "Table":
-        """The table as it counts beside the others of its vehicle's file. Raises ValueError where it contradicts one."""
+        """The table as it applies beside the others of its vehicle's file. Raises ValueError where it contradicts one."""
         return self
 
 
@@ -38,12 +38,12 @@ SHOWN = 60  # characters at most of a value that is refused
 
 
 def text(pattern: str, words: str, **extra: str) -> msgspec.Meta:
-    """Text that matches the pattern; the words tell a person what may be written."""
+    """The type of a text that matches the pattern; the words tell a person what may be written."""
     return msgspec.Meta(pattern=rf"^{pattern}\Z", description=words, extra=extra or None)
 
 
 def shown(table: Table) -> dict[str, Any]:
-    """All keys and values for everybody to read, JSON-ready and fit for `decode`; a secret is replaced by the text in its
+    """All keys and values as everybody may read them, JSON-ready and fit for `decode`; a secret is replaced by the text in its
     declaration (`extra={"shown": ...}`)."""
     fields: dict[str, Any] = _shown(table, type(table))
     return fields
@@ -64,9 +64,8 @@ def _shown(value: Any, hint: Any) -> Any:
 
 
 def read_toml(path: str | Path, overrides: Sequence[str] = ()) -> dict[str, Any]:
-    """The file's tables, with "key.key=TOML value" overrides laid over them. Raises ConfigError where the file is missing,
-    unreadable or no TOML.
-    """
+    """Read the file's tables, with "key.key=TOML value" overrides laid over them. Raises ConfigError where the file is missing,
+    unreadable or no TOML."""
     try:
         tree = parse_toml(read_text(path))
     except OSError as error:
@@ -79,7 +78,7 @@ def read_toml(path: str | Path, overrides: Sequence[str] = ()) -> dict[str, Any]
 
 
 def read_override(override: str) -> dict[str, Any]:
-    """The tables of one "key.key=TOML value". Raises ConfigError."""
+    """Parse one "key.key=TOML value" into its tables. Raises ConfigError."""
     tree = dict[str, Any]()
     _override(tree, override)
     return tree
@@ -101,7 +100,7 @@ def _override(tree: dict[str, Any], override: str) -> None:
 
 
 def _value(text: str) -> Any:
-    """A TOML value; text needs no quotes, which a shell would take away."""
+    """Parse a TOML value; text needs no quotes, which a shell would take away."""
     try:
         return parse_toml(f"value = {text}")["value"]
     except FormatError:
@@ -111,7 +110,7 @@ def _value(text: str) -> Any:
 
 
 def inline(value: Any) -> str:
-    """A value as TOML has it in one line; what is None is left out."""
+    """Write a value as TOML in one line; what is None is left out."""
     if isinstance(value, dict):
         return "{" + ", ".join(f"{_key(key)} = {inline(each)}" for key, each in value.items() if each is not None) + "}"
     if isinstance(value, list | tuple):
@@ -120,7 +119,7 @@ def inline(value: Any) -> str:
 
 
 def text_of(tree: dict[str, Any], path: str = "") -> str:
-    """A tree as the text of a TOML file; what is None is left out."""
+    """Write a tree as the text of a TOML file; what is None is left out."""
     lines, below = list[str](), list[str]()
     for key, value in tree.items():
         place = f"{path}{_key(key)}"
@@ -141,7 +140,7 @@ def _key(name: str) -> str:
 
 
 def decode(tree: dict[str, object], kind: type[T], file: str) -> T:
-    """A table from parsed TOML. Raises ConfigError, the first of its `complaints`."""
+    """Decode a table from parsed TOML. Raises ConfigError with the first of its `complaints`."""
     try:
         return msgspec.convert(tree, kind)
     except msgspec.ValidationError as error:
@@ -149,7 +148,7 @@ def decode(tree: dict[str, object], kind: type[T], file: str) -> T:
 
 
 def complaints(tree: object, kind: type[Table], file: str) -> Iterator[ConfigError]:
-    """All faults of a table from parsed TOML."""
+    """List all faults of a table from parsed TOML."""
     for wrong in _wrong(tree, kind, ""):
         reason, key = wrong.reason, wrong.key.lstrip(".")
         guess = reason.partition("; did you mean ")
@@ -159,12 +158,12 @@ def complaints(tree: object, kind: type[Table], file: str) -> Iterator[ConfigErr
 
 
 def _is_named(path: str, key: str) -> bool:
-    """Whether both end in the same word: better than one that resembles it."""
+    """Whether path and key end in the same word, which is better than one that resembles it."""
     return path.rpartition(".")[2] == key.rpartition(".")[2]
 
 
 def _elsewhere(key: str, kind: type[Table]) -> str:
-    """Where in the whole file there is a key of this name, its unit apart, nearest to the root; empty: nowhere."""
+    """Where in the whole file a key of this name stands, its unit apart, nearest to the root; empty: nowhere."""
     word, ahead = key.rpartition(".")[2], [("", kind)]
     while ahead:
         within = [(f"{path}.{name}".lstrip("."), hint) for path, table in ahead for name, hint in keys(table).items()]
@@ -185,7 +184,7 @@ class Wrong(NamedTuple):
 
 
 def _wrong(value: Any, hint: Any, key: str) -> Iterator[Wrong]:
-    """The faults of a value: of its parts, or else of the whole. msgspec stops at the first one."""
+    """List the faults of a value: of its parts, or else of the whole. msgspec stops at the first one."""
     refused, parts = _refused(value, hint, key), list[Wrong]()
     if refused is None:
         return
@@ -233,7 +232,7 @@ def _bare(hint: Any) -> Any:
 
 
 def _refused(value: object, hint: Any, key: str) -> Wrong | None:
-    """Why a value as a whole is refused, in words; None if it is accepted."""
+    """The reason, in words, why a value as a whole is refused; None if it is accepted."""
     try:
         msgspec.convert(value, hint)
     except msgspec.ValidationError as error:
@@ -253,7 +252,7 @@ _KINDS |= {"object": "a table", "date": "a date", "datetime": "a date", "time": 
 
 
 def _told(value: object) -> str:
-    """A value as its file has it, not more than a line."""
+    """Show a value as its file has it, no longer than a line."""
     if isinstance(value, list | dict):
         kind = "list" if isinstance(value, list) else "table"
         return f"a {kind} of {len(value)}" if value else f"an empty {kind}"
@@ -262,7 +261,7 @@ def _told(value: object) -> str:
 
 
 def allowed(hint: Any) -> str:
-    """A type's range in words: "0.0 to 1.0", "dsor, nmea2000"."""
+    """Describe the range of a type in words: "0.0 to 1.0", "dsor, nmea2000"."""
     if get_origin(hint) is Literal:
         return ", ".join(map(str, get_args(hint)))
     if get_origin(hint) is tuple:

@@ -1,4 +1,4 @@
-"""Other vessels as they report themselves, whichever way the report came. SI units; what is not told is None."""
+"""Other vessels as they report themselves, whichever way the report came. SI units; what is not reported is None."""
 
 from typing import Final, NamedTuple
 
@@ -8,7 +8,7 @@ _UNUSED: Final = "@\x00\xff"
 
 
 class VesselPosition(NamedTuple):
-    """Where a vessel is, and how it moves."""
+    """Position and motion of a vessel."""
 
     mmsi: int  # 0: it has none
     latitude_rad: float | None
@@ -24,7 +24,7 @@ class VesselPosition(NamedTuple):
 
 
 class VesselFacts(NamedTuple):
-    """The facts of a vessel. A part of them comes in each message of class B."""
+    """Name, kind and size of a vessel. Each message of class B carries a part of them."""
 
     mmsi: int
     name: str | None
@@ -41,7 +41,7 @@ Report = VesselPosition | VesselFacts
 
 
 def readable(text: str) -> str | None:
-    """A name up to its first unused character, of what can be printed; None: nothing is left."""
+    """The printable characters of a name up to its first unused one; None if nothing is left."""
     for each in _UNUSED:
         text = text.partition(each)[0]
     return "".join(each for each in text if " " <= each <= "~").strip() or None

@@ -31,7 +31,7 @@ EVENTS_MAX: Final = 16  # of the kernel's buffer, for one line
 
 
 class GpioLine:
-    """An input. `read` never raises and never waits."""
+    """An input of a GPIO chip. `read` never raises and never waits."""
 
     def __init__(self, fd: int, level: Callable[[int], bool] | None = None) -> None:
         """`fd` gives the events, 48 bytes each, and does not block. `level` reads the present level of it; where the kernel
@@ -46,7 +46,7 @@ class GpioLine:
         return not self.trouble
 
     def read(self) -> Level | None:
-        """None: the line cannot be read any more; `trouble` says why."""
+        """Read the level; None if the line cannot be read any more: `trouble` says why."""
         try:
             was = _seen(self._fd)
             now = self._level(self._fd)
@@ -60,34 +60,34 @@ class GpioLine:
 
 
 class GpioOutput:
-    """An output. It never waits."""
+    """An output of a GPIO chip. It never waits."""
 
     def __init__(self, fd: int) -> None:
         self._fd = fd
 
     def put(self, is_high: bool) -> None:
-        """Raises OSError."""
+        """Set the level. Raises OSError."""
         fcntl.ioctl(self._fd, SET_VALUES, array.array("B", VALUES.pack(is_high, 1)))
 
     def close(self) -> None:
-        """Most chips keep the level."""
+        """Close the line; most chips keep the level."""
         os.close(self._fd)
 
 
 def open_gpio(chip: str, name: str, bias: Bias) -> GpioLine:
-    """Raises DelfimError where there is no such chip or line, or another program has it."""
+    """Open an input. Raises DelfimError where there is no such chip or line, or another program has it."""
     line = _requested(chip, name, INPUT | EDGES | BIASES[bias], DEBOUNCE, DEBOUNCE_US, EVENTS_MAX)
     os.set_blocking(line, False)
     return GpioLine(line)
 
 
 def open_output(chip: str, name: str, is_high: bool) -> GpioOutput:
-    """With this level from the start. Raises as `open_gpio`."""
+    """Open an output with this level from the start. Raises as `open_gpio`."""
     return GpioOutput(_requested(chip, name, OUTPUT, LEVELS, int(is_high), 0))
 
 
 def _requested(chip: str, name: str, flags: int, attribute: int, value: int, events: int) -> int:
-    """The line, for this program alone. Raises DelfimError."""
+    """Request the line for this program alone. Raises DelfimError."""
     try:
         fd = os.open(chip, os.O_RDWR | os.O_CLOEXEC)
     except OSError as error:
@@ -124,7 +124,7 @@ def _level(fd: int) -> bool:
 
 
 def _seen(fd: int) -> list[bool]:
-    """The level after each waiting event. Raises OSError, also where the other end is gone."""
+    """The level after each waiting event. Raises OSError, also where the other end has gone."""
     try:
         data = os.read(fd, EVENT.size * EVENTS_MAX)
     except BlockingIOError:

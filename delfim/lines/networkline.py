@@ -16,8 +16,8 @@ LISTENING: Final = ("udp:", "tcp-listen:")
 
 
 class NetworkLine:
-    """Methods as those of delfim.lines.serialline.SerialLine. `rebind`, called about once a second, opens what failed; it never
-    waits. `trouble` says in words why nothing can come, or not all of it."""
+    """A line over the network, with the methods of delfim.lines.serialline.SerialLine. `rebind`, called about once a second,
+    opens what failed; it never waits. `trouble` says in words why nothing can come, or not all of it."""
 
     def __init__(
         self,
@@ -42,11 +42,12 @@ class NetworkLine:
         self._ready.register(self._more, select.EPOLLIN)
 
     def fileno(self) -> int:
-        """Readable when there is something to read."""
+        """The descriptor, readable when there is something to read."""
         return self._ready.fileno()
 
     def read(self) -> bytes:
-        """The next data, PIECE_BYTES at most, their time in `t_ns`; empty: none, or the line said more than it may."""
+        """Read the next data, PIECE_BYTES at most, their time in `t_ns`; empty: there are none, or the sender exceeds its rate
+        limit."""
         try:
             if self._door is not None:
                 self._accept(self._door)
@@ -68,13 +69,13 @@ class NetworkLine:
         return data
 
     def write(self, data: bytes) -> bool:
-        """False where the connection did not take all of it; it is not sent again."""
+        """Write data; False where the connection did not take all of it: it is not sent again."""
         with contextlib.suppress(OSError):
             return self._line is not None and self._line.send(data) == len(data)
         return False
 
     def rebind(self) -> bool:
-        """True when data can come."""
+        """Reopen what failed. True when data can come."""
         was = self.allowance.words
         self.allowance.look()
         if self.trouble == was:
@@ -111,7 +112,7 @@ class NetworkLine:
             self._line, self.trouble = opened, ""
 
     def _accept(self, door: socket.socket) -> None:
-        """A sender that connects takes the place of the one before, which may be gone without a word."""
+        """Accept a sender; it takes the place of the one before, which may be gone without a word."""
         with contextlib.suppress(BlockingIOError):
             sender, (host, *_) = door.accept()
             if not self._is_welcome(host):
@@ -125,7 +126,7 @@ class NetworkLine:
             self._line = sender
 
     def _received(self, line: socket.socket) -> bytes:
-        """Raises OSError."""
+        """Receive from the sender. Raises OSError."""
         most = self.allowance.at_once(PIECE_BYTES)
         if self._kind == "udp":
             data, (host, *_) = line.recvfrom(DATAGRAM_BYTES)
@@ -143,7 +144,7 @@ class NetworkLine:
         return False
 
     def _lost(self, why: str) -> None:
-        """A server keeps its door while its sender goes."""
+        """Close a lost connection. A server goes on listening while its sender is gone."""
         self.trouble = why if self._door is None else f"nobody is connected: {why}"
         if self._line is not None:
             self._ready.unregister(self._line)

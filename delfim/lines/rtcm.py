@@ -1,5 +1,5 @@
-"""RTCM 3 frames in a stream of bytes (RTCM 10403.3, "transport layer"): found, checked and counted; what they say is the
-receiver's business.
+"""RTCM 3 frames in a stream of bytes (RTCM 10403.3, "transport layer"): found, checked and counted; their content is for the
+receiver.
 
 A frame is D3, six bits of zero, a length of ten bits, the payload, and a CRC-24Q over all before it. The first twelve bits of
 the payload are the message's number, 1005 for the base's place, 1074 to 1127 for observations.
@@ -35,13 +35,13 @@ def crc24q(data: bytes) -> int:
 
 
 def framed(payload: bytes) -> bytes:
-    """The frame of a payload of up to 1,023 bytes."""
+    """Frame a payload of up to 1,023 bytes."""
     body = bytes((PREAMBLE, len(payload) >> 8, len(payload) & 0xFF)) + payload
     return body + crc24q(body).to_bytes(3, "big")
 
 
 def doorstep(run_directory: str) -> Path:
-    """The socket where the service `corrections` takes what came by radio."""
+    """The path of the socket where the service `corrections` takes what came by radio."""
     return Path(run_directory) / "corrections"
 
 
@@ -51,7 +51,8 @@ class RtcmFrame(NamedTuple):
 
 
 class RtcmFrames:
-    """One stream. `heard` counts sound frames by their number; `noise` the bytes that belong to none; both for ever."""
+    """The frames of one stream. `heard` counts sound frames by their number, `noise` the bytes that belong to none; both since
+    the start."""
 
     def __init__(self) -> None:
         self.heard, self.noise = dict[int, int](), 0
@@ -84,7 +85,7 @@ class RtcmFrames:
         return found
 
     def reset(self) -> None:
-        """The stream was cut: what comes next does not continue what came before."""
+        """Begin anew after the stream was cut: what comes next does not continue what came before."""
         self.noise, self._rest = self.noise + len(self._rest), b""
 
     def _count(self, number: int) -> None:

@@ -27,7 +27,7 @@ SYN_REPEATS: Final = 1  # 3 s until an attempt to connect has failed
 
 
 class SerialLine:
-    """A port from its opening on. Raises DelfimError if it cannot be opened; later `trouble` names its fault.
+    """A serial port that is open. Raises DelfimError if it cannot be opened; later `trouble` names its fault.
 
     `device` is a path as /dev/ttyUSB0, "tcp:ADDRESS:PORT", or "unix:PATH" for a local socket of records. Nobody has to listen
     at a socket when it is opened: that is a trouble, too.
@@ -62,11 +62,12 @@ class SerialLine:
             raise DelfimError(f"{device}: {error.strerror}") from None
 
     def fileno(self) -> int:
-        """Readable when there is something to read."""
+        """The descriptor, readable when there is something to read."""
         return self._ready.fileno()
 
     def read(self, most: int = PIECE_BYTES) -> bytes:
-        """The next data, at most so many bytes, their time in `t_ns`; empty: none, or the line said more than it may."""
+        """Read the next data, at most so many bytes, their time in `t_ns`; empty: there are none, or the sender exceeds its
+        rate limit."""
         if self._port < 0:
             return b""
         try:
@@ -84,11 +85,11 @@ class SerialLine:
         return data
 
     def write(self, data: bytes) -> bool:
-        """False where the line did not take all of it; it is not sent again."""
+        """Write data; False where the line did not take all of it: it is not sent again."""
         return self.put(data) == len(data)
 
     def put(self, data: bytes) -> int:
-        """How many of the bytes the line took."""
+        """Write bytes, and return how many the line took."""
         try:
             return os.write(self._port, data) if self._port >= 0 else 0
         except BlockingIOError:
@@ -98,7 +99,7 @@ class SerialLine:
             return 0
 
     def rebind(self) -> bool:
-        """Call about once a second: opens a port that was lost. True when it can be used."""
+        """Reopen a port that was lost; call it about once a second. True when the port can be used."""
         self.allowance.look()
         if self._port >= 0:
             self.trouble = self.allowance.words
@@ -124,7 +125,7 @@ class SerialLine:
         self.trouble = ""
 
     def _lost(self, why: str) -> None:
-        """A port that hung up would be readable for ever."""
+        """Close a lost port, which would be readable for ever."""
         self.trouble = why
         if self._port >= 0:
             self._ready.unregister(self._port)
@@ -135,8 +136,8 @@ class SerialLine:
 
 
 def open_socket(device: str) -> int:
-    """A socket that connects, or is connected, to "tcp:ADDRESS:PORT" or "unix:PATH". An address is of numbers: nothing waits
-    for names. Raises OSError."""
+    """Open a socket that connects, or is connected, to "tcp:ADDRESS:PORT" or "unix:PATH". An address is of numbers: nothing
+    waits for names. Raises OSError."""
     kind, _, place = device.partition(":")
     host, _, port = place.rpartition(":")
     address: str | tuple[str, int] = place
@@ -162,8 +163,7 @@ def open_socket(device: str) -> int:
 
 
 def open_port(device: str, baud: int, ignores_modem: bool, form: Form = "8N1") -> int:
-    """A serial port, raw, at this speed, which may be any that the port can make. Raises OSError, DelfimError for a speed that
-    it cannot."""
+    """Open a serial port, raw, at any speed that the port can make. Raises OSError, DelfimError for a speed that it cannot."""
     port = os.open(device, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK | os.O_CLOEXEC)
     try:
         tty.setraw(port)
@@ -185,7 +185,7 @@ def open_port(device: str, baud: int, ignores_modem: bool, form: Form = "8N1") -
 
 
 def _set_rate(port: int, baud: int) -> int:
-    """A rate without a name in termios, by Linux' struct termios2; returns the rate that the driver made of it."""
+    """Set a rate that has no name in termios, by Linux' struct termios2; return the rate that the driver made of it."""
     settings = array.array("I", bytes(44))  # 4 words of flags, the line's discipline and 19 characters, input and output rate
     fcntl.ioctl(port, TCGETS2, settings)
     settings[2] = settings[2] & ~(RATES | RATES << 16) | BOTHER

@@ -12,13 +12,14 @@ KEY_BYTES: Final = 32
 
 
 def new_key(path: str | Path) -> None:
-    """Write a new key, for its owner alone. Raises OSError, FileExistsError too: a key that boats know is not replaced."""
+    """Write a new key that its owner alone may read. Raises OSError, also FileExistsError: a key that boats know is not
+    replaced."""
     with open(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w", encoding="ascii") as file:
         file.write(secrets.token_hex(KEY_BYTES) + "\n")
 
 
 def read_key(path: str | Path) -> bytes:
-    """The key in a file of 64 hexadecimal digits. Raises ConfigError, for a file that others may read, too."""
+    """Read the key from a file of 64 hexadecimal digits. Raises ConfigError, also for a file that others may read."""
     try:
         key = bytes.fromhex(read_private(path, "key"))
     except ValueError:

@@ -1,4 +1,4 @@
-"""How much a line may say in a second: what comes beyond it is dropped in whole sentences, counted, and told in words.
+"""The rate limit of a line: what comes beyond it is dropped in whole sentences, counted, and reported in words.
 
 It is the same for all lines: at an adapter of USB or on the network the baud rate of the vehicle's file bounds nothing.
 """
@@ -17,10 +17,10 @@ LONGEST: Final = 200  # bytes until a sentence has ended; a line with longer one
 
 
 class Allowance:
-    """Of one line. `words` tell of a flood at the last look; empty: there was none."""
+    """The rate limit of one line. `words` report a flood at the last look; empty: there was none."""
 
     def __init__(self, bytes_per_s: float = NO_BOUND, now_s: Callable[[], float] = lambda: 0.0) -> None:
-        """`now_s`: monotonic. An allowance that was not used for a while may be used at once, up to BURST_S of it."""
+        """`now_s` is monotonic. A limit that was not used for a while may be used at once, up to BURST_S of it."""
         self.words = ""
         self.sentences = self.bytes = 0  # dropped, in all
         self._rate, self._now_s, self._at_s = bytes_per_s, now_s, now_s()
@@ -29,14 +29,14 @@ class Allowance:
         self._flood = self._told = 0, 0  # sentences and bytes dropped when this flood began, and when it was last told
 
     def at_once(self, most: int) -> int:
-        """Bytes to be read now, where `most` are used at a time; `of` has them next."""
+        """The number of bytes to read now, where `most` are read at a time; `of` takes them next."""
         now_s = self._now_s()
         self._left = min(self._left + (now_s - self._at_s) * self._rate, self._most)
         self._at_s = now_s
         return most if self._left > 0.0 else UNREAD_BYTES
 
     def of(self, data: bytes) -> bytes:
-        """The part of these data that is used: all of it, none, or what follows the rest of a dropped sentence."""
+        """Return the part of these data that is used: all of it, none, or what follows the rest of a dropped sentence."""
         if self._left <= 0.0:
             self._cut = LONGEST
             self._drop(data)
@@ -51,7 +51,7 @@ class Allowance:
         return data[rest:]
 
     def look(self) -> None:
-        """Call about once a second."""
+        """Update `words`; call it about once a second."""
         now = self.sentences, self.bytes
         if now == self._told:
             self._flood, self.words = now, ""

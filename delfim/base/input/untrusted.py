@@ -22,7 +22,8 @@ _KINDS: Final = ((stat.S_ISFIFO, "a pipe"), (stat.S_ISCHR, "a device"), (stat.S_
 
 
 def read_file(path: str | Path, bytes_max: int = TEXT_BYTES) -> bytes:
-    """All of a file. Raises OSError, in words if it is too large, or a pipe or device that might never end or never begin."""
+    """Read a whole file. Raises OSError, in words if it is too large, or is a pipe or device that might never end or never
+    begin."""
     status = os.stat(path)
     for is_kind, name in _KINDS:
         if is_kind(status.st_mode):
@@ -34,7 +35,7 @@ def read_file(path: str | Path, bytes_max: int = TEXT_BYTES) -> bytes:
 
 
 def read_text(path: str | Path) -> str:
-    """A file that people write. Raises OSError, FormatError."""
+    """Read a file that people write. Raises OSError, FormatError."""
     try:
         return read_file(path).decode()
     except UnicodeDecodeError as error:
@@ -42,7 +43,7 @@ def read_text(path: str | Path) -> str:
 
 
 def parse_toml(text: str) -> dict[str, Any]:
-    """Raises FormatError."""
+    """Parse TOML of bounded depth. Raises FormatError."""
     if _DEEP.search(text):
         raise FormatError("not TOML: nested too deep")
     try:
@@ -54,7 +55,7 @@ def parse_toml(text: str) -> dict[str, Any]:
 
 
 def parse_json(text: str | bytes) -> Any:
-    """Raises FormatError."""
+    """Parse JSON of bounded depth. Raises FormatError."""
     try:
         text = text.decode() if isinstance(text, bytes) else text
         told = json.loads(text)
@@ -68,7 +69,7 @@ def parse_json(text: str | bytes) -> Any:
 
 
 def read_private(path: str | Path, key: str) -> str:
-    """The text of a file that nobody else may read, in ASCII. `key`: its name in a refusal. Raises ConfigError,
+    """Read the text, in ASCII, of a file that nobody else may read. `key` names the file in a refusal. Raises ConfigError,
     UnicodeDecodeError."""
     try:
         if os.name == "posix" and Path(path).stat().st_mode & 0o077:
@@ -79,7 +80,7 @@ def read_private(path: str | Path, key: str) -> str:
 
 
 def read_credentials(path: str) -> str:
-    """USER:PASSWORD, the one line of a file that nobody else may read. Raises ConfigError."""
+    """Read USER:PASSWORD, the one line of a file that nobody else may read. Raises ConfigError."""
     try:
         text = read_private(path, "credentials")
     except ValueError:

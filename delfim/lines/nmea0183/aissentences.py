@@ -40,10 +40,10 @@ class AisPart(NamedTuple):
 
 
 class _Payload:
-    """The bits of a message, the first one first."""
+    """The bits of a message, first bit first."""
 
     def __init__(self, payload: bytes, fill: int) -> None:
-        """Raises FormatError."""
+        """Decode the six-bit characters of a payload. Raises FormatError."""
         if payload.translate(None, _ARMOUR):
             raise FormatError("characters that no payload has")
         coded = payload.translate(_TO_BASE64)
@@ -52,7 +52,7 @@ class _Payload:
         self._value, self._width = int.from_bytes(whole, "big"), 8 * len(whole)
 
     def get(self, start: int, width: int) -> int:
-        """Bits beyond the end are 0."""
+        """The number in these bits; bits beyond the end are 0."""
         shift = self._width - start - width
         return (self._value >> shift if shift >= 0 else self._value << -shift) & ((1 << width) - 1)
 
@@ -65,7 +65,7 @@ class _Payload:
 
 
 def part(f: list[str]) -> AisPart:
-    """The fields of !AIVDM or !AIVDO, address first. Raises FormatError."""
+    """Parse the fields of !AIVDM or !AIVDO, address first. Raises FormatError."""
     try:
         parts, number, fill = int(f[1]), int(f[2]), int(f[6])
     except ValueError:
@@ -78,13 +78,14 @@ def part(f: list[str]) -> AisPart:
 
 
 class AisMessages:
-    """Parts to messages, of one line. Other messages' parts may come between them, but theirs in their order."""
+    """Joins the parts of one line to messages. Parts of other messages may come between them, but each message's in their
+    order."""
 
     def __init__(self) -> None:
         self._waiting = dict[tuple[str, str, int], tuple[float, bytes, int]]()  # since when, the payload so far, its parts
 
     def join(self, part: AisPart, now_s: float) -> tuple[Report, ...]:
-        """The reports that this part completes; none where there is more to come, or it tells of no vessel. Raises
+        """The reports that this part completes; none where more parts are to come, or the message is about no vessel. Raises
         FormatError."""
         if part.parts == 1:
             return decode(part.payload, part.fill, part.is_own)
@@ -102,8 +103,8 @@ class AisMessages:
 
 
 def decode(payload: bytes, fill: int = 0, is_own: bool = False) -> tuple[Report, ...]:
-    """A whole message: a position, facts, or both; none where it tells of no vessel. A name and size that a transponder
-    tells of its own boat are dropped. Raises FormatError."""
+    """Decode a whole message to a position, facts, or both; to none where it is about no vessel. Name and size of a
+    transponder's own boat are dropped. Raises FormatError."""
     bits = _Payload(payload, fill)
     kind, mmsi, is_second = bits.get(0, 6), bits.get(8, 30), bits.get(38, 2) == 1
     least = _PART_BITS.get(bits.get(38, 2)) if kind == 24 else _BITS.get(kind)
@@ -130,7 +131,7 @@ def decode(payload: bytes, fill: int = 0, is_own: bool = False) -> tuple[Report,
 
 
 def _position(bits: _Payload, mmsi: int, is_own: bool, start: int, *, is_a: bool) -> VesselPosition:
-    """`start` is the first bit of the speed, from which on all positions are alike."""
+    """Decode a position report; `start` is the first bit of the speed, from which on all positions are alike."""
     speed, course, heading, second = (bits.get(start + at, width) for at, width in ((0, 10), (66, 12), (78, 9), (87, 6)))
     longitude, latitude = bits.signed(start + 11, 28), bits.signed(start + 39, 27)
     return VesselPosition(
@@ -149,7 +150,7 @@ def _position(bits: _Payload, mmsi: int, is_own: bool, start: int, *, is_a: bool
 
 
 def _rate(coded: int) -> float | None:
-    """rad/s; 127 and less than -126 tell no more than a side."""
+    """Decode a rate of turn, rad/s; 127 and less than -126 give the side alone."""
     return math.copysign((coded / 4.733) ** 2, coded) * math.radians(1.0 / 60.0) if abs(coded) < 127 else None
 
 
@@ -161,8 +162,8 @@ def _facts(
     ship: int | None = None,
     size: int | None = None,
 ) -> VesselFacts:
-    """Each is a first bit; None: this message does not tell it. Sizes are metres from the antenna to bow, stern, port and
-    starboard; 0 to bow and to port: nobody knows where it stands."""
+    """Decode a vessel's facts. Each argument is a first bit; None: this message does not have it. Sizes are metres from the
+    antenna to bow, stern, port and starboard; 0 to bow and to port: the place of the antenna is unknown."""
     bow, stern, port, starboard = (0, 0, 0, 0) if size is None else (
         bits.get(size + at, width) for at, width in ((0, 9), (9, 9), (18, 6), (24, 6))
     )  # fmt: skip

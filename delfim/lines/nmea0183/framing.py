@@ -1,4 +1,4 @@
-"""Bytes of an NMEA 0183 line to sentences: framing, checksum, and a count of everything that is refused."""
+"""Framing of NMEA 0183: bytes of a line to sentences, with their checksum and a count of everything that is refused."""
 
 from functools import reduce
 from operator import xor
@@ -15,7 +15,7 @@ _new = tuple.__new__  # in half the time of Sentence(...)
 
 
 class Sentence(NamedTuple):
-    """A sentence that was understood."""
+    """A sentence that was parsed."""
 
     talker: str  # two characters
     formatter: str  # three
@@ -23,27 +23,27 @@ class Sentence(NamedTuple):
 
 
 def checksum(body: bytes) -> int:
-    """Of the characters between "$" and "*"."""
+    """The checksum of the characters between "$" and "*"."""
     return reduce(xor, body, 0)
 
 
 def framed(body: str) -> bytes:
-    """The sentence as it goes over a line."""
+    """Frame a sentence as it goes over a line."""
     raw = body.encode("ascii")
     return b"$%b*%b\r\n" % (raw, _DIGITS[reduce(xor, raw)])
 
 
 class Sentences:
-    """One line. `heard` counts sound sentences by their address, read here or not; `refused` counts the others by their reason.
-    Both are bounded."""
+    """The sentences of one line. `heard` counts sound sentences by their address, whether we use them or not; `refused` counts
+    the others by their reason. Both are bounded."""
 
     def __init__(self, needs_checksum: bool = True) -> None:
-        """needs_checksum: a sentence without one is refused. A wrong one always is."""
+        """needs_checksum: a sentence without a checksum is refused. One with a wrong checksum always is."""
         self.heard, self.refused = dict[str, int](), dict[str, int]()
         self._needs_checksum, self._rest = needs_checksum, b""
 
     def feed(self, data: bytes) -> list[Sentence]:
-        """The sentences that end in these bytes, in their order. Never raises."""
+        """Parse the sentences that end in these bytes, in their order. Never raises."""
         *lines, rest = (self._rest + data).replace(b"\r", b"\n").split(b"\n")
         if len(rest) > LONGEST:
             rest = b""
@@ -59,11 +59,11 @@ class Sentences:
         return found
 
     def reset(self) -> None:
-        """The line was lost: what comes next does not continue what came before."""
+        """Begin anew after the line was lost: what comes next does not continue what came before."""
         self._rest = b""
 
     def _sentence(self, line: bytes) -> Sentence | None:
-        """None for a sentence that is not read here. Raises FormatError."""
+        """Parse one sentence; None if we do not use its type. Raises FormatError."""
         start = max(line.rfind(b"$"), line.rfind(b"!"))  # noise, a tag block, or half of another one may stand before it
         if start < 0:
             raise FormatError("no sentence")

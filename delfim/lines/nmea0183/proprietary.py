@@ -1,6 +1,5 @@
-"""Sentences of makers' own, as those of a boat's front seat, as their fields. Only those with a right checksum are taken:
-without one, a damaged figure would look like a figure.
-"""
+"""Proprietary sentences, such as those of a boat's front seat, as their fields. Only those with a right checksum are taken:
+without one, a damaged figure would look like a figure."""
 
 from delfim.lines.nmea0183.framing import LONGEST, checksum
 
@@ -26,7 +25,7 @@ def number(text: str) -> float | None:
 
 
 class FieldReader:
-    """Lines out of pieces, as a port delivers them."""
+    """Reads the sentences of a port that delivers them in pieces."""
 
     def __init__(self) -> None:
         self.malformed = 0  # lines that were no sentences

@@ -43,7 +43,7 @@ class Located(NamedTuple):
 
 
 class Movement(NamedTuple):
-    """VTG, RMC: over ground."""
+    """VTG, RMC: course and speed over ground."""
 
     course_rad: float | None  # 0..2 pi, true
     magnetic_rad: float | None  # 0..2 pi, the same course from magnetic north
@@ -61,13 +61,13 @@ class Bearing(NamedTuple):
 
 
 class Turning(NamedTuple):
-    """ROT."""
+    """ROT: rate of turn."""
 
     rate_radps: float | None  # positive to starboard
 
 
 class DateTime(NamedTuple):
-    """ZDA."""
+    """ZDA: date and time."""
 
     utc_ns: int | None  # since 1970
 
@@ -80,21 +80,21 @@ class Spread(NamedTuple):
 
 
 class ActiveSatellites(NamedTuple):
-    """GSA."""
+    """GSA: kind of the fix, and its dilution of precision."""
 
     dimensions: int | None  # 0 (no fix), 2, 3
     hdop: float | None
 
 
 class Sounding(NamedTuple):
-    """DPT, DBT."""
+    """DPT, DBT: depth of the water."""
 
     depth_m: float | None  # below the transducer
     offset_m: float | None = None  # above zero: from the transducer to the water line; below: to the keel
 
 
 class Breeze(NamedTuple):
-    """MWV."""
+    """MWV: wind."""
 
     angle_rad: float | None  # 0..2 pi, from the bow, clockwise, where the wind comes from
     speed_mps: float | None
@@ -102,7 +102,7 @@ class Breeze(NamedTuple):
 
 
 class Measurement(NamedTuple):
-    """One of XDR."""
+    """XDR: one measured value."""
 
     kind: str  # A angle, C temperature, P pressure, ...
     value: float | None
@@ -145,13 +145,13 @@ def _within(text: str, most: float, least: float = 0.0) -> float | None:
 
 
 def _angle(text: str) -> float | None:
-    """Degrees 0 to 360."""
+    """Parse an angle of 0 to 360 degrees."""
     value = _within(text, 360.0)
     return None if value is None else math.radians(value) % math.tau
 
 
 def _signed(text: str, side: str) -> float | None:
-    """An angle with E (positive) or W."""
+    """Parse an angle with E (positive) or W."""
     value = _within(text, 180.0)
     if value is None:
         return None
@@ -173,7 +173,7 @@ def _speed(text: str, unit: str) -> float | None:
 
 
 def _half(text: str, side: str, sides: str, limit_rad: float) -> float:
-    """Latitude or longitude: degrees and two digits of minutes in one number, with any number of decimals."""
+    """Parse a latitude or longitude: degrees and two digits of minutes in one number, with any number of decimals."""
     value = _within(text, 18_000.0)
     if value is None or not side or side not in sides:
         raise FormatError("position incomplete")
@@ -191,7 +191,7 @@ def _position(latitude: str, ns: str, longitude: str, ew: str) -> tuple[float, f
 
 
 def _day_s(text: str) -> float | None:
-    """hhmmss.ss"""
+    """Parse hhmmss.ss to seconds of the day."""
     if not text:
         return None
     if not _CLOCK(text):
@@ -213,7 +213,7 @@ def _utc_ns(day_s: float | None, year: str, month: str, day: str) -> int | None:
 
 
 def _mode(fields: list[str], index: int) -> int | None:
-    """The fix of a mode letter; None where an older sentence has none."""
+    """The fix that a mode letter states; None where an older sentence has none."""
     letter = fields[index] if len(fields) > index else ""
     return _MODE.get(letter, 0) if letter else None
 
@@ -227,7 +227,7 @@ def _gga(f: list[str]) -> Located:
 
 
 def _gns(f: list[str]) -> Located:
-    """One letter for each system; the best of them counts."""
+    """Parse GNS, which has one letter for each system; the best of them counts."""
     fixes = [_MODE.get(letter, 0) for letter in f[6]]
     fix = next((good for good in (5, 6, 4, 3) if good in fixes), 0)
     latitude_rad, longitude_rad = _position(*f[2:6]) if fix else (None, None)
@@ -236,12 +236,12 @@ def _gns(f: list[str]) -> Located:
 
 
 def _age(fields: list[str], index: int) -> float | None:
-    """Of differential corrections, s; None where there are none."""
+    """The age of differential corrections, s; None where there are none."""
     return _within(fields[index], CORRECTIONS_MAX_S) if len(fields) > index else None
 
 
 def _gll(f: list[str]) -> Located:
-    """Before version 2.0 without time and status."""
+    """Parse GLL, before version 2.0 without time and status."""
     is_valid = len(f) < 7 or f[6] == "A"
     fix = (2 if (mode := _mode(f, 7)) is None else mode) if is_valid else 0
     latitude_rad, longitude_rad = _position(*f[1:5]) if fix else (None, None)
@@ -249,7 +249,7 @@ def _gll(f: list[str]) -> Located:
 
 
 def _rmc(f: list[str]) -> Located:
-    """The navigational status of version 4.1, the last field, is V in most receivers: it is not read."""
+    """Parse RMC. The navigational status of version 4.1, the last field, is V in most receivers: it is not used."""
     fix = (2 if (mode := _mode(f, 12)) is None else mode) if f[2] == "A" else 0
     has_variation = len(f) > 11 and not f[10].startswith("999")  # a number that some receivers say for "unknown"
     day_s, variation_rad = _day_s(f[1]), _signed(f[10], f[11]) if has_variation else None
@@ -265,7 +265,7 @@ def _rmc(f: list[str]) -> Located:
 
 
 def _vtg(f: list[str]) -> Movement:
-    """Before version 2.0 without letters: the two courses, knots, km/h."""
+    """Parse VTG, before version 2.0 without letters: the two courses, knots, km/h."""
     if _mode(f, 9) == 0:
         return Movement(None, None, None)
     true, magnetic, knots, kmh = (f[1], f[3], f[5], f[7]) if len(f) > 8 else f[1:5]
@@ -277,7 +277,7 @@ def _hdt(f: list[str]) -> Bearing:
 
 
 def _ths(f: list[str]) -> Bearing:
-    """Estimated, typed, simulated and void headings are none."""
+    """Parse THS. Estimated, typed, simulated and void headings count as none."""
     return Bearing(_angle(f[1]) if f[2] == "A" else None)
 
 
@@ -286,7 +286,7 @@ def _hdm(f: list[str]) -> Bearing:
 
 
 def _hdg(f: list[str]) -> Bearing:
-    """Sensor + deviation = magnetic; + variation = true."""
+    """Parse HDG. Sensor + deviation = magnetic; + variation = true."""
     sensor_rad, deviation_rad, variation_rad = _angle(f[1]), _signed(f[2], f[3]), _signed(f[4], f[5])
     if sensor_rad is None:
         return Bearing(None, None, variation_rad)
@@ -296,7 +296,7 @@ def _hdg(f: list[str]) -> Bearing:
 
 
 def _rot(f: list[str]) -> Turning:
-    """Degrees a minute, port negative."""
+    """Parse ROT: degrees a minute, port negative."""
     rate = _number(f[1]) if f[2] == "A" else None
     if rate is None:
         return Turning(None)
@@ -322,7 +322,7 @@ def _dpt(f: list[str]) -> Sounding:
 
 
 def _dbt(f: list[str]) -> Sounding:
-    """Feet, metres, fathoms: a device may leave out what it does not count in."""
+    """Parse DBT: feet, metres, fathoms; a device may leave out the units that it does not use."""
     feet, metres, fathoms = _within(f[1], 4e4), _within(f[3], DEPTH_MAX_M), _within(f[5], 1e4)
     if metres is not None:
         return Sounding(metres)

@@ -1,5 +1,5 @@
-"""Navigation as NMEA 0183 sentences, for sonar and survey software. A value that is unknown is not told: an empty HDT makes
-more trouble than silence.
+"""Navigation as NMEA 0183 sentences, for sonar and survey software. An unknown value is not sent: an empty HDT makes more
+trouble than silence.
 
 Talker GP throughout, as the programs that read RMC and HDT expect it from a receiver with heading; TI for the rate of turn.
 """
@@ -20,7 +20,7 @@ _MODE: Final = {2: "A", 3: "A", 4: "D", 5: "R", 6: "F"}
 
 
 def rmc(n: Navigation) -> bytes:
-    """Position, speed and course with date and time; empty while position or time is unknown."""
+    """RMC: position, speed and course with date and time; empty while position or time is unknown."""
     if (place := _place(n)) is None:
         return b""
     speed, course = _movement(n) or ("", "")
@@ -29,7 +29,7 @@ def rmc(n: Navigation) -> bytes:
 
 
 def gga(n: Navigation) -> bytes:
-    """Position with its quality; empty while position or time is unknown. The altitude is not known here."""
+    """GGA: position with its quality; empty while position or time is unknown. The altitude is not known here."""
     if (place := _place(n)) is None:
         return b""
     hdop = "" if n.hdop is None else f"{n.hdop:.1f}"
@@ -38,12 +38,12 @@ def gga(n: Navigation) -> bytes:
 
 
 def hdt(n: Navigation) -> bytes:
-    """True heading."""
+    """HDT: true heading."""
     return b"" if n.heading_rad is None else framed(f"GPHDT,{_degrees(n.heading_rad)},T")
 
 
 def vtg(n: Navigation) -> bytes:
-    """Course and speed over ground."""
+    """VTG: course and speed over ground."""
     if (movement := _movement(n)) is None:
         return b""
     speed, course = movement
@@ -52,7 +52,7 @@ def vtg(n: Navigation) -> bytes:
 
 
 def rot(n: Navigation) -> bytes:
-    """Rate of turn, degrees a minute, positive to starboard."""
+    """ROT: rate of turn, degrees a minute, positive to starboard."""
     return b"" if n.yaw_rate_radps is None else framed(f"TIROT,{math.degrees(n.yaw_rate_radps) * 60.0:.2f},A")
 
 
@@ -72,7 +72,7 @@ def _half(angle_rad: float, digits: int, sides: str) -> str:
 
 
 def _movement(n: Navigation) -> tuple[str, str] | None:
-    """Speed in knots, and course, which a boat at rest has not."""
+    """Speed in knots, and course, which a boat at rest does not have."""
     if n.north_mps is None or n.east_mps is None:
         return None
     speed_mps = math.hypot(n.north_mps, n.east_mps)

@@ -1,4 +1,5 @@
-"""APB, RMB and XTE: the line on which survey software or a plotter steers a boat, as any autopilot (docs/guest.md)."""
+"""APB, RMB and XTE: the line along which survey software or a plotter steers a boat, as it steers any autopilot
+(docs/guest.md)."""
 
 import math
 from typing import Final, NamedTuple
@@ -14,7 +15,7 @@ _VOID: Final = frozenset("EMSN")  # modes of a position that was reckoned, typed
 
 
 class TrackLine(NamedTuple):
-    """A line, and how far the boat is off it."""
+    """A line, and the boat's cross-track error from it."""
 
     cross_m: float | None  # positive: boat to starboard of the line; None: the sender warns, or the line is behind the boat
     course_rad: float | None  # of the line; None: XTE does not tell it
@@ -25,8 +26,8 @@ INVALID: Final = TrackLine(None, None)
 
 
 def track_line(f: list[str]) -> TrackLine | None:
-    """The line of a sentence, by its fields; None for any other sentence. Raises FormatError, also for one that tells too
-    little to steer by."""
+    """Parse the line from the fields of a sentence; None for any other sentence. Raises FormatError, also where the fields are
+    too few to steer by."""
     form = f[0][2:] if len(f[0]) == 5 else ""
     try:
         match form:
@@ -42,7 +43,7 @@ def track_line(f: list[str]) -> TrackLine | None:
 
 
 def _apb(f: list[str]) -> TrackLine:
-    """The bearing from origin to destination is the line's. Once its end is passed abeam (field 7) there is none."""
+    """Parse APB: the bearing from origin to destination is the line's. Once its end is passed abeam (field 7) there is none."""
     if _warns(f[1:3], f[15:16]) or f[7] == "A":
         return INVALID
     if f[9] not in ("T", "M"):
@@ -51,7 +52,7 @@ def _apb(f: list[str]) -> TrackLine:
 
 
 def _rmb(f: list[str]) -> TrackLine:
-    """It tells the bearing to the destination, and how far that is: the line's direction follows from these."""
+    """Parse RMB: it has the bearing of the destination and the distance to it; the line's direction follows from these."""
     cross_m, range_m = _cross_m(f[2], f[3], "N"), MILE_M * _known(f[10])
     if _warns(f[1:2], f[14:15]) or range_m < max(NEAR_M, abs(cross_m)):
         return INVALID
@@ -63,7 +64,7 @@ def _warns(flags: list[str], mode: list[str]) -> bool:
 
 
 def _cross_m(distance: str, side: str, unit: str) -> float:
-    """`side`: to which the boat must steer."""
+    """The cross-track error, m; `side` is the side to which the boat must steer."""
     away_m = _known(distance) * _UNITS.get(unit, math.nan)
     if side not in ("L", "R") or not 0.0 <= away_m <= CROSS_MAX_M:
         raise FormatError("cross-track error out of range, or without its side or unit")

@@ -11,7 +11,7 @@ Pulses = tuple[float, ...]  # of all channels, in us, as a servo would get them:
 
 
 class Decoder(Protocol):
-    """Bytes of a receiver in, channels out. It never raises, and keeps less than one frame of what it was given."""
+    """Decodes bytes of a receiver to channels. It never raises, and keeps less than one frame of what it was given."""
 
     lost: str  # why the last frame says that the radio is lost, in words; empty: it does not
     quality_pct: int | None  # of the radio, as the receiver tells it; None: it does not
@@ -20,6 +20,6 @@ class Decoder(Protocol):
 
 
 def unpack(data: bytes) -> Pulses:
-    """The pulses of 22 bytes."""
+    """Unpack the pulses of 22 bytes."""
     bits = int.from_bytes(data, "little")
     return tuple([1500.0 + ((bits >> 11 * channel & 0x7FF) - MIDDLE) * STEP_US for channel in range(CHANNELS)])

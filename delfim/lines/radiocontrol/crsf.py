@@ -25,7 +25,7 @@ _TABLE: Final = bytes(map(_remainder, range(256)))
 
 
 def checksum(body: bytes) -> int:
-    """CRC-8/DVB-S2."""
+    """The checksum of a body, CRC-8/DVB-S2."""
     crc = 0
     for byte in body:
         crc = _TABLE[crc ^ byte]
@@ -33,7 +33,7 @@ def checksum(body: bytes) -> int:
 
 
 class Crsf:
-    """A `Decoder`."""
+    """The `Decoder` of CRSF."""
 
     def __init__(self) -> None:
         self.lost, self._rest = "", b""

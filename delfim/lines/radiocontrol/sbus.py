@@ -19,7 +19,7 @@ FAILSAFE: Final = 0x08
 
 
 class Sbus:
-    """A `Decoder`."""
+    """The `Decoder` of SBUS."""
 
     quality_pct: int | None = None  # SBUS does not tell it
 
@@ -27,7 +27,8 @@ class Sbus:
         self.lost, self._rest, self._in_step = "", b"", False
 
     def feed(self, data: bytes) -> list[Pulses]:
-        """Frames that the receiver repeats because one was lost on the air are not fresh, and are left out."""
+        """Decode the channels. Frames that the receiver repeats because one was lost on the air are not fresh, and are left
+        out."""
         data, found, at = self._rest + data, list[Pulses](), 0
         needed = LENGTH if self._in_step else 2 * LENGTH
         while len(data) - at >= needed:

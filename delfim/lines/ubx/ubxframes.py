@@ -13,25 +13,25 @@ _HEAD, _REST = 6, 8  # bytes before the payload, and in all beside it
 
 
 class UbxFrame(NamedTuple):
-    """A sound frame."""
+    """A frame with a right checksum."""
 
     kind: int  # class * 256 + number
     payload: bytes
 
 
 def checksum(body: bytes) -> bytes:
-    """Of class, number, length and payload."""
+    """The checksum of class, number, length and payload."""
     return bytes((sum(body) & 0xFF, sum(accumulate(body)) & 0xFF))
 
 
 def framed(kind: int, payload: bytes) -> bytes:
-    """The frame as it goes over a line."""
+    """Frame a payload as it goes over a line."""
     body = kind.to_bytes(2, "big") + len(payload).to_bytes(2, "little") + payload
     return SYNC + body + checksum(body)
 
 
 class UbxFrames:
-    """One line. `refused` counts what began as a frame and is none, by its reason."""
+    """The frames of one line. `refused` counts what began as a frame and is none, by its reason."""
 
     def __init__(self) -> None:
         self.refused = dict[str, int]()

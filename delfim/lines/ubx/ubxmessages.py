@@ -30,7 +30,7 @@ _WEEK_MS: Final = 7 * 86_400_000
 
 
 class Solution(NamedTuple):
-    """NAV-PVT: all of one instant."""
+    """NAV-PVT: position, velocity and time of one instant."""
 
     week_ms: int  # GPS time of week
     utc_ns: int | None  # since 1970
@@ -56,7 +56,7 @@ class Baseline(NamedTuple):
 
 
 class DilutionOfPrecision(NamedTuple):
-    """NAV-DOP."""
+    """NAV-DOP: dilution of precision."""
 
     hdop: float
 
@@ -68,7 +68,8 @@ _DOP: Final = struct.Struct("<IHHHHHHH")
 
 
 def _pvt(payload: bytes) -> Solution:
-    """Carries its own judgement, gnssFixOK. Reckoning alone and time alone are no fix, and neither is an invalid position."""
+    """Parse NAV-PVT, whose gnssFixOK says whether it is a fix. Reckoning alone and time alone are no fix, and neither is an
+    invalid position."""
     week_ms, year, month, day, hour, minute, second, valid, _, nano, kind, flags, _, satellites, *rest = _PVT.unpack(payload)
     longitude, latitude, _, _, accuracy_mm, _, north, east, _, _, _, velocity_accuracy, _, _, flags3, _, _, _ = rest
     if week_ms >= _WEEK_MS:
@@ -103,7 +104,7 @@ def _accuracy(thousandths: int) -> float | None:
 
 
 def _utc_ns(year: int, month: int, day: int, hour: int, minute: int, second: int, nano: int) -> int:
-    """The nanoseconds may be negative; a leap second counts as the second before. Raises FormatError."""
+    """UTC in nanoseconds. `nano` may be negative; a leap second counts as the second before. Raises FormatError."""
     try:
         at = datetime(year, month, day, hour, minute, min(second, 59), tzinfo=UTC)
     except ValueError:
