@@ -27,7 +27,7 @@ _STOP_CHECK_S = 0.1
 
 
 def to_message(arb: int, data: bytes, t_ns: int = 0) -> can.Message:
-    """A frame as a python-can message. Raises FormatError beyond 8 bytes of data."""
+    """Convert a frame to a python-can message. Raises FormatError beyond 8 bytes of data."""
     if len(data) > 8:
         raise FormatError(f"{len(data)} bytes of data do not fit a CAN frame of 8")
     return can.Message(
@@ -42,7 +42,7 @@ def to_message(arb: int, data: bytes, t_ns: int = 0) -> can.Message:
 
 
 def from_message(message: can.Message) -> tuple[int, bytes]:
-    """Arbitration field and data of a message. Raises FormatError for CAN FD and for impossible frames."""
+    """Convert a message to arbitration field and data. Raises FormatError for CAN FD and for impossible frames."""
     if message.is_fd or message.dlc > 8:
         raise FormatError("a CAN FD frame")
     if message.is_error_frame:
@@ -98,7 +98,7 @@ class PythonCan:
             raise BusError(f"{self.name}: {error}") from None
 
     def rehearse(self) -> None:
-        """Nothing: python-can cannot send without a frame on the bus."""
+        """Do nothing: python-can cannot send without a frame on the bus."""
 
     def filter(self, addresses: tuple[CanAddress, ...]) -> None:
         for address in addresses:
@@ -107,7 +107,7 @@ class PythonCan:
         self._addresses = addresses
 
     def rebind(self) -> bool:
-        """Opening an adapter blocks: for some of them, for seconds."""
+        """Reopen the adapter, which blocks: for some of them, for seconds."""
         if self._failure:
             self._thread.join()
             try:

@@ -271,7 +271,7 @@ class CanLoop:
             self._nothing.send(REHEARSED)
 
     def mirror(self) -> "CanLoop | None":
-        """Never sends: it has no socket."""
+        """The mirror for the warm-up, which never sends: it has no socket."""
         if self._taken is None or self._droprate or self._verbose:
             return None
         mirror = copy(self)
@@ -319,5 +319,6 @@ def open_canloop(
     error_frames: bool = False,
     batch: int = BATCH,
 ) -> CanSocket:
-    """A socket on the bus `name`, with the options of the thesis' driver (5.3.5): `droprate` 0..1 from `seed`, `verbose`."""
+    """Open a socket on the bus `name`, with the options of the thesis' driver (5.3.5): `droprate` 0..1 from `seed`,
+    `verbose`."""
     return CanSocket(CanLoop(name, receive_buffer_bytes, error_frames, droprate, seed, verbose, batch=batch))

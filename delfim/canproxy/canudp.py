@@ -38,7 +38,8 @@ _IFF_UP: Final = 1
 
 
 def parsed(packet: bytes) -> tuple[int, int, bytes]:
-    """(destination address, destination port, data) of a UDP datagram. Raises FormatError with the reason for other packets."""
+    """Parse the packet of a UDP datagram to (destination address, destination port, data). Raises FormatError with the reason
+    for other packets."""
     if len(packet) < _IPV4.size or packet[0] >> 4 != 4:
         raise FormatError("not IPv4")
     head, _, length, _, fragment, _, protocol, _, _, destination = _IPV4.unpack_from(packet)
@@ -56,8 +57,9 @@ def parsed(packet: bytes) -> tuple[int, int, bytes]:
 
 
 def rebuilt(message: Message, source: int, identification: int) -> bytes:
-    """The packet of a UDP message (`port` and `address` given), from an address. Source port and UDP checksum are zero, "not
-    known" (RFC 768): the CRC of the DSOR message protects the data. Raises FormatError if it is too large for UDP."""
+    """Build the packet of a UDP message (`port` and `address` given), sent from `source`. Source port and UDP checksum are
+    zero, "not known" (RFC 768): the CRC of the DSOR message protects the data. Raises FormatError if it is too large for
+    UDP."""
     if len(message.data) > UDP_MAX:
         raise FormatError("too large for UDP")
     assert message.address is not None
@@ -84,7 +86,7 @@ class CanIp:
     """
 
     def __init__(self, loop: asyncio.AbstractEventLoop, tun: int, can: CanSocket, settings: Canip, node: int) -> None:
-        """`node` is this computer's. Both stay the caller's to close, after `close`. Raises BusError, FormatError."""
+        """`node` is this computer's. The caller closes `tun` and `can`, after `close`. Raises BusError, FormatError."""
         self.counts: Counter[str] = Counter()
         self._tun, self._settings, self._node = tun, settings, node
         self._nodes = {int(IPv4Address(peer.address)): peer.node for peer in settings.peers.values()}
@@ -110,7 +112,7 @@ class CanIp:
         self._dsor.close()
 
     def on_packets(self) -> None:
-        """A few packets from the device to the bus. Raises DelfimError if the device is gone."""
+        """Send a few packets from the device to the bus. Raises DelfimError if the device is gone."""
         for _ in range(PACKETS_PER_READ):
             try:
                 packet = os.read(self._tun, 65_536)
@@ -125,7 +127,7 @@ class CanIp:
                 self.counts[str(reason)] += 1
 
     def report(self) -> dict[str, object]:
-        """JSON-ready."""
+        """The report, JSON-ready."""
         return {"datagrams": dict(self.counts), "protocol": dict(self.errors), "waiting": sum(self._waiting.values())}
 
     def _send(self, address: int, port: int, data: bytes) -> None:
@@ -145,7 +147,8 @@ class CanIp:
         self.counts["not acknowledged" if outcome.failure else "delivered"] += 1
 
     def _deliver(self, message: Message) -> None:
-        """Into the device, as the thesis' driver does it. A packet that the kernel refuses is lost, as on any network."""
+        """Write a message into the device, as the thesis' driver does. A packet that the kernel refuses is lost, as on any
+        network."""
         try:
             self._identification += 1
             os.write(self._tun, rebuilt(message, self._addresses.get(message.source, self._source), self._identification))
@@ -178,7 +181,7 @@ def open_tun(name: str, address: str, mtu: int) -> int:
 
 
 def _configure(name: str, address: str, mtu: int) -> None:
-    """netdevice(7)."""
+    """Set address and MTU by the requests of netdevice(7)."""
     device = name.encode()
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as inet:
         fcntl.ioctl(inet, _SIOCSIFMTU, struct.pack("16si20x", device, mtu))

@@ -65,7 +65,7 @@ class MessageBatch:
         self._recvmmsg, self._sendmmsg = library.recvmmsg, library.sendmmsg
 
     def receive(self) -> int:
-        """Take what is queued, at most `count` datagrams; returns how many. Raises OSError."""
+        """Take what is queued, at most `count` datagrams, and return how many. Raises OSError."""
         self.headers[:] = self._fresh
         taken: int = self._recvmmsg(self._fd, self._at[0], self._counts[self.count], _DONTWAIT, _NO_TIMEOUT)
         if taken < 0:
@@ -90,7 +90,7 @@ class SegmentBatch(MessageBatch):
     """Datagrams of one size. The kernel takes all of them as one, and cuts it where a socket receives them (UDP_SEGMENT)."""
 
     def __init__(self, sock: socket.socket, count: int, data_bytes: int) -> None:
-        """Raises OSError where the kernel cannot do this: before Linux 4.18."""
+        """Make the buffers. Raises OSError where the kernel cannot do this: before Linux 4.18."""
         super().__init__(sock, count, data_bytes)
         sock.setsockopt(socket.IPPROTO_UDP, _UDP_SEGMENT, data_bytes)
         self._send, self._begin = ctypes.PyDLL(None).send, ctypes.c_void_p(_address(self.data))
@@ -116,5 +116,5 @@ class Mirror(MessageBatch):
 
 
 def _address(buffer: bytearray) -> int:
-    """The address of a buffer, which must not grow or be freed from then on. 0 for an empty one."""
+    """The address of a buffer, which must not grow or be freed from then on; 0 for an empty one."""
     return ctypes.addressof(ctypes.c_char.from_buffer(buffer)) if buffer else 0

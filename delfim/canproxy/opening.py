@@ -39,7 +39,7 @@ def open_can(
 
 
 def open_bound(settings: config.Can, interface: str, filters: tuple[CanAddress, ...]) -> CanSocket:
-    """A socket that never blocks and receives what the filters accept; without filters, nothing. Raises BusError."""
+    """Open a socket that never blocks and receives what the filters accept; without filters, nothing. Raises BusError."""
     can = open_can(interface, receive_buffer_bytes=settings.receive_buffer_bytes)
     can.setblocking(False)
     if filters:

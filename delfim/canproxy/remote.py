@@ -79,7 +79,7 @@ class Remote:
         self._push()
 
     def rehearse(self) -> None:
-        """Nothing: the server would send any frame to the bus."""
+        """Do nothing: the server would send any frame to the bus."""
 
     def confirm(self) -> None:
         """Ask whether all that was sent is on the bus; waits for CONNECT_S at most. A server that does not know the question is
@@ -167,7 +167,7 @@ class Remote:
 
 
 def _element_of(connection: socket.socket) -> bytes:
-    """The next element, read byte by byte so that the bytes after it stay."""
+    """Read the next element byte by byte, so that the bytes after it stay."""
     element = b""
     while not element.endswith(b">") and len(element) < ELEMENT_BYTES:
         byte = connection.recv(1)

@@ -36,7 +36,7 @@ ANYTHING: Final = CanAddress(mask=CAN_ANY)  # every data and remote frame, both 
 
 
 def accepts(address: CanAddress, arb: int) -> bool:
-    """The meaning of an acceptance filter (thesis 5.2.4). Error frames were never on the bus and pass none."""
+    """Whether an acceptance filter passes this field (thesis 5.2.4). Error frames were never on the bus and pass none."""
     return not (arb ^ address.arb) & ~address.mask and not arb & CAN_ERR
 
 
@@ -68,13 +68,13 @@ class Many(Protocol):
 
 @runtime_checkable
 class Answering(Protocol):
-    """A transport whose other end may refuse to send, and says so when it is asked."""
+    """A transport whose other end may refuse to send, and reports it when it is asked."""
 
     def confirm(self) -> None: ...  # may wait; raises BusError
 
 
 def receive_each(receive: Callable[[], Frame | None]) -> list[Frame]:
-    """`receive_many` one by one, for a transport that has no such call."""
+    """Receive one by one as `receive_many`, for a transport that has no such call."""
     frames: list[Frame] = []
     while len(frames) < BATCH and (frame := receive()) is not None:
         frames.append(frame)
@@ -82,7 +82,7 @@ def receive_each(receive: Callable[[], Frame | None]) -> list[Frame]:
 
 
 def send_each(send: Callable[[int, bytes], object], messages: Sequence[tuple[int, bytes]]) -> int:
-    """`send_many` one by one."""
+    """Send one by one as `send_many`."""
     unsent = 0
     for arb, data in messages:
         try:
@@ -130,32 +130,32 @@ class CanSocket:
             self.send_many = partial(send_each, self._send_now)
 
     def confirm(self) -> None:
-        """Wait until it is known that what was sent was not refused. Raises BusError, with the reason in words."""
+        """Wait until it is known that nothing that was sent was refused. Raises BusError, with the reason in words."""
         if isinstance(self._transport, Answering):
             self._transport.confirm()
 
     def mirror(self) -> Many | None:
-        """For the warm-up: the same code on buffers of its own, which receives its own frames and never reaches the bus. None
-        for a transport that handles one frame at a time."""
+        """Make a socket for the warm-up: the same code on buffers of its own, which receives its own frames and never reaches
+        the bus. None for a transport that handles one frame at a time."""
         transport = self._transport
         return transport.mirror() if isinstance(transport, Many) and transport.outlets is None else None
 
     @property
     def dropped(self) -> int:
-        """Frames that were for this socket and found its queue full, since it was opened."""
+        """The number of frames for this socket that found its queue full, since it was opened."""
         return self._transport.dropped
 
     @property
     def ifindex(self) -> int:
-        """Index of the interface, as if_nametoindex(3) has it; 0 for "any"."""
+        """The index of the interface, as if_nametoindex(3) has it; 0 for "any"."""
         return self._transport.ifindex
 
     def fileno(self) -> int:
-        """File descriptor to wait on for reading; -1 after close."""
+        """The file descriptor to wait on for reading; -1 after close."""
         return self._transport.fileno()
 
     def bind(self, *addresses: CanAddress) -> None:
-        """Accept the frames that any of `addresses` accepts, and no others (thesis 5.2.4). The filtering is the kernel's.
+        """Accept the frames that any of `addresses` accepts, and no others (thesis 5.2.4). The kernel filters.
 
         Frames already queued stay. Raises BusError for an interface that is not this socket's.
         """
@@ -166,7 +166,7 @@ class CanSocket:
         self._peer = address
 
     def send(self, data: bytes, flags: int = 0) -> int:
-        """Send up to 8 bytes where `connect` said. Raises OSError (EDESTADDRREQ) without it."""
+        """Send up to 8 bytes to the address of `connect`. Raises OSError (EDESTADDRREQ) without it."""
         if self._peer is None:
             raise OSError(errno.EDESTADDRREQ, os.strerror(errno.EDESTADDRREQ))
         return self.sendto(data, self._peer, flags)
@@ -193,16 +193,16 @@ class CanSocket:
         return self.sendto(frame.data, CanAddress(frame.arb, 0, frame.ifindex), flags)
 
     def recv(self, length: int, flags: int = 0) -> bytes:
-        """The next frame's data; bytes beyond `length` are lost for ever (thesis 5.2.5)."""
+        """Receive the next frame's data; bytes beyond `length` are lost for ever (thesis 5.2.5)."""
         return self.recvmsg(flags).data[:length]
 
     def recvfrom(self, length: int, flags: int = 0) -> tuple[bytes, CanAddress]:
-        """As `recv`, with the arbitration field and the interface that the frame came by."""
+        """Receive as `recv` does, with the arbitration field and the interface that the frame came by."""
         frame = self.recvmsg(flags)
         return frame.data[:length], CanAddress(frame.arb, 0, frame.ifindex)
 
     def recvmsg(self, flags: int = 0) -> Frame:
-        """The next frame, whole. Raises BlockingIOError, TimeoutError, BusError."""
+        """Receive the next frame, whole. Raises BlockingIOError, TimeoutError, BusError."""
         frame = self.receive()
         if frame is not None:
             return frame
@@ -220,14 +220,14 @@ class CanSocket:
         return frame
 
     def rebind(self) -> bool:
-        """Reopen a bus that failed, on the same file descriptor and with the same filters. True when it can be used."""
+        """Reopen a bus that failed, on the same file descriptor and with the same filters; True when it can be used."""
         return self._transport.rebind()
 
     def setblocking(self, flag: bool) -> None:
         self._timeout_s = None if flag else 0.0
 
     def settimeout(self, timeout_s: float | None) -> None:
-        """None: block; 0: do not; otherwise raise TimeoutError after this many seconds."""
+        """Set the time-out: None blocks, 0 does not; otherwise TimeoutError is raised after this many seconds."""
         self._timeout_s = timeout_s
 
     def close(self) -> None:

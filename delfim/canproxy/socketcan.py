@@ -168,12 +168,12 @@ class SocketCan:
             raise self._failure(error) from None
 
     def rehearse(self) -> None:
-        """The kernel looks up the interface, then refuses 15 bytes because a frame has 16."""
+        """Send 15 bytes: the kernel looks up the interface, then refuses them because a frame has 16."""
         if self._nothing is not None:
             self._nothing.send(REHEARSED)
 
     def mirror(self) -> "SocketCan":
-        """Never sends: it has no socket."""
+        """The mirror for the warm-up, which never sends: it has no socket."""
         mirror = copy(self)
         mirror._taken = mirror._given = mmsg.Mirror(self._socket, BATCH, CAN_FRAME.size, _INTERFACE.size, _CONTROL.size)
         del mirror._socket

@@ -35,13 +35,13 @@ class Reply(NamedTuple):
 
 
 class Open(NamedTuple):
-    """The server opens the bus and answers OK, or NO_SUCH_BUS and ends the connection."""
+    """Open the bus and answer OK, or answer NO_SUCH_BUS and end the connection."""
 
     bus: str
 
 
 class Enter(NamedTuple):
-    """Change the mode: jobs and subscriptions of the old one end. Answer OK in a write of its own."""
+    """Change the mode: jobs and subscriptions of the old one end. The answer OK is a write of its own."""
 
     mode: Mode
 
@@ -56,7 +56,7 @@ class Transmit(NamedTuple):
 
 
 class Cycle(NamedTuple):
-    """Transmit now and each `interval_s` until deleted."""
+    """Transmit a frame now and each `interval_s` until deleted."""
 
     arb: int
     data: bytes
@@ -75,7 +75,8 @@ class Delete(NamedTuple):
 
 
 class Subscribe(NamedTuple):
-    """Frames of one identifier, at most one each `interval_s` (0: all). `masks`: see delfim.canproxy.cantcp.bcm."""
+    """Subscribe to the frames of one identifier, at most one each `interval_s` (0: all). `masks`: see
+    delfim.canproxy.cantcp.bcm."""
 
     arb: int
     interval_s: float
@@ -93,7 +94,8 @@ class TellTraffic(NamedTuple):
 
 
 class TellUnsent(NamedTuple):
-    """Tell how many frames of this client were not sent, and why the last one was not. Not of the reference server."""
+    """Report how many frames of this client were not sent, and why the last one was not. The reference server does not have
+    it."""
 
 
 class Hangup(NamedTuple):
@@ -121,7 +123,7 @@ Action = (
 
 @dataclass(slots=True)
 class Splitter:
-    """Elements `< ... >` out of a stream that is cut anywhere. Only blanks may stand between them."""
+    """Splits a stream that is cut anywhere into elements `< ... >`. Only blanks may stand between them."""
 
     malformed: int = 0
     _rest: bytes = b""
@@ -142,14 +144,15 @@ class Splitter:
 
 
 def _head(frame: Frame) -> str:
-    """Up to the data, with the blank before it. The stamp is cut to microseconds."""
+    """The text of a frame up to the data, with the blank before it. The stamp is cut to microseconds."""
     arb, stamp = frame.arb, str(frame.t_ns).zfill(10)
     identifier = f"{arb >> 3:08X}" if arb & CAN_IDE else f"{arb >> 21:03X}"
     return f"< frame {identifier} {stamp[:-9]}.{stamp[-9:-3]} "
 
 
 def raw_text(frame: Frame) -> bytes:
-    """A data frame in RAW mode: data without blanks; without data there are two blanks, and clients insist on both."""
+    """The text of a data frame in RAW mode: data without blanks; without data there are two blanks, and clients insist on
+    both."""
     return f"{_head(frame)}{frame.data.hex().upper()} >".encode()
 
 
@@ -168,7 +171,7 @@ class SocketcandSession:
 
     @property
     def malformed(self) -> int:
-        """Number of unknown elements, and of commands with wrong arguments. These get no answer."""
+        """The number of unknown elements, and of commands with wrong arguments. These get no answer."""
         return self._malformed + self._splitter.malformed
 
     def feed(self, data: bytes) -> Iterator[Action]:
@@ -267,7 +270,7 @@ _COMMANDS: Final[dict[Mode, dict[str, Callable[[list[str]], Action]]]] = {
 
 
 def _frame(words: list[str]) -> tuple[int, bytes]:
-    """Arbitration field and data of "ID dlc b0 b1 ..."."""
+    """Parse arbitration field and data from "ID dlc b0 b1 ..."."""
     if len(words) < 2 or (length := _decimal(words[1])) > 8 or len(words) != 2 + length:
         raise FormatError("a frame needs an identifier, a length and that many bytes")
     return _identifier(words[0]), bytes(map(_byte, words[2:]))
@@ -280,7 +283,7 @@ def _only_identifier(words: list[str]) -> int:
 
 
 def _identifier(word: str) -> int:
-    """Eight digits or more are an extended identifier; only its low 29 bits count."""
+    """Parse an identifier. Eight digits or more are an extended one, of which only the low 29 bits count."""
     number = _hexadecimal(word)
     return extended(number & 0x1FFFFFFF) if len(word) >= 8 else standard(number)
 
@@ -305,7 +308,7 @@ def _decimal(word: str) -> int:
 
 
 def _interval_s(words: list[str]) -> float:
-    """Of the seconds and microseconds with which words begin."""
+    """The interval, s, of the seconds and microseconds with which words begin."""
     if len(words) < 2:
         raise FormatError("an interval needs seconds and microseconds")
     return min(_decimal(words[0]) + _decimal(words[1]) / 1e6, INTERVAL_S_MAX)
@@ -316,12 +319,12 @@ def _content(data: bytes) -> int:
 
 
 def bcm_text(frame: Frame) -> bytes:
-    """A data frame in BCM mode: a blank after each byte."""
+    """The text of a data frame in BCM mode: a blank after each byte."""
     return f"{_head(frame)}{''.join(f'{byte:02X} ' for byte in frame.data)} >".encode()
 
 
 def parse_frame(words: list[str]) -> Frame | None:
-    """The frame in an element that a server sent, in either mode; None for another element. Raises FormatError."""
+    """Parse the frame of an element that a server sent, in either mode; None for another element. Raises FormatError."""
     if words[0] != "frame":
         return None
     try:

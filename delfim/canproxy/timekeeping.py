@@ -44,7 +44,7 @@ class Timekeeper:
         self._late_s: deque[float] = deque(maxlen=RECENT)
 
     def hear(self, frame: Frame, now_s: float) -> None:
-        """A frame came; all but time frames are ignored."""
+        """Take a frame of the bus; all but time frames are ignored."""
         if frame.arb != self._arb or len(frame.data) != TIME.size:
             return
         self.heard += 1
@@ -52,7 +52,7 @@ class Timekeeper:
         self.is_speaking = self._mode == "master"
 
     def tick(self, now_s: float, utc_ns: int) -> Frame | None:
-        """The frame to send at once, if one is due: it carries the present time, jitter included."""
+        """Return the frame to send at once, if one is due: it carries the present time, jitter included."""
         if not self.is_speaking and now_s - self._heard_s >= self._takeover_s:
             self.is_speaking = True
             self.takeovers += 1
@@ -64,7 +64,7 @@ class Timekeeper:
         return Frame(self._arb, TIME.pack(utc_ns))
 
     def report(self) -> dict[str, object]:
-        """JSON-ready. `late_s`: how late the frames of the last ten minutes were handed to the bus."""
+        """The report, JSON-ready. `late_s`: how late the frames of the last ten minutes were handed to the bus."""
         late_s = sorted(self._late_s)
         jitter = (
             {"p50": late_s[len(late_s) // 2], "p99": late_s[len(late_s) * 99 // 100], "worst": late_s[-1]} if late_s else {}
@@ -81,7 +81,7 @@ class SecondTimer:
     _ABSTIME, _CANCEL_ON_SET = 1, 2
 
     def __init__(self, delay_s: float, utc_ns: int) -> None:
-        """Raises BusError if the system has no such timers."""
+        """Make the timer. Raises BusError if the system has no such timers."""
         self._libc = ctypes.CDLL(None, use_errno=True)
         self._delay_ns = round(delay_s * 1e9)
         try:
@@ -94,7 +94,7 @@ class SecondTimer:
         return self._fd
 
     def passed(self, utc_ns: int) -> bool:
-        """Call when readable: whether a second began. False after a step of the clock; the timer is then set again."""
+        """Whether a second began; call it when readable. False after a step of the clock; the timer is then set again."""
         try:
             os.read(self._fd, 8)
         except BlockingIOError:
@@ -118,8 +118,8 @@ class SecondTimer:
 
 
 class TimeService:
-    """Timekeeper, timer and a socket bound to the time frame, together: `on_frames` when `can` is readable, `on_second` when
-    `timer` is. A bus that fails is counted, and reopened each second.
+    """Joins the Timekeeper, its timer and a socket bound to the time frame. Call `on_frames` when `can` is readable,
+    `on_second` when `timer` is. A bus that fails is counted, and reopened each second.
 
     failures  frames that the bus did not take, and failed reads
     """
@@ -157,5 +157,5 @@ class TimeService:
             log.warning("timed: no other node sends the time; this one sends it now")
 
     def report(self) -> dict[str, object]:
-        """JSON-ready."""
+        """The report, JSON-ready."""
         return {**self._keeper.report(), "failures": self.failures}

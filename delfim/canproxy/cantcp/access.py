@@ -15,7 +15,7 @@ _OWN: Final = frozenset(Node) - {Node.BROADCAST}
 
 
 class Networks:
-    """Networks of the vehicle's file; `host in networks` for the address of a peer, as a socket tells it."""
+    """Networks of the vehicle's file; `host in networks` tests the address of a peer, as a socket has it."""
 
     def __init__(self, networks: Iterable[str]) -> None:
         self._networks = [ipaddress.ip_network(network) for network in networks]
@@ -26,10 +26,10 @@ class Networks:
 
 
 class Access:
-    """The networks that may watch and transmit, the barred identifiers, and what only the boat's nodes say."""
+    """The networks that may watch and transmit, the barred identifiers, and those that only the boat's nodes may send."""
 
     def __init__(self, settings: Cantcpd, can: config.Can | None = None, closed: Collection[str] = ()) -> None:
-        """`can`: the bus of the boat's nodes. `closed`: the interfaces where only devices speak."""
+        """`can`: the bus of the boat's nodes. `closed`: the interfaces where only devices may send."""
         self._can, self._closed = can, closed
         self._watch, self._transmit = Networks(settings.watch), Networks(settings.transmit)
         self._barred = [_range(text) for text in settings.barred]
@@ -41,7 +41,7 @@ class Access:
         return host in self._transmit
 
     def refusal(self, host: str, interface: str, arb: int) -> str:
-        """Why a client there may not send this on this bus, in words; empty: it may."""
+        """The reason, in words, why a client there may not send this on this bus; empty: it may."""
         if not self.may_transmit(host):
             return "its network may only watch (cantcpd.transmit)"
         if interface in self._closed:
@@ -51,7 +51,7 @@ class Access:
         return f"{identifier(arb):X} is for the boat's own nodes alone" if self._poses(interface, arb) else ""
 
     def _poses(self, interface: str, arb: int) -> bool:
-        """Whether this is the time, or comes from a node of the boat: by such messages it sails."""
+        """Whether this frame is the time, or comes from a node of the boat: by such messages it sails."""
         if self._can is None or interface != self._can.interface:
             return False
         return arb >> SOURCE_AT & 0x7F in _OWN if arb & CAN_IDE else arb == time_frame(self._can.vehicle)
@@ -61,7 +61,7 @@ class Access:
 
 
 def _range(text: str) -> tuple[int, int]:
-    """First and last arbitration field of "040", "040-043" or "00000040-00000043"."""
+    """Parse "040", "040-043" or "00000040-00000043" to the first and last arbitration field."""
     low, _, high = text.partition("-")
     arb = extended if len(low) == 8 else standard
     return arb(int(low, 16)), arb(int(high or low, 16))

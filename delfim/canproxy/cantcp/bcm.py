@@ -23,7 +23,7 @@ class _Row:
 
 
 class Subscription:
-    """One subscription: at most one text each `interval_s` (0: no limit), the newest one, sent late rather than never.
+    """One subscription: the newest text at most once each `interval_s` (0: no limit), sent late rather than never.
 
     masks, 64-bit numbers over the data as it comes: none, every frame counts; one, a frame counts when the data under the mask
     changed; more, the first says which bits choose the row of a multiplexed frame, and each other one is a row: its bits under
@@ -35,7 +35,7 @@ class Subscription:
         self._rows = [_Row(mask) for mask in (masks[1:] if len(masks) > 1 else masks or (0,))]
 
     def offer(self, text: bytes, data: bytes, now_s: float) -> bytes | None:
-        """A frame came. Returns the text if it is to be sent now; otherwise it waits, or does not count."""
+        """Offer a frame that came. Returns the text if it is to be sent now; otherwise it waits, or does not count."""
         content = int.from_bytes(data.ljust(8, b"\0"), "big")
         row = next((row for row in self._rows if not (content ^ row.mask) & self._multiplex), None)
         if row is None or (self._by_content and row.content == content & row.mask):
@@ -53,7 +53,7 @@ class Subscription:
         return min((row.told_s + self._interval_s for row in self._rows if row.waiting is not None), default=inf)
 
     def take(self, now_s: float) -> Iterator[bytes]:
-        """The waiting texts that are due."""
+        """Take the waiting texts that are due."""
         for row in self._rows:
             if row.waiting is not None and now_s - row.told_s >= self._interval_s:
                 yield row.waiting
@@ -80,7 +80,7 @@ class Cycles:
         return len(self._cycles)
 
     def add(self, arb: int, data: bytes, interval_s: float, now_s: float) -> bool:
-        """Begin at once, replacing the cycle of this arbitration field. False if there are JOBS_MAX others."""
+        """Begin a cycle at once, replacing that of this arbitration field. False if there are JOBS_MAX others."""
         if arb not in self._cycles and len(self._cycles) >= JOBS_MAX:
             return False
         cycle = self._cycles[arb] = _Cycle(data, interval_s)
@@ -106,7 +106,7 @@ class Cycles:
         return self._due[0][0] if self._due else inf
 
     def take(self, now_s: float, count_max: int) -> Iterator[tuple[int, bytes]]:
-        """The due frames, (arbitration field, data), at most this many."""
+        """Take the due frames, (arbitration field, data), at most this many."""
         while count_max and self._due and self._due[0][0] <= now_s:
             due_s, _, arb, cycle = heapq.heappop(self._due)
             if self._cycles.get(arb) is cycle:

@@ -14,7 +14,8 @@ _IFF_BROADCAST, _IFF_LOOPBACK, _IFF_POINTOPOINT = 0x2, 0x8, 0x10  # linux/if.h
 
 
 def datagram(host: str, address: str, port: int, buses: Sequence[str]) -> bytes:
-    """The announcement. `address` is dotted: clients do not resolve names. Buses that do not fit are left out."""
+    """The datagram that announces a server. `address` is dotted: clients do not resolve names. Buses that do not fit are left
+    out."""
     head = f'<CANBeacon name="{escape(host)}" type="SocketCAN" description="Delfim cantcpd">\n<URL>can://{address}:{port}</URL>'
     text, tail = head, "</CANBeacon>"
     for bus in buses:
@@ -26,7 +27,8 @@ def datagram(host: str, address: str, port: int, buses: Sequence[str]) -> bytes:
 
 
 def announce(interface: str, port: int, buses: Sequence[str]) -> None:
-    """One broadcast with the interface's own address. Raises OSError for an interface that is not a LAN or has no address."""
+    """Send one broadcast with the interface's own address. Raises OSError for an interface that is not a LAN or has no
+    address."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
         request = struct.pack("16s24x", interface.encode()[:15])
         flags = struct.unpack_from("=H", fcntl.ioctl(sender, _SIOCGIFFLAGS, request), 16)[0]

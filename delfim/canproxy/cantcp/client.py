@@ -1,4 +1,4 @@
-"""A client of cantcpd: its connection, its place in the protocol and its jobs; and all clients together."""
+"""A client of cantcpd with its connection, protocol state and jobs; and all clients together."""
 
 import asyncio
 import logging
@@ -34,7 +34,7 @@ log = logging.getLogger(__name__)
 
 
 class Client(asyncio.BufferedProtocol):
-    """One connection: its place in the protocol and its jobs."""
+    """One connection with its state in the protocol and its jobs."""
 
     def __init__(
         self, clients: "Clients", buses: Mapping[str, SharedBus], session: socketcand.SocketcandSession | slcan.SlcanSession
@@ -108,7 +108,7 @@ class Client(asyncio.BufferedProtocol):
         self._outbox.flush()
 
     def stalled(self, now_s: float, stall_s: float) -> str:
-        """Why this client is closed; empty: it is not."""
+        """The reason why this client is closed; empty: it is not."""
         if (self._outbox.is_full or self.is_leaving) and now_s - self._alive_s > stall_s:
             return f"took nothing for {stall_s:g} s"
         if self.is_idle and not self.session.opens_late and now_s - self.since_s > stall_s:
@@ -127,7 +127,7 @@ class Client(asyncio.BufferedProtocol):
         self._transport.abort()
 
     def report(self) -> dict[str, object]:
-        """JSON-ready: mode, bus, waiting frames, and counts of sent, dropped and refused ones."""
+        """The client's report, JSON-ready: mode, bus, waiting frames, and counts of sent, dropped and refused ones."""
         return {
             "bus": self._bus.name if self._bus else "",
             "mode": self.session.mode,
@@ -157,7 +157,7 @@ class Client(asyncio.BufferedProtocol):
             self._outbox.reply(b"".join(replies))
 
     def _do(self, action: socketcand.Action, replies: list[bytes]) -> bool:
-        """False when it must be tried again."""
+        """Carry out one request; False when it must be tried again."""
         if isinstance(action, socketcand.Transmit):
             return self._transmit(action.arb, action.data)
         if isinstance(action, (socketcand.Open, socketcand.Enter, socketcand.Hangup)) and replies:
@@ -251,7 +251,7 @@ class Client(asyncio.BufferedProtocol):
         return not why
 
     def _transmit(self, arb: int, data: bytes) -> bool:
-        """False when the bus is full and there is time to try again."""
+        """Send a frame; False when the bus is full and there is time to try again."""
         if self._bus and self._allowed(arb):
             try:
                 self._bus.transmit(arb, data, self._ear)
@@ -302,7 +302,8 @@ class Clients:
         self._is_warned = False
 
     def refusal(self, host: str) -> str:
-        """Why a connection from there is refused; empty: it is not. Clients without an open bus give way, the oldest first."""
+        """The reason why a connection from there is refused; empty: it is not. Clients without an open bus give way, the oldest
+        first."""
         why = "" if self.access.may_watch(host) else "not in cantcpd.watch"
         here = [client for client in self.inside if not client.is_leaving]
         beside = [client for client in here if client.host == host]
@@ -321,7 +322,7 @@ class Clients:
         return why
 
     def keep(self, client: Client) -> None:
-        """Keep the counts of a client that leaves."""
+        """Add the counts of a client that leaves."""
         kept = self.left.pop(client.host, Counter())
         self.left[client.host] = kept + client.counts + Counter(malformed=client.session.malformed, clients=1)
         if len(self.left) > ADDRESSES_MAX:

@@ -1,4 +1,4 @@
-"""The output to one client: replies, and frames in a bounded queue that drops the oldest."""
+"""The output to one client: replies at once, and frames in a bounded queue that drops the oldest."""
 
 import asyncio
 from collections import Counter, deque

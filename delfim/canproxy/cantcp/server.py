@@ -1,5 +1,5 @@
-"""cantcpd: CAN over TCP, the socketcand protocol and slcan (thesis 3.3). Watches the buses for any number of clients,
-and sends for them.
+"""cantcpd: CAN over TCP, the socketcand protocol and slcan (thesis 3.3). It watches the buses for any number of clients, and
+sends for them.
 
 A bus has one socket for all its clients, open while there are any. A frame becomes text once. Every client has a bounded queue
 of its own: frames not taken in time are lost for it alone, oldest first, and counted. No callback takes longer for a slow
@@ -54,7 +54,7 @@ class CanServer:
         return Client(self.clients, self.buses, socketcand.SocketcandSession(self.buses))
 
     def slcan_connection(self) -> Client:
-        """A connection to the first bus: slcan cannot name others."""
+        """Make a connection to the first bus: slcan cannot name others."""
         return Client(self.clients, self.buses, slcan.SlcanSession(next(iter(self.buses))))
 
     def poll(self, port: int) -> None:
@@ -77,7 +77,7 @@ class CanServer:
             self._silent.add(interface)
 
     def report(self) -> dict[str, object]:
-        """JSON-ready: every bus and every client."""
+        """The server's report, JSON-ready: every bus and every client."""
         return {
             "refused": self.clients.refused,
             "buses": {

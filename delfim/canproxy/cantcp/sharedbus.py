@@ -1,6 +1,5 @@
 """A bus that clients share: one socket, open while there are clients and for a second or two after the last one, because to
-open it takes longer than a callback may; each frame becomes text once for all of them.
-"""
+open it takes longer than a callback may; each frame is made into text once for all of them."""
 
 import asyncio
 import logging
@@ -42,7 +41,7 @@ class Ear:
         self._at = at
 
     def offer(self, frame: Frame, text: bytes, now_s: float) -> None:
-        """A frame to which this client has subscribed."""
+        """Offer a frame to which this client has subscribed."""
         watch = self.watches[frame.arb]
         told = watch.offer(text, frame.data, now_s)
         if told:
@@ -76,7 +75,7 @@ class SharedBus:
         self._later: asyncio.Handle | None = None  # the next look at a busy bus; None: woken by its first frame
 
     def join(self, ear: Ear) -> None:
-        """Raises BusError if the bus cannot be opened."""
+        """Add a client's reception, and open the bus for the first one. Raises BusError if it cannot be opened."""
         if self._can and not self._ears:
             self._forget()
         if self._can is None:
@@ -93,7 +92,7 @@ class SharedBus:
         self._ears.add(ear)
 
     def _forget(self) -> None:
-        """Throw away what came while nobody was here and was not looked at yet: some milliseconds of frames."""
+        """Drop the frames that came while there were no clients and were not read yet: those of some milliseconds."""
         self._sent.clear()
         for _ in range(FORGOTTEN_CALLS):
             if not self._receive():
@@ -135,7 +134,7 @@ class SharedBus:
             self._sent.clear()
 
     def poll(self) -> None:
-        """Call about once a second: reopens a bus that failed, closes one that nobody opened since the last call."""
+        """Reopen a bus that failed, and close one that nobody opened since the last call; call it about once a second."""
         if self._can and not self._ears:
             if self._is_left:
                 self.close()
@@ -147,11 +146,11 @@ class SharedBus:
 
     @property
     def dropped(self) -> int:
-        """Frames that the socket lost while it was open this time."""
+        """The number of frames that the socket lost while it was open this time."""
         return self._can.dropped if self._can else 0
 
     def transmit(self, arb: int, data: bytes, ear: Ear) -> None:
-        """Raises BlockingIOError when the transmit queue is full, BusError."""
+        """Send a client's frame. Raises BlockingIOError when the transmit queue is full, BusError."""
         if self._can is None:
             raise BusError(f"{self.name} is closed")
         frame = Frame(arb, data, self._clock.time_ns())
@@ -191,7 +190,7 @@ class SharedBus:
             self._readers.reader(self._can.fileno(), self._wake)
 
     def _receive(self) -> list[Frame]:
-        """About FRAMES_A_CALL frames of all kinds."""
+        """Receive about FRAMES_A_CALL frames of all kinds."""
         frames: list[Frame] = []
         if self._can is None:
             return frames
@@ -217,7 +216,8 @@ class SharedBus:
             self._tell_watchers(told, now_s)
 
     def _tell_sent(self, frames: list[Frame], now_s: float) -> None:
-        """As `_tell`, merged in order of time with the clients' own frames, which their senders do not get."""
+        """Hand out frames as `_tell` does, merged in order of time with the clients' own frames, which their senders do not
+        get."""
         sent, self._sent = self._sent, []
         authors = {id(frame): ear for frame, ear in sent}
         everything = sorted([*frames, *(frame for frame, _ in sent)], key=lambda frame: frame.t_ns)

@@ -26,7 +26,7 @@ _IGNORED: Final = frozenset("SsMmXUQWZ")  # bit rate, filters, automatic polling
 
 
 def raw_text(frame: Frame) -> bytes:
-    """A data frame, with its end."""
+    """The text of a data frame, with its end."""
     arb, data = frame.arb, frame.data
     head = f"T{arb >> 3:08X}" if arb & CAN_IDE else f"t{arb >> 21:03X}"
     return f"{head}{len(data)}{data.hex().upper()}\r".encode()
@@ -60,7 +60,7 @@ class SlcanSession:
             self._rest, self._is_too_long = b"", True
 
     def _actions(self, line: str) -> Iterator[Action]:
-        """Raises FormatError."""
+        """The actions that one line asks for. Raises FormatError."""
         command = line[:1]
         if command in ("t", "T"):
             if self.mode == "closed":
@@ -84,7 +84,7 @@ class SlcanSession:
 
 
 def _frame(line: str) -> tuple[int, bytes]:
-    """Arbitration field and data of "t", three digits, a length and that many bytes, or "T" and eight digits. Raises
+    """Parse arbitration field and data from "t", three digits, a length and that many bytes, or "T" and eight digits. Raises
     FormatError."""
     digits = 8 if line[0] == "T" else 3
     try:

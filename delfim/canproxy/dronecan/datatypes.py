@@ -64,7 +64,7 @@ class CommandKind(IntEnum):
 
 
 class NodeStatus(NamedTuple):
-    """Every node, at 1 Hz."""
+    """The status of a node, at 1 Hz."""
 
     uptime_s: int
     health: int  # 0 well, 1 warning, 2 error, 3 critical
@@ -73,7 +73,7 @@ class NodeStatus(NamedTuple):
 
 
 class EscStatus(NamedTuple):
-    """A motor controller, at 10 to 50 Hz."""
+    """The status of a motor controller, at 10 to 50 Hz."""
 
     errors: int  # since the motor started
     voltage_v: float | None
@@ -85,7 +85,7 @@ class EscStatus(NamedTuple):
 
 
 class BatteryInfo(NamedTuple):
-    """A battery, at 0.2 to 1 Hz."""
+    """The state of a battery, at 0.2 to 1 Hz."""
 
     voltage_v: float | None
     current_a: float | None
@@ -97,7 +97,7 @@ class BatteryInfo(NamedTuple):
 
 
 class GnssFix(NamedTuple):
-    """A GNSS receiver, at 5 to 10 Hz."""
+    """The fix of a GNSS receiver, at 5 to 10 Hz."""
 
     utc_ns: int | None  # None, too, where the receiver counts in another standard
     latitude_rad: float
@@ -114,14 +114,14 @@ class GnssFix(NamedTuple):
 
 
 class Dilution(NamedTuple):
-    """Beside a fix: what Fix2 lacks."""
+    """The dilution of precision, sent beside a fix: what Fix2 lacks."""
 
     hdop: float | None
     satellites: int
 
 
 class RelativeHeading(NamedTuple):
-    """Two antennas: the direction from the one to the other, and how far it is, for comparison with a tape."""
+    """The direction from one antenna to another, and the distance, for comparison with a tape."""
 
     heading_rad: float | None
     accuracy_rad: float | None
@@ -129,21 +129,21 @@ class RelativeHeading(NamedTuple):
 
 
 class MagneticField(NamedTuple):
-    """A magnetometer, at 10 to 50 Hz: the field in the device's axes, which is not a heading. Three types say it."""
+    """The field of a magnetometer in the device's axes, at 10 to 50 Hz, which is not a heading. Three types carry it."""
 
     sensor: int  # its number in the device; 0 where the type has none
     field_t: tuple[float, float, float]
 
 
 class ImuSample(NamedTuple):
-    """Gyroscope and accelerometer, in the device's axes."""
+    """Rates and accelerations of gyroscope and accelerometer, in the device's axes."""
 
     rate_radps: tuple[float, float, float]
     force_mps2: tuple[float, float, float]  # specific force: at rest it points up
 
 
 class NumberRequest(NamedTuple):
-    """Allocation: a device asks for a number, or is told one."""
+    """Allocation: the request of a device for a number, or the answer to it."""
 
     node: int  # asked for or given; 0: any, or none yet
     is_first: bool  # of the parts of its identity
@@ -156,13 +156,13 @@ Message = (
 
 
 def decode(transfer: Transfer) -> Message:
-    """A message that is read here. Raises FormatError when it is too short or impossible."""
+    """Decode a message that is used here. Raises FormatError when it is too short or impossible."""
     kind, read = _READ[transfer.type]
     return read(*unpack(kind, transfer.payload))
 
 
 def raw_command(fractions: Sequence[float]) -> bytes:
-    """RawCommand: -1..1 for each motor, by index."""
+    """RawCommand: a fraction, -1..1, for each motor, by index."""
     stream = 0
     for fraction in fractions:  # as `pack`, in a third of its time: this is on the critical path
         raw = round(fraction * RAW_MAX) & 0x3FFF
@@ -198,7 +198,7 @@ def _share(percent: float) -> float | None:
 
 
 def _celsius(kelvin: float) -> float | None:
-    """Devices without a sensor send 0 K, too."""
+    """Convert kelvin to degrees Celsius; None for 0 K, which devices without a sensor send."""
     return round(kelvin - _KELVIN, 2) if math.isfinite(kelvin) and kelvin > 0.0 else None
 
 
@@ -254,7 +254,7 @@ def _read_fix(values: Sequence[Any], items: Sequence[Any]) -> GnssFix:
 
 
 def _accuracies(covariances: Sequence[float]) -> tuple[float | None, float | None]:
-    """Standard deviations in the plane, of position and velocity."""
+    """The standard deviations in the plane, of position and velocity."""
     places = _DIAGONALS.get(len(covariances))
     if places is None:
         return None, None

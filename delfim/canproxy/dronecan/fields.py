@@ -1,4 +1,4 @@
-"""DroneCAN fields as bits (specification, chapter 3): one behind the other, in bytes filled from the highest bit.
+"""Fields of DroneCAN as bits (specification, chapter 3): one behind the other, in bytes filled from the highest bit.
 
 A field of more than 8 bits is cut into bytes, the lowest first; what is left over, its highest bits, comes last.
 
@@ -39,7 +39,7 @@ class WireField(NamedTuple):
 
 @dataclass(slots=True, eq=False)
 class DataType:
-    """A message. `item` repeats until the end: how often is not sent, but follows from the length."""
+    """A message type. `item` repeats until the end: how often is not sent, but follows from the length."""
 
     name: str
     id: int
@@ -75,14 +75,14 @@ F32: Final = WireField("float", 32)
 
 
 def pack(kind: DataType, values: Sequence[float] = (), items: Sequence[float] = ()) -> bytes:
-    """The payload. `values`: one for each field that is not void; `items`: those of the first item, of the second, and so on.
-    A number beyond its field's range becomes the nearest one. Raises FormatError for another number of values."""
+    """Pack a payload. `values`: one for each field that is not void; `items`: those of the first item, of the second, and so
+    on. A number beyond its field's range becomes the nearest one. Raises FormatError for another number of values."""
     write = kind.writers.get((len(values), len(items)))
     return write(values, items) if write is not None else _writer(kind, len(values), len(items))(values, items)
 
 
 def unpack(kind: DataType, payload: bytes) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """The values of the fields, and those of the items. Further bytes are ignored: definitions grow at their end. Raises
+    """Unpack the values of the fields, and those of the items. Further bytes are ignored: definitions grow at their end. Raises
     FormatError for a payload that is too short."""
     read = kind.readers.get(len(payload))
     return read(payload) if read is not None else _reader(kind, len(payload))(payload)

@@ -1,4 +1,4 @@
-"""Numbers for DroneCAN devices that have none (specification, chapter 5.3: Allocation), as a pure object.
+"""Allocates numbers to DroneCAN devices that have none (specification, chapter 5.3: Allocation); a pure object.
 
 A device sends the 16 bytes of its identity in parts of 6, 6 and 4; the answer repeats what was heard so far, and with all of
 them gives the number. A part that comes too late starts again. A device that comes back gets the number it had, unless all were
@@ -18,7 +18,7 @@ _PART_BYTES: Final = {0: 6, 6: 6, 12: 4}  # by how many are known
 
 
 class Allocator:
-    """`table` has the number of each identity; keep it over a restart of the program."""
+    """Allocates numbers. `table` has the number of each identity; keep it over a restart of the program."""
 
     def __init__(self, table: dict[bytes, int], own: int) -> None:
         self.table = table
@@ -28,11 +28,11 @@ class Allocator:
         self._began_s: float | None = None
 
     def hear(self, number: int, now_s: float) -> None:
-        """A number that speaks on the bus."""
+        """Note that the node with this number sends on the bus."""
         self._spoke_s[number] = max(now_s, self._spoke_s.get(number, now_s))
 
     def feed(self, asked: NumberRequest, now_s: float) -> NumberRequest | None:
-        """A request of a device without a number; returns the answer for all to hear, if there is one."""
+        """Take the request of a device without a number; return the answer to broadcast, if there is one."""
         self._began_s = now_s if self._began_s is None else self._began_s
         if asked.is_first:
             self._heard = b""
@@ -55,14 +55,14 @@ class Allocator:
         return NumberRequest(number, False, identity)
 
     def _free(self, preferred: int) -> int:
-        """Upward from the number that the device would like, then downward; 0: there is none."""
+        """A free number, searched upward from the one that the device prefers, then downward; 0: there is none."""
         taken = {*self._spoke_s, *self.table.values()}
         first = min(preferred, NODE_MAX)
         return next((each for each in (*range(first, NODE_MAX + 1), *range(first, 0, -1)) if each not in taken), 0)
 
     def _left(self, now_s: float) -> int:
-        """The number of a device that is not there, taken from it; 0: all are. Whoever asks with made-up identities would else
-        have them all, for ever."""
+        """Take the number of a device that is absent; 0: all are there. Otherwise a sender of made-up identities would have
+        them all for ever."""
         began_s = now_s if self._began_s is None else self._began_s
         silent_s = {identity: now_s - self._spoke_s.get(number, began_s) for identity, number in self.table.items()}
         longest = max(silent_s, key=silent_s.__getitem__, default=b"")

@@ -1,4 +1,4 @@
-"""Requests of one node to another (specification, chapter 4.1), as far as this one answers them: who it is, and to start again.
+"""Answers the requests of other nodes (specification, chapter 4.1): node information and restart, no others.
 
 An identifier has 29 bits: priority 5, type 8, whether it is a request 1, destination 7, a one, source 7. An answer has the
 number of its request. Both requests are of one frame.
@@ -30,7 +30,7 @@ class Identity(NamedTuple):
 
 
 class NodeServices:
-    """The answers of this node. `hear` its own status, which another program says."""
+    """The answers of this node. `hear` takes its own status, which another program sends."""
 
     def __init__(self, node: int, identity: Identity) -> None:
         self.number, self._identity = node, identity

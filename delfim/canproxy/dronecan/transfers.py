@@ -23,7 +23,7 @@ _new = tuple.__new__  # in half the time of Transfer(...)
 
 
 class Transfer(NamedTuple):
-    """A whole message. `source` 0: from a device without a number."""
+    """A whole message. `source` 0: it is from a device without a number."""
 
     type: int
     source: int
@@ -70,8 +70,8 @@ class _Stream:
 
 
 class TransferReceiver:
-    """Frames to transfers, of these message types alone. At most STREAMS transfers are under way, the oldest is dropped, and so
-    is one that is not complete after TIMEOUT_S. Nothing is raised; `errors` counts by reason."""
+    """Assembles frames to transfers, of these message types alone. At most STREAMS transfers are under way, the oldest is
+    dropped, and so is one that is not complete after TIMEOUT_S. Nothing is raised; `errors` counts by reason."""
 
     STREAMS: Final = 64
     TIMEOUT_S: Final = 2.0
@@ -84,7 +84,8 @@ class TransferReceiver:
 
     @property
     def filters(self) -> tuple[CanAddress, ...]:
-        """To bind a socket to: these types, from any node, at any priority; nothing else of the bus wakes the reader."""
+        """The filters to bind a socket to: these types, from any node, at any priority; nothing else of the bus wakes the
+        reader."""
         numbered = [(kind, 0xFFFF00 | SERVICE) for kind in self._kinds]
         anonymous = [(kind, 0x3FF) for kind in self._kinds if kind <= 3]
         return tuple(CanAddress(extended(kind << 8), (0x1FFFFFFF & ~care) << 3) for kind, care in numbered + anonymous)
@@ -155,5 +156,5 @@ class TransferReceiver:
 
 
 def checksum(data: bytes, crc: int = 0xFFFF) -> int:
-    """CRC-16-CCITT-FALSE."""
+    """The checksum of data, CRC-16-CCITT-FALSE."""
     return crc_hqx(data, crc)

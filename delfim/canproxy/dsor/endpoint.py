@@ -1,6 +1,5 @@
-"""Both ends of the DSOR protocol on a CAN socket, and the addresses of thesis 5.2.6. It never waits, and has neither thread nor
-task: its owner calls `step`.
-"""
+"""Both ends of the DSOR protocol on a CAN socket, and the addresses of thesis 5.2.6. An endpoint never waits, and has neither
+thread nor task: its owner calls `step`."""
 
 import heapq
 from collections import deque
@@ -91,14 +90,14 @@ class Endpoint:
         can.bind(CanAddress(*ack_filter(node)))
 
     def listen(self, wanted: Callable[[Message], bool]) -> None:
-        """Receive the messages to this node and to everybody that are wanted; `wanted` sees them without data. Others are not
-        answered: another program on this node may want them. Raises BusError."""
+        """Receive the wanted messages to this node and to all nodes; `wanted` sees them without data. Other messages are not
+        acknowledged: another program on this node may want them. Raises BusError."""
         self._wanted = wanted
         filters = (ack_filter(self.node), message_filter(destination=self.node), message_filter(destination=BROADCAST))
         self.can.bind(*(CanAddress(*each) for each in filters))
 
     def start(self, message: Message, now_s: float) -> None:
-        """Begin to send. Raises Refused if too many messages wait, FormatError, BusError."""
+        """Begin to send a message. Raises Refused if too many messages wait, FormatError, BusError."""
         if message.destination != BROADCAST:
             frames = iter(self._sender.start(message, now_s))
         else:

@@ -114,7 +114,7 @@ _DEGREES_1E7: Final = math.radians(1e-7)
 
 
 def pack_navigation(n: Navigation) -> bytes:
-    """The 32 bytes of a navigation message: without accuracy and corrections; values beyond a field's range as unknown."""
+    """Pack the 32 bytes of a navigation message: without accuracy and corrections; values beyond a field's range as unknown."""
     return NAVIGATION.pack(
         n.utc_ns,
         _scaled(n.latitude_rad, 1 / _DEGREES_1E7, _I32_UNKNOWN),
@@ -133,7 +133,8 @@ def pack_navigation(n: Navigation) -> bytes:
 
 
 def unpack_navigation(data: bytes) -> Navigation:
-    """Raises FormatError on a wrong length or a value that no boat can have (latitude beyond 90 degrees, heading of 7 rad)."""
+    """Unpack a navigation message. Raises FormatError on a wrong length or a value that no boat can have (latitude beyond 90
+    degrees, heading of 7 rad)."""
     if len(data) != NAVIGATION.size:
         raise FormatError(f"navigation message of {len(data)} bytes instead of {NAVIGATION.size}")
     utc, lat, lon, north, east, heading, rate, roll, pitch, fix, satellites, hdop, counter = NAVIGATION.unpack(data)
@@ -175,7 +176,7 @@ PROPELLER_COMMAND: Final = struct.Struct("<hBB")
 
 
 def pack_propeller_command(c: PropellerCommand) -> bytes:
-    """A reference that is not a number or does not fit the field is sent as motor off."""
+    """Pack a propeller command. A reference that is not a number or does not fit the field is sent as motor off."""
     rpm = _scaled(c.rpm, 1, _I16_UNKNOWN)
     return PROPELLER_COMMAND.pack(*((0, False) if rpm == _I16_UNKNOWN else (rpm, c.run)), c.counter & 0xFF)
 
@@ -207,7 +208,7 @@ def unpack_batteries_command(data: bytes) -> BatteriesCommand:
 
 
 class PropellerStatus(NamedTuple):
-    """None is unknown."""
+    """The status of a propeller node; None is unknown."""
 
     status: Status
     faults: Fault
@@ -221,7 +222,7 @@ PROPELLER_STATUS: Final = struct.Struct("<BBhhbB")
 
 
 class BatteriesStatus(NamedTuple):
-    """None is unknown."""
+    """The status of a bank of batteries; None is unknown."""
 
     status: Status
     faults: Fault
@@ -235,7 +236,7 @@ BATTERIES_STATUS: Final = struct.Struct("<BBHhBb")
 
 
 class GpsStatus(NamedTuple):
-    """Comes as a segmented message (thesis 3.4), so that legacy receivers can add fields."""
+    """The status of the GPS node. It comes as a segmented message (thesis 3.4), so that legacy receivers can add fields."""
 
     status: Status
     faults: Fault
@@ -305,7 +306,8 @@ def unpack_sysstat(node: int, data: bytes) -> SystemStatus:
 
 
 def _health(status: int, faults: int) -> tuple[Status, Fault]:
-    """Without a look-up in the enumerations for a node that is well. Raises ValueError for a wrong status."""
+    """Status and faults, without a look-up in the enumerations for a node that is well. Raises ValueError for a wrong
+    status."""
     return (Status(status), Fault(faults)) if status or faults else _WELL
 
 
@@ -314,7 +316,7 @@ RESET_COMMAND: Final = struct.Struct("<BxH")
 
 
 def pack_reset(node: int) -> bytes:
-    """`node`: its number; Node.BROADCAST is all of them."""
+    """Pack a reset of `node`: its number, or Node.BROADCAST for all of them."""
     return RESET_COMMAND.pack(node, RESET_WORD)
 
 
@@ -343,7 +345,7 @@ def pack_shutdown(s: Shutdown) -> bytes:
 
 
 def unpack_shutdown(data: bytes) -> Shutdown:
-    """Raises FormatError on a wrong length or key."""
+    """Unpack an order to shut down. Raises FormatError on a wrong length or key."""
     if len(data) != SHUTDOWN_ORDER.size:
         raise FormatError(f"shutdown order of {len(data)} bytes instead of {SHUTDOWN_ORDER.size}")
     key, flags = SHUTDOWN_ORDER.unpack(data)
@@ -353,7 +355,7 @@ def unpack_shutdown(data: bytes) -> Shutdown:
 
 
 class ShutdownStage(IntEnum):
-    """0 is none of them: a frame of zeros must not say that the power may be cut."""
+    """The stages of a shutdown. 0 is none of them: a frame of zeros must not say that the power may be cut."""
 
     BEGUN = 1  # understood; the propellers are stopped first
     SAFE = 2  # the log partition is unmounted, or read-only: the power may be cut
@@ -373,7 +375,7 @@ def pack_shutdown_acknowledge(a: ShutdownAcknowledge) -> bytes:
 
 
 def unpack_shutdown_acknowledge(data: bytes) -> ShutdownAcknowledge:
-    """Raises FormatError on a wrong length or an unknown stage."""
+    """Unpack the acknowledgement of a shutdown. Raises FormatError on a wrong length or an unknown stage."""
     try:
         stage, holders = SHUTDOWN_STATUS.unpack(data)
         return ShutdownAcknowledge(ShutdownStage(stage), holders)
@@ -389,12 +391,12 @@ def _scaled(value: float | None, per_unit: float, unknown: int) -> int:
 
 
 def _unsigned(value: float | None, per_unit: float, unknown: int) -> int:
-    """The same for a field without sign."""
+    """The integer of a field without sign, as `_scaled`."""
     if value is None or not -0.5 <= (units := value * per_unit) < unknown:
         return unknown
     return round(units)
 
 
 def _hdop(value: float | None) -> int:
-    """Dilution beyond the field's 25.4 is as useless as 25.4 and is sent so."""
+    """Encode a dilution of precision; beyond the field's 25.4 it is as useless as 25.4 and is sent so."""
     return _unsigned(None if value is None else min(value, 25.4), 10, _U8_UNKNOWN)

@@ -14,7 +14,7 @@ BROADCAST: Final = 0x7F  # destination node: everybody
 
 
 class Kind(IntEnum):
-    """Two bits below the priority."""
+    """The kind of a frame, two bits below the priority."""
 
     HEADER = 0
     BODY = 1
@@ -23,7 +23,7 @@ class Kind(IntEnum):
 
 
 class Ack(IntEnum):
-    """First byte of an acknowledgement."""
+    """The first byte of an acknowledgement."""
 
     HEADER = 0
     BODY = 1
@@ -32,7 +32,7 @@ class Ack(IntEnum):
 
 
 class Message(NamedTuple):
-    """One message. `port` None: a segmented message with its id. `port` alone: a message to a port of the destination node.
+    """A message. `port` None: a segmented message with its id. `port` alone: a message to a port of the destination node.
     `port` and `address`: a UDP datagram's payload, with the port and IPv4 address that it is for."""
 
     priority: int  # 0..255, lowest wins the bus
@@ -46,7 +46,7 @@ class Message(NamedTuple):
 
 
 class Outcome(NamedTuple):
-    """How a message of a Sender ended."""
+    """The outcome of a message of a Sender."""
 
     message: Message
     failure: str = ""  # empty: it was delivered intact; otherwise why that is not known
@@ -95,8 +95,8 @@ def dsor_arb(priority: int, kind: int, source: int, destination: int, sequence: 
 
 
 def message_filter(source: int | None = None, destination: int | None = None) -> tuple[int, int]:
-    """(arb, mask) to bind a socket to the header and body frames from and to these nodes, None being any; set mask bits are
-    "don't care". Raises FormatError."""
+    """The filter (arb, mask) that binds a socket to the header and body frames from and to these nodes, None being any; set
+    mask bits are "don't care". Raises FormatError."""
     arb = dsor_arb(0, Kind.HEADER, source or 0, destination or 0, 0)
     mask = 0xFF << PRIORITY_AT | Kind.BODY << KIND_AT | 31 << SEQUENCE_AT
     mask |= 0x7F << SOURCE_AT if source is None else 0
@@ -104,7 +104,7 @@ def message_filter(source: int | None = None, destination: int | None = None) ->
 
 
 def ack_filter(node: int) -> tuple[int, int]:
-    """(arb, mask) for the acknowledgements to a node, which a Sender must receive. Raises FormatError."""
+    """The filter (arb, mask) of the acknowledgements to a node, which a Sender must receive. Raises FormatError."""
     return dsor_arb(0, Kind.ACK, 0, node, 0), 0xFF << PRIORITY_AT | 0x7F << SOURCE_AT | 31 << SEQUENCE_AT
 
 
@@ -126,13 +126,13 @@ def iter_segments(message: Message, number: int) -> Iterator[Frame]:
 
 
 def encoded(message: Message) -> tuple[bytes, bytes]:
-    """Data of the header frame and of all body frames. Raises FormatError."""
+    """Encode a message: the data of its header frame and of all body frames. Raises FormatError."""
     header = _packed_header(message)
     return header, message.data + CRC.pack(zlib.crc32(message.data, zlib.crc32(header)))
 
 
 def _packed_header(message: Message) -> bytes:
-    """Data of the header frame; its length tells the kind of message. Raises FormatError."""
+    """Pack the data of the header frame; its length shows the kind of message. Raises FormatError."""
     if message.source == BROADCAST:
         raise FormatError("the broadcast node does not send")
     try:
@@ -148,7 +148,7 @@ def _packed_header(message: Message) -> bytes:
 
 
 def read_header(arb: int, header: bytes) -> tuple[int, Message] | None:
-    """(length, message without its data) of a header frame; None if it is not one."""
+    """Read a header frame: (length, message without its data); None if it is not one."""
     priority, source, destination = arb >> PRIORITY_AT & 0xFF, arb >> SOURCE_AT & 0x7F, arb >> DESTINATION_AT & 0x7F
     if source == BROADCAST:
         return None

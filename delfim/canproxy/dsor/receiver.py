@@ -55,7 +55,7 @@ class _Received(NamedTuple):
 
 
 class Receiver:
-    """Puts messages to `node` and to everybody together. One per user of messages; several may serve one node.
+    """Assembles the messages to `node` and to all nodes. One per user of messages; several may serve one node.
 
     `accept` sees each announced message without its data and says whether it is received here; None receives all. A message
     that is not accepted is not answered: another program on this node may want it.
@@ -83,7 +83,7 @@ class Receiver:
 
     @property
     def next_due_s(self) -> float:
-        """When `expire` has something to do; infinity while no message is under way."""
+        """The time when `expire` has something to do; infinity while no message is under way."""
         return min((assembly.heard_s for assembly in self._open.values()), default=math.inf) + self._timeout_s
 
     @property
@@ -92,7 +92,7 @@ class Receiver:
         return bool(self._open)
 
     def feed(self, frame: Frame, now_s: float) -> Message | None:
-        """The message that this frame completes. Never raises; other frames are ignored."""
+        """Take a frame, and return the message that it completes. Never raises; other frames are ignored."""
         arb, data, t_ns, _, _ = frame
         kind = arb & FRAME_TYPE
         if kind == BODY_FRAME:
@@ -172,7 +172,7 @@ class Receiver:
         return _new(Message, (priority, source, destination, identifier, data, t_ns, port, address))
 
     def _misplaced(self, arb: int, assembly: _Assembly) -> None:
-        """A body frame other than the expected one: repeated, too long or short, late, or after a lost one."""
+        """Count a body frame other than the expected one: repeated, too long or short, late, or after a lost one."""
         sequence = arb >> SEQUENCE_AT & 31
         if assembly.next and sequence == assembly.next - 1 & 31:
             self.errors["duplicate"] += 1
@@ -185,7 +185,7 @@ class Receiver:
             self._drop(arb & STREAM, "out of order")
 
     def _stray(self, arb: int) -> None:
-        """A body frame without an open message: the last one of a message that is complete, or its header was lost."""
+        """Handle a body frame without an open message: the last one of a message that is complete, or its header was lost."""
         last = self._last.get(arb & STREAM)
         if last is None:
             return
@@ -202,7 +202,7 @@ class Receiver:
         self._acknowledge(stream | number << SEQUENCE_AT, Ack.REFUSED, number, 0)
 
     def _acknowledge(self, arb: int, kind: Ack, number: int, segment: int) -> None:
-        """`segment` is the index of the next expected segment."""
+        """Queue an acknowledgement; `segment` is the index of the next expected segment."""
         if is_broadcast(arb):
             return
         if len(self.replies) == self.replies.maxlen:

@@ -33,8 +33,7 @@ _ROUTED: Final = frozenset(kind << KIND_AT | CAN_IDE for kind in Kind if kind is
 
 
 class Router:
-    """The sockets of all buses by their names, and what goes from which to which. `home` is the bus of the nodes that the table
-    does not name."""
+    """Routes between the sockets of all buses, by their names. `home` is the bus of the nodes that the table does not name."""
 
     def __init__(self, table: Routing, home: str, sockets: Mapping[str, CanSocket], clock: Clock) -> None:
         """Binds the sockets, which stay the caller's to close. Raises BusError, FormatError."""
@@ -61,16 +60,16 @@ class Router:
             self._failed.add(name)
 
     def poll(self) -> None:
-        """Call about once a second: takes up buses that failed."""
+        """Reopen buses that failed; call it about once a second."""
         self._failed = {name for name in self._failed if not self._sockets[name].rebind()}
 
     def report(self) -> dict[str, object]:
-        """JSON-ready: for each bus the frames that were taken from it and put on it; lost for want of room or beyond the limit;
-        astray, of a source that the table has on another bus."""
+        """The report, JSON-ready: for each bus the frames that were taken from it and put on it; lost for want of room or
+        beyond the limit; astray, of a source that the table has on another bus."""
         return {"buses": self.counts}
 
     def _ways(self, name: str, arb: int) -> list[str]:
-        """The buses that a frame which was heard on this one goes to."""
+        """The buses to which a frame from this bus goes."""
         if arb & FRAME_TYPE not in _ROUTED:
             return []
         source, destination = arb >> SOURCE_AT & 0x7F, arb >> DESTINATION_AT & 0x7F
@@ -101,7 +100,7 @@ class Router:
         self.counts[to]["lost"] += 1  # an end that waits for it repeats its frame
 
     def _filters(self, name: str) -> list[CanAddress]:
-        """The messages to be heard on a bus: from the nodes that the table has there; at home, to nodes that are not there."""
+        """The filters of a bus: from the nodes that the table has there; at home, to nodes that are not there."""
         if name == self._home:
             there = [each for node in self._bus_of for each in (message_filter(destination=node), ack_filter(node))]
             everybody = [message_filter(node, BROADCAST) for node in self._everybody if node not in self._bus_of]

@@ -34,7 +34,7 @@ RESTART_MAX: Final = 2  # times that a refused message is sent again from its he
 
 
 class _Transfer:
-    """A message on its way. `segment` is the one whose acknowledgement is awaited, -1 the header."""
+    """A message under way. `segment` is the one whose acknowledgement is awaited, -1 the header."""
 
     __slots__ = (
         "arb",
@@ -91,11 +91,11 @@ class MessageSender:
 
     @property
     def next_due_s(self) -> float:
-        """When `poll` has something to do; infinity while nothing is under way."""
+        """The time when `poll` has something to do; infinity while nothing is under way."""
         return min((queue[0].due_s for queue in self._streams.values()), default=math.inf)
 
     def start(self, message: Message, now_s: float) -> list[Frame]:
-        """Takes a message; returns the frames to send now. Raises Refused when `queue_max` messages are under way or waiting,
+        """Take a message; return the frames to send now. Raises Refused when `queue_max` messages are under way or waiting,
         FormatError for a message that does not fit or of another node."""
         if message.source != self._node:
             raise FormatError(f"node {self._node:#04x} does not send messages of node {message.source:#04x}")
@@ -110,7 +110,7 @@ class MessageSender:
         return [self._begin(stream, transfer, now_s)] if len(queue) == 1 else []
 
     def feed(self, frame: Frame, now_s: float) -> list[Frame]:
-        """The frames to send after an acknowledgement. Never raises; other frames are ignored."""
+        """Take an acknowledgement, and return the frames to send then. Never raises; other frames are ignored."""
         queue = self._streams.get(frame.arb & STREAM)
         if queue is None or frame.arb & FRAME_TYPE != ACK_FRAME or len(frame.data) != ACK_DATA.size:
             return []
@@ -135,7 +135,7 @@ class MessageSender:
         return []
 
     def poll(self, now_s: float) -> list[Frame]:
-        """Retransmissions that are due, and the first frames of messages that waited for one that failed."""
+        """The retransmissions that are due, and the first frames of messages that waited for one that failed."""
         frames = []
         for transfer in [queue[0] for queue in self._streams.values() if queue[0].due_s <= now_s]:
             if transfer.retransmits < self._retransmit_max:
@@ -169,7 +169,7 @@ class MessageSender:
         return self._end(transfer, f"node {node:#04x} refused the message {transfer.restarts} times", now_s)
 
     def _end(self, transfer: _Transfer, failure: str, now_s: float) -> list[Frame]:
-        """The outcome, and the first frame of the message that waited for it."""
+        """Record the outcome; return the first frame of the message that waited for it."""
         self.outcomes.append(Outcome(transfer.message, failure))
         stream = (
             transfer.message.priority << PRIORITY_AT | transfer.message.destination << SOURCE_AT | self._node << DESTINATION_AT

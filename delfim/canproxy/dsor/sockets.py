@@ -47,7 +47,7 @@ class DsorSocket:
         """How messages ended for which no call waited, latest last."""
 
     def fileno(self) -> int:
-        """File descriptor to wait on for reading; -1 after close."""
+        """The file descriptor to wait on for reading; -1 after close."""
         return self._end.can.fileno()
 
     def bind(self, address: Address) -> None:
@@ -61,11 +61,11 @@ class DsorSocket:
             self._end.listen(lambda message: message.port is None and address.id in (message.id, ANY_ID))
 
     def connect(self, address: Address) -> None:
-        """Set where every later `send` goes."""
+        """Set the destination of every later `send`."""
         self._peer = address
 
     def send(self, data: bytes, flags: int = 0) -> int:
-        """Send where `connect` said. Raises OSError (EDESTADDRREQ) without it."""
+        """Send to the destination of `connect`. Raises OSError (EDESTADDRREQ) without it."""
         if self._peer is None:
             raise OSError(errno.EDESTADDRREQ, os.strerror(errno.EDESTADDRREQ))
         return self.sendto(data, self._peer, flags)
@@ -92,16 +92,16 @@ class DsorSocket:
         return len(data)
 
     def recv(self, length: int, flags: int = 0) -> bytes:
-        """The next message's data; bytes beyond `length` are lost for ever."""
+        """Receive the next message's data; bytes beyond `length` are lost for ever."""
         return self.recvmsg(flags).data[:length]
 
     def recvfrom(self, length: int, flags: int = 0) -> tuple[bytes, Address]:
-        """As `recv`, with the address that an answer goes to."""
+        """Receive as `recv` does, with the address that an answer goes to."""
         message = self.recvmsg(flags)
         return message.data[:length], source_of(message)
 
     def recvmsg(self, flags: int = 0) -> Message:
-        """The next message, whole. Raises BlockingIOError, TimeoutError, BusError."""
+        """Receive the next message, whole. Raises BlockingIOError, TimeoutError, BusError."""
         deadline_s = self._deadline_s(flags)
         self.step()
         while not self._end.inbox:
@@ -117,14 +117,14 @@ class DsorSocket:
         return max(0.0, self._end.next_due_s - now_s)
 
     def rebind(self) -> bool:
-        """Reopen a bus that failed. True when it can be used."""
+        """Reopen a bus that failed; True when it can be used."""
         return self._end.can.rebind()
 
     def setblocking(self, flag: bool) -> None:
         self._timeout_s = None if flag else 0.0
 
     def settimeout(self, timeout_s: float | None) -> None:
-        """None: block; 0: do not; otherwise raise TimeoutError after this many seconds."""
+        """Set the time-out: None blocks, 0 does not; otherwise TimeoutError is raised after this many seconds."""
         self._timeout_s = timeout_s
 
     def close(self) -> None:
@@ -137,13 +137,13 @@ class DsorSocket:
         self.close()
 
     def _deadline_s(self, flags: int) -> float:
-        """When a call has to end; -infinity if it must not wait."""
+        """The time when a call has to end; -infinity if it must not wait."""
         if flags & MSG_DONTWAIT or self._timeout_s == 0:
             return -inf
         return inf if self._timeout_s is None else time.monotonic() + self._timeout_s
 
     def _turn(self, deadline_s: float, message: Message | None = None) -> Outcome | None:
-        """Wait for something to do, and do it. Returns how this message ended, if it has."""
+        """Wait for something to do, and do it; return how this message ended, if it has."""
         if deadline_s == -inf:
             raise BlockingIOError(errno.EAGAIN, os.strerror(errno.EAGAIN))
         now_s = time.monotonic()
@@ -155,7 +155,7 @@ class DsorSocket:
         return self._collect(message)
 
     def _collect(self, message: Message | None) -> Outcome | None:
-        """The outcome of this message, if there is one; those of others are put aside."""
+        """Return the outcome of this message, if there is one; those of others are put aside."""
         found = None
         while self._end.outcomes:
             outcome = self._end.outcomes.popleft()
@@ -167,7 +167,7 @@ class DsorSocket:
 
 
 def open_dsor(interface: str, node: int) -> DsorSocket:
-    """A socket of `node` on an interface as `open_can` names them; raises BusError, FormatError."""
+    """Open a socket of `node` on an interface as `open_can` names them. Raises BusError, FormatError."""
     return DsorSocket(open_can(interface), node)
 
 
@@ -234,7 +234,7 @@ class DsorTransport:
             self._rebind_s = self._loop.time() + REBIND_S
 
     def _arm(self) -> None:
-        """The timer may fire too early, which is harmless, but never too late."""
+        """Set the timer, which may fire too early (harmless), but never too late."""
         due_s = min(self._end.next_due_s, self._rebind_s)
         if self._timer:
             if self._timer.when() <= due_s:

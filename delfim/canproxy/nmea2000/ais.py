@@ -1,4 +1,4 @@
-"""AIS over NMEA 2000: other vessels, as a receiver or transponder tells them. Fast packets, put together: bytes in, values out.
+"""AIS over NMEA 2000: other vessels, as a receiver or transponder reports them. Whole fast packets in, values out.
 
 PGN 129038 and 129039 are positions of class A and B, 129794, 129809 and 129810 names and sizes. Layouts are those that the
 canboat project documents. A value that the vessel does not tell is None.
@@ -30,7 +30,7 @@ _Sizes = tuple[float | None, float | None, float | None, float | None]
 
 
 def decode(pgn: int, data: bytes) -> Report:
-    """One complete message. Raises FormatError where it is too short, or of a vessel that has no number."""
+    """Decode one complete message. Raises FormatError where it is too short, or is about a vessel without a number."""
     try:
         match pgn:
             case 129038 | 129039:
@@ -54,7 +54,7 @@ def decode(pgn: int, data: bytes) -> Report:
 
 
 def _position(pgn: int, data: bytes) -> VesselPosition:
-    """Latitude 91 and longitude 181 degrees, course and heading of a turn or more mean that they are not known."""
+    """Decode a position. Latitude 91 and longitude 181 degrees, course and heading of a turn or more mean unknown."""
     _, mmsi, longitude, latitude, taken, course, speed, radio, heading, rate = _POSITION.unpack_from(data)
     is_a, second = pgn == POSITION_A, taken >> 2
     return VesselPosition(
@@ -73,7 +73,7 @@ def _position(pgn: int, data: bytes) -> VesselPosition:
 
 
 def _is_own(data: bytes, at: int) -> bool:
-    """Old receivers leave it away."""
+    """Whether a message is about the boat itself; old receivers leave this field out."""
     return len(data) > at and data[at] & 0x1F in _OWN
 
 

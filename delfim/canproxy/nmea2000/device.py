@@ -1,4 +1,4 @@
-"""Delfim as a device of an NMEA 2000 bus: it claims an address, and says who it is (docs/nmea2000.md).
+"""Delfim as a device of an NMEA 2000 bus: it claims an address and identifies itself (docs/nmea2000.md).
 
 Frames in, messages out; no sockets, time and chance handed in. Nothing that it hears changes anything but its own address: it
 obeys no command, and hands none on.
@@ -51,7 +51,7 @@ _KEEP_INTERVALS: Final = (0xFFFFFFFF, 0xFFFFFFFE)  # no change; the default
 
 
 class DeviceFacts(NamedTuple):
-    """The device in words. Texts of up to 32 characters."""
+    """The texts that describe the device, up to 32 characters each."""
 
     boat: str
     version: str  # of the program
@@ -59,18 +59,18 @@ class DeviceFacts(NamedTuple):
 
 
 def facts_of(settings: config.Vehicle) -> DeviceFacts:
-    """Those of the vehicle's file. A boat that has no number gets one from its name."""
+    """The facts of the vehicle's file. A boat that has no number gets one from its name."""
     boat = settings.boat.name
     return DeviceFacts(boat, __version__, settings.table("nmea2000").unique_number or zlib.crc32(boat.encode()) & 0x1FFFFF)
 
 
 def device_name(unique: int) -> int:
-    """The 64-bit NAME (ISO 11783-5): who has the lower one keeps the address. This device can have any address."""
+    """The 64-bit NAME (ISO 11783-5): the device with the lower one keeps an address. This device can have any address."""
     return 1 << 63 | MARINE << 60 | CLASS << 49 | FUNCTION << 40 | MAKER << 21 | unique
 
 
 class Device:
-    """Feed it the frames that `FILTERS` pass, and send what `step` returns, in its order.
+    """The device's state machine. Feed it the frames that `FILTERS` pass, and send what `step` returns, in its order.
 
     `sent`: the PGNs that the owner sends. `address`: the one that it had before. An address is its own after CLAIM_S without
     a contest; before that it says nothing else. A device with a lower NAME takes it, and then it takes another one.
@@ -101,7 +101,7 @@ class Device:
 
     @property
     def source(self) -> int:
-        """The address that it may send under now."""
+        """The address under which it may send now."""
         return self.address if self.state in ("claiming", "claimed") else NOBODY
 
     def begin(self, now_s: float) -> list[Parcel]:
@@ -115,7 +115,7 @@ class Device:
         return [self._roll_call(now_s)]
 
     def step(self, now_s: float) -> list[Parcel]:
-        """The messages to be sent now. Call it some tens of times a second, and after `feed`."""
+        """The messages to send now. Call it some tens of times a second, and after `feed`."""
         said = list[Parcel]()
         if now_s >= self._due_s:
             said += self._advance(now_s)
@@ -131,7 +131,7 @@ class Device:
         return said
 
     def _advance(self, now_s: float) -> list[Parcel]:
-        """The time of a state is over."""
+        """Go to the next state when the time of the present one is over."""
         if self.state == "asking":
             self._choose(now_s)
         elif self.state == "claiming":
@@ -158,7 +158,7 @@ class Device:
     # Messages that are heard.
 
     def feed(self, frame: Frame, now_s: float) -> None:
-        """A frame of the bus. Never raises; what it refuses is counted under its reason."""
+        """Take a frame of the bus. Never raises; what it refuses is counted by its reason."""
         if frame.arb & 7 != CAN_IDE:
             self.counts["not an extended data frame"] += 1
             return
@@ -212,7 +212,7 @@ class Device:
             self._answer(Parcel(ACKNOWLEDGE, ownpgns.refusal(pgn), self.address, destination=source))
 
     def _take(self, pgn: int, now_s: float) -> bool:
-        """Note that somebody wants to know. Whether there is something to tell."""
+        """Note a request for a message; return whether there is something to send."""
         if pgn in _DESCRIPTIONS:
             self._asked.setdefault(pgn, max(now_s, self._told_s.get(pgn, now_s - REPEAT_S) + REPEAT_S))
         elif pgn in self._sent:
@@ -220,7 +220,7 @@ class Device:
         return pgn in _DESCRIPTIONS or pgn in self._sent
 
     def _hear_group(self, source: int, data: bytes, now_s: float) -> None:
-        """A request is answered as far as it asks for what is sent anyway; a command is refused."""
+        """Answer a group function: a request as far as it asks for what is sent anyway; a command is refused."""
         kind, pgn = data[0], int.from_bytes(data[1:4], "little")
         counted = {_ASK: 10, _COMMAND: 5, _READ: 6, _WRITE: 6}.get(kind)  # where the number of parameters stands
         if counted is None:  # somebody's answer
@@ -284,7 +284,7 @@ class Device:
         return [ownpgns.heartbeat(self._beats - 1)]
 
     def report(self) -> dict[str, object]:
-        """JSON-ready."""
+        """The report, JSON-ready."""
         names = {str(address): f"{name:016x}" for address, name in sorted(self.names.items())}
         return {
             "address": self.address if self.is_claimed else None,

@@ -28,7 +28,7 @@ class FastPacket:
         self._flights: dict[int, list[_Flight]] = {}
 
     def feed(self, source: int, data: bytes, now_s: float) -> bytes | None:
-        """The message that this frame completes."""
+        """Take a frame, and return the message that it completes."""
         if len(data) != 8 or (not data[0] & 31 and not 1 <= data[1] <= self.LENGTH_MAX):
             self.errors["fast packet: malformed frame"] += 1
             return None

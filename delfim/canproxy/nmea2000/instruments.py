@@ -40,7 +40,7 @@ class Battery(NamedTuple):
 
 
 class BatteryCharge(NamedTuple):
-    """PGN 127506, usually once in 1.5 s."""
+    """PGN 127506, usually once in 1.5 s: state of charge."""
 
     instance: int
     charge: float | None  # 0..1
@@ -68,7 +68,7 @@ def _water_speed(_sid: int, speed: int, _ground: int, _kind: int, _reserved: int
 
 
 def _depth(_sid: int, depth: int, offset: int, _range: int) -> Told:
-    """The offset in 0.001 m: above zero from the transducer to the water line, below to the keel."""
+    """Decode PGN 128267, the offset in 0.001 m: above zero from the transducer to the water line, below to the keel."""
     depth_m = None if depth >= _U32 else _bounded(depth * 0.01, 0.0, DEPTH_MAX_M, "depth in m")
     return ("depth_m", depth_m), ("depth_offset_m", None if offset >= _I16 else offset * 0.001)
 
@@ -112,7 +112,7 @@ def _battery(instance: int, voltage: int, current: int, celsius: int, _sid: int)
 
 
 def _charge(_sid: int, instance: int, kind: int, charge: int) -> Told:
-    """Of batteries alone: chargers and panels send the same message."""
+    """Decode PGN 127506 of batteries alone: chargers and panels send the same message."""
     if kind:
         return None
     return BatteryCharge(instance, None if charge >= 0xFD else _bounded(charge, 0, 100, "charge in %") / 100.0)

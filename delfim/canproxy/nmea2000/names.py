@@ -11,8 +11,8 @@ CLAIMED: Final = CLAIM | EVERYBODY  # the PGN of a claim as its frame has it: cl
 
 
 class Names:
-    """Learned from claims. `preferred` of the vehicle's file: addresses, and NAMEs of 16 hexadecimal digits, best first.
-    `own_name`: of this boat's own device, which is no source for it; -1: it has none."""
+    """The NAME of each address, learned from claims. `preferred` of the vehicle's file: addresses, and NAMEs of 16 hexadecimal
+    digits, best first. `own_name`: of this boat's own device, which is no source for it; -1: it has none."""
 
     def __init__(self, preferred: tuple[int | str, ...], own_name: int = -1) -> None:
         self._wanted = tuple(each if isinstance(each, int) else int(each, 16) for each in preferred)
@@ -22,8 +22,8 @@ class Names:
         self.preferred = self._addresses()  # where they are known
 
     def learn(self, address: int, data: bytes, kinds: Iterable[Newest[int, Any]]) -> bool:
-        """A device claims an address, or says that it has none (254). What `kinds` hold of an address that is another device's
-        now is forgotten. False: this is no claim."""
+        """Learn from a frame in which a device claims an address, or gives it up (254). Values in `kinds` from an address that
+        is another device's now are dropped. False: the frame is no claim."""
         if len(data) != 8:
             return False
         name = int.from_bytes(data, "little")

@@ -22,7 +22,7 @@ _U8, _U16, _U32, _I8, _I16 = 0xFF, 0xFFFF, 0xFFFFFFFF, 0x7F, 0x7FFF  # not avail
 
 
 def engine_rapid(instance: int, rpm: float | None) -> bytes:
-    """127488: revolutions a minute, 1/4; the field has no sign, so that astern is told like ahead."""
+    """127488: revolutions a minute, 1/4; the field has no sign, so that astern is sent as ahead."""
     return struct.pack("<BHHbH", instance, _unsigned(None if rpm is None else abs(rpm), 0.25, 16), _U16, _I8, _U16)
 
 
@@ -50,7 +50,8 @@ def rudder(instance: int, angle_rad: float | None, order_rad: float | None) -> b
 
 
 def cross_track(metres: float | None) -> bytes:
-    """129283: 0.01 m, positive where the boat is to starboard of its line. Mode autonomous; navigation goes on."""
+    """129283: cross-track error, 0.01 m, positive where the boat is to starboard of its line. Mode autonomous; navigation goes
+    on."""
     return struct.pack("<BBiH", _U8, 0x30, _signed(metres, 0.01, 32), _U16)
 
 
@@ -89,24 +90,24 @@ def alert(number: int, kind: int, state: int, occurrence: int, name: int) -> byt
 
 
 def alert_text(number: int, kind: int, occurrence: int, name: int, words: str) -> bytes:
-    """126985: its words."""
+    """126985: the words of an alert."""
     about = _TECHNICAL << 4 | kind, 0, 0, number, name, 0, 0, occurrence & 0xFF
     return struct.pack("<BBBHQBBBB", *about, ENGLISH) + _text(words) + _text("")
 
 
 def product(model: str, software: str, version: str, serial: str) -> bytes:
-    """126996. Each text has room for 32 characters."""
+    """126996: product information. Each text has room for 32 characters."""
     texts = (each.encode("ascii", "replace")[:32].ljust(32, b"\xff") for each in (model, software, version, serial))
     return struct.pack("<HH", VERSION, NO_CODE) + b"".join(texts) + bytes((NO_LEVEL, LOAD))
 
 
 def configuration(first: str, second: str, maker: str) -> bytes:
-    """126998: two descriptions of the installation, and the maker's words."""
+    """126998: two descriptions of the installation, and the maker's text."""
     return b"".join(_text(each[:60]) for each in (first, second, maker))
 
 
 def pgn_list(received: bool, pgns: Sequence[int]) -> bytes:
-    """126464: what is sent, or received."""
+    """126464: the list of PGNs that are sent, or received."""
     return bytes((received,)) + b"".join(pgn.to_bytes(3, "little") for pgn in pgns)
 
 
@@ -116,7 +117,7 @@ def heartbeat(sequence: int) -> bytes:
 
 
 def refusal(pgn: int) -> bytes:
-    """59392: the PGN that was asked for is not known here."""
+    """59392: the answer that the requested PGN is not known here."""
     return b"\x01\xff\xff\xff\xff" + pgn.to_bytes(3, "little")
 
 
@@ -128,7 +129,7 @@ def group_acknowledge(pgn: int, pgn_error: int, interval_error: int, parameter_e
 
 
 def _text(words: str) -> bytes:
-    """Text with its length, itself included, and its code, 1: ASCII."""
+    """A text with its length, itself included, and its code, 1: ASCII."""
     data = words[:TEXT].encode("ascii", "replace")
     return bytes((len(data) + 2, 1)) + data
 
@@ -147,7 +148,7 @@ def _signed(value: float | None, unit: float, bits: int) -> int:
 
 
 def _field(value: float | None, unit: float, least: int, unavailable: int) -> int:
-    """The three largest values mean not available, error, and nothing yet."""
+    """A field's integer; its three largest values mean not available, error, and reserved."""
     if value is None or not math.isfinite(value):
         return unavailable
     raw = round(value / unit)

@@ -1,4 +1,4 @@
-"""Messages on their way to an NMEA 2000 bus, and the identifiers of those that have a receiver."""
+"""Whole messages that are to be sent on an NMEA 2000 bus, and the identifiers of those that have a destination."""
 
 from typing import Final, NamedTuple
 
@@ -32,7 +32,7 @@ _ADDRESSED: Final = 240  # PDU formats below this carry a destination in place o
 
 
 class Parcel(NamedTuple):
-    """One message, whole. `source`: the address of the sender."""
+    """One whole message; `source` is the address of the sender."""
 
     pgn: int
     data: bytes
@@ -57,5 +57,6 @@ def addressed(arb: int) -> tuple[int, int, int]:
 
 
 def any_of(*pgns: int) -> tuple[tuple[int, int], ...]:
-    """(arb, mask) to bind a socket to, set mask bits = don't care: these PGNs that have a destination, from and to anybody."""
+    """The filters (arb, mask) to bind a socket to, set mask bits = don't care: these PGNs that have a destination, from and to
+    anybody."""
     return tuple((extended(pgn << 8), extended(7 << 26 | 0xFFFF) & ~CAN_IDE) for pgn in pgns)

@@ -24,21 +24,21 @@ GNSS_POSITION: Final = 129029
 
 
 class NorthReference(IntEnum):
-    """North of a heading or course."""
+    """The north that a heading or course refers to."""
 
     TRUE = 0
     MAGNETIC = 1
 
 
 class PositionRapid(NamedTuple):
-    """PGN 129025, usually 10 Hz, resolution 1e-7 degrees."""
+    """PGN 129025, usually 10 Hz: position, 1e-7 degrees."""
 
     latitude_rad: float | None
     longitude_rad: float | None
 
 
 class CourseSpeed(NamedTuple):
-    """PGN 129026, usually 4 Hz: over ground; 1e-4 rad, 0.01 m/s."""
+    """PGN 129026, usually 4 Hz: course and speed over ground; 1e-4 rad, 0.01 m/s."""
 
     reference: NorthReference | None
     course_rad: float | None  # 0..2 pi
@@ -46,7 +46,8 @@ class CourseSpeed(NamedTuple):
 
 
 class GnssPosition(NamedTuple):
-    """PGN 129029, usually 1 Hz: fast packet of 43 bytes and 4 for each reference station; 1e-16 degrees."""
+    """PGN 129029, usually 1 Hz: position and time, 1e-16 degrees; a fast packet of 43 bytes and 4 for each reference
+    station."""
 
     utc_ns: int | None
     latitude_rad: float | None
@@ -59,7 +60,7 @@ class GnssPosition(NamedTuple):
 
 
 class VesselHeading(NamedTuple):
-    """PGN 127250, usually 10 Hz, 1e-4 rad: the sensor's reading, and the corrections to add."""
+    """PGN 127250, usually 10 Hz: the sensor's heading and the corrections to add, 1e-4 rad."""
 
     heading_rad: float | None  # 0..2 pi
     deviation_rad: float | None  # east positive; sensor to magnetic
@@ -68,13 +69,13 @@ class VesselHeading(NamedTuple):
 
 
 class RateOfTurn(NamedTuple):
-    """PGN 127251, usually 10 Hz, 2**-5 urad/s; positive turns the bow to starboard."""
+    """PGN 127251, usually 10 Hz: rate of turn, 2**-5 urad/s; positive turns the bow to starboard."""
 
     rate_radps: float | None
 
 
 class Attitude(NamedTuple):
-    """PGN 127257, usually 1 Hz, 1e-4 rad; pitch positive bow up, roll positive starboard down."""
+    """PGN 127257, usually 1 Hz: attitude, 1e-4 rad; pitch positive bow up, roll positive starboard down."""
 
     yaw_rad: float | None  # its reference is not stated: never used as a heading
     pitch_rad: float | None
@@ -82,13 +83,13 @@ class Attitude(NamedTuple):
 
 
 class Variation(NamedTuple):
-    """PGN 127258, usually 1 Hz, 1e-4 rad, east positive."""
+    """PGN 127258, usually 1 Hz: magnetic variation, 1e-4 rad, east positive."""
 
     variation_rad: float | None
 
 
 class SystemTime(NamedTuple):
-    """PGN 126992, usually 1 Hz, 0.1 ms."""
+    """PGN 126992, usually 1 Hz: UTC, 0.1 ms."""
 
     utc_ns: int | None  # None, too, where it comes from the device's own crystal
 
@@ -117,7 +118,7 @@ def _signed(raw: int, unavailable: int, limit: int, unit: float, name: str) -> f
 
 
 def _circle(raw: int, name: str) -> float | None:
-    """A field of 0..2 pi in 1e-4 rad. Raises FormatError beyond that."""
+    """An angle of 0..2 pi, in 1e-4 rad. Raises FormatError beyond that."""
     if raw < _CIRCLE:
         return raw * 1e-4
     if raw == _CIRCLE:
@@ -128,7 +129,7 @@ def _circle(raw: int, name: str) -> float | None:
 
 
 def _utc_ns(days: int, tenths_ms: int) -> int | None:
-    """Nanoseconds since 1970; a leap second is the 86401st of its day. Raises FormatError beyond that."""
+    """UTC in nanoseconds since 1970; a leap second is the 86401st of its day. Raises FormatError beyond that."""
     if days >= _U16 - 2 or tenths_ms >= _U32 - 2:
         return None
     if tenths_ms >= 864_010_000:
@@ -284,8 +285,8 @@ _PGNS: Final = {layout.kind: pgn for pgn, layout in LAYOUTS.items()}
 
 
 def decode(pgn: int, data: bytes) -> Message:
-    """The values of one complete message. Raises FormatError for a PGN that is not read here, a wrong length (129029 may be
-    longer: reference stations follow) and values that no boat can have, such as a latitude beyond 90 degrees."""
+    """Decode one complete message. Raises FormatError for a PGN that is not in LAYOUTS, a wrong length (129029 may be longer:
+    reference stations follow) and values that no boat can have, such as a latitude beyond 90 degrees."""
     layout = LAYOUTS.get(pgn)
     if layout is None:
         raise FormatError(f"PGN {pgn} is not one of {', '.join(map(str, LAYOUTS))}")
