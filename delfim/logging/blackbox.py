@@ -85,7 +85,7 @@ class BlackBox:
         self._offset_s = self._wall_offset_s()
 
     def on_readable(self, socket: RecordedSocket) -> int:
-        """Log about FRAMES_A_CALL of the frames that are queued. Returns how many."""
+        """Log about FRAMES_A_CALL of the queued frames. Returns how many."""
         bus = self._buses[id(socket)]
         receive_many, device = socket.receive_many, bus.device
         lines: list[str] = []
@@ -102,7 +102,7 @@ class BlackBox:
         return len(lines)
 
     def poll(self) -> None:
-        """Call about once a second: keeps the logs going, takes up buses that failed, writes the sidecars."""
+        """Keep the logs going, reopen buses that failed, and write the sidecars; call it about once a second."""
         offset_s = self._wall_offset_s()
         step_s, self._offset_s = offset_s - self._offset_s, offset_s
         if abs(step_s) > STEP_S:
@@ -122,7 +122,7 @@ class BlackBox:
             bus.tell("log not writable", status.reason, "")
 
     def figures(self) -> dict[str, object]:
-        """JSON-ready: of each bus the bytes on disk, the frames lost, and its trouble where it has one."""
+        """Figures, JSON-ready: of each bus the bytes on disk, the frames lost, and its trouble where it has one."""
         shown: dict[str, object] = {}
         for name, bus in ((bus.device, bus) for bus in self._buses.values()):
             status = bus.log.status()

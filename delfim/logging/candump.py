@@ -35,7 +35,7 @@ def format_line(frame: Frame, device: str) -> str:
 
 
 def parse_line(line: str) -> tuple[str, Frame]:
-    """Device and frame of a line. Raises FormatError if it holds no CAN 2.0 frame."""
+    """Parse a line to device and frame. Raises FormatError if it holds no CAN 2.0 frame."""
     match = _LINE.fullmatch(line)
     if not match:
         raise FormatError(f"not a frame in candump's format: {line.strip()[:80]!r}")

@@ -24,7 +24,7 @@ _META: Final = ".meta.jsonl"
 
 
 class FileLog:
-    """`write` and `zwrite`. With `durable`, for the child, flushed data is on the disk, and so is the file's name.
+    """A log by `write` or `zwrite`. With `durable`, for the child, flushed data is on the disk, and so is the file's name.
 
     On ext2 a synced file whose directory is not synced is lost to its name after a power cut, so both are.
     """
@@ -126,8 +126,8 @@ class FileLog:
         self._flush(now_s)
 
     def _rename(self) -> None:
-        """The file gets the name that it would have if the clock had been right when the file began, its sidecar with it. Where
-        that fails, it keeps its name: a name is not worth a record."""
+        """Give the file the name that it would have if the clock had been right when it began, and its sidecar too. Where that
+        fails, it keeps its name: a name is not worth a record."""
         fd, day_fd, stem, day, file = self._fd, self._day_fd, self._stem, self._day, self._file()
 
         def moved(path: str) -> int:
@@ -156,7 +156,8 @@ class FileLog:
             os.rmdir(os.path.dirname(folder))
 
     def _create(self, time_ns: int, make: Callable[[str], int]) -> None:
-        """A file of a new name, in the day of this time. `make` makes it, unless it exists, and returns its descriptor."""
+        """Create a file of a new name, in the day of this time. `make` makes it, unless it exists, and returns its
+        descriptor."""
         directory, id_ = self._settings.directory, self._settings.id
         utc = time.gmtime(time_ns // 1_000_000_000)
         self._day = time.strftime("%Y%m%d", utc)
@@ -186,7 +187,7 @@ class FileLog:
         return deflated
 
     def _written(self, record: bytes, now_s: float) -> bool:
-        """A plain record to the file: nothing but its system call, for a caller that waits."""
+        """Write a plain record: nothing but its system call, for a caller that waits."""
         try:
             _write_all(self._fd, record)
         except OSError as error:
@@ -200,7 +201,7 @@ class FileLog:
         return True
 
     def _flush(self, now_s: float, *, finish: bool = False) -> bool:
-        """Everything put so far to the file, which then ends with a whole record."""
+        """Write everything put so far to the file, which then ends with a whole record."""
         if not (self._waiting or self._pending or (self._stream and finish)):
             return True
         try:
@@ -224,7 +225,7 @@ class FileLog:
         return True
 
     def _look(self, now_s: float) -> None:
-        """Notices what the file does not show: that it was deleted, or that the disk is filling up."""
+        """Notice what writing does not show: that the file was deleted, or that the disk is filling up."""
         try:
             if os.fstat(self._fd).st_nlink == 0:
                 raise OSError(errno.ENOENT, "the file was deleted", self._file())
@@ -234,7 +235,7 @@ class FileLog:
             self._fail(error)
 
     def _make_room(self) -> None:
-        """Raises OSError if less is free than the settings demand."""
+        """Free space on the disk. Raises OSError if less is free than the settings demand."""
         directory, free_bytes_min = self._settings.directory, self._settings.free_bytes_min
         words = f"less than {free_bytes_min} bytes are free"
         if self._settings.when_full == "delete-oldest":
@@ -247,7 +248,7 @@ class FileLog:
             raise OSError(errno.ENOSPC, words, directory)
 
     def _upload_room(self) -> int:
-        """Bytes that uploads may still take. They are only counted when the disk is so full that it matters."""
+        """The bytes that uploads may still take. They are only counted when the disk is so full that it matters."""
         settings = self._settings
         if free_space.free_bytes(settings.directory) >= settings.free_bytes_min + settings.upload_bytes_max:
             return 0
@@ -295,7 +296,7 @@ def _write_all(fd: int, data: bytes | bytearray) -> None:
 
 
 def sync_directory(path: str | os.PathLike[str]) -> None:
-    """A name that was made or changed in it survives a power cut. Raises OSError. Windows has no word for it."""
+    """Make names that were made or changed in a directory survive a power cut. Raises OSError. Windows has no call for it."""
     if not hasattr(os, "O_DIRECTORY"):
         return
     fd = os.open(path, os.O_RDONLY | os.O_DIRECTORY)

@@ -25,13 +25,13 @@ _DAY: Final = re.compile(r"[0-9]{8}")
 
 
 def free_bytes(directory: str) -> int:
-    """Bytes that an unprivileged program may still write on the disk of this directory. Raises OSError."""
+    """The bytes that an unprivileged program may still write on the disk of this directory. Raises OSError."""
     return shutil.disk_usage(directory).free
 
 
 def hold(day: str) -> int:
-    """A descriptor that keeps a day from being deleted while it is open; -1 where there are no locks, and nothing is deleted.
-    Raises OSError."""
+    """Open a descriptor that keeps a day from being deleted; -1 where there are no locks, and nothing is deleted. Raises
+    OSError."""
     if not LOCKS:
         return -1
     fd = os.open(day, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
@@ -44,7 +44,7 @@ def hold(day: str) -> int:
 
 
 def upload_room(folder: str, bytes_max: int) -> int:
-    """Bytes that uploads may still take; 0 where there is no folder for them. Raises OSError."""
+    """The bytes that uploads may still take; 0 where there is no folder for them. Raises OSError."""
     try:
         total = shutil.disk_usage(folder).total
     except FileNotFoundError:
@@ -53,7 +53,7 @@ def upload_room(folder: str, bytes_max: int) -> int:
 
 
 def used(folder: str) -> tuple[int, int]:
-    """Bytes and names of a folder with all that is in it. Counts NAMES_MAX names at most. Raises OSError."""
+    """The bytes and names of a folder with all that is in it. Counts NAMES_MAX names at most. Raises OSError."""
     size = count = 0
     folders = [folder]
     while folders:

@@ -23,7 +23,7 @@ WhenFull = Literal["delete-oldest", "stop"]
 
 
 class LogStatus(NamedTuple):
-    """How a log fares. The numbers count from its opening: every record put is in `records`, in `dropped`, or under way."""
+    """The status of a log. The numbers count from its opening: every record put is in `records`, in `dropped`, or under way."""
 
     writable: bool
     reason: str  # why it is not, in words; empty while it is
@@ -34,10 +34,10 @@ class LogStatus(NamedTuple):
 
 
 class Log(Protocol):
-    """A log. Records go to disk whole and in order, or are dropped and counted."""
+    """A log, whose records go to disk whole and in order, or are dropped and counted."""
 
     def put(self, record: bytes) -> bool:
-        """Take a record. False: it was dropped."""
+        """Take a record; False: it was dropped."""
 
     def note(self, line: bytes) -> bool:
         """Append a line, with its end, to the sidecar of the current file; seldom, it costs an open and a close."""
@@ -45,17 +45,17 @@ class Log(Protocol):
     def status(self) -> LogStatus: ...
 
     def poll(self) -> None:
-        """Call about once a second: flushes, reads the writer's reports, starts it again after it died."""
+        """Flush, read the writer's reports, and start it again after it died; call it about once a second."""
 
     def status_fileno(self) -> int:
-        """Readable when `poll` has something to read; -1 where there is no writer."""
+        """The descriptor that is readable when `poll` has something to read; -1 where there is no writer."""
 
     def close(self, timeout_s: float = 2.0) -> None:
         """Flush and end. A writer that takes longer is killed, and its unwritten records count as dropped."""
 
 
 def event_line(clock: Clock, event: str, **what: object) -> bytes:
-    """A line for a sidecar: the event, its time, and details (JSON-ready)."""
+    """Format a line for a sidecar: the event, its time, and details (JSON-ready)."""
     return json.dumps({"t_ns": clock.time_ns(), "monotonic_s": clock.monotonic_s(), "event": event} | what).encode() + b"\n"
 
 

@@ -1,4 +1,4 @@
-"""The black box of a serial line: the data read and its time, a line of JSON for each read, as delfim.logging.nodelog.
+"""The black box of a serial line: a line of JSON for each read, with its data and time, as in delfim.logging.nodelog.
 
 Nobody can read a serial line beside the program that uses it, so that program hands over the data it reads.
 """
@@ -36,8 +36,8 @@ def line_id(name: str) -> str:
 
 
 class LineLog:
-    """Pieces are taken at once, as lines of the log, and handed on when there is time: hundreds of a broken line would take
-    longer than a callback may, if they became lines together."""
+    """The log of one line. It takes pieces at once, and makes them lines of the log when there is time: hundreds of a broken
+    line would take longer than a callback may, if they became lines together."""
 
     def __init__(self, name: str, limits: Limits, clock: Clock) -> None:
         self.id, self.lost = line_id(name), 0
@@ -58,7 +58,7 @@ class LineLog:
             self._waiting.clear()
 
     def report(self) -> dict[str, object]:
-        """JSON-ready: bytes on disk, pieces lost, why it is not written."""
+        """The report, JSON-ready: bytes on disk, pieces lost, why it is not written."""
         status = self._log.status()
         return {f"{self.id}_bytes": status.bytes, f"{self.id}_lost": self.lost, f"{self.id}_log": status.reason}
 

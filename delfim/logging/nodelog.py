@@ -50,7 +50,7 @@ class NodeSocket(Protocol):
 
 
 class LogMessages:
-    """Logs the messages of the named nodes; those of others are not answered. The socket never blocks."""
+    """Logs the messages of the named nodes; those of others are not acknowledged. The socket never blocks."""
 
     def __init__(
         self, socket: NodeSocket, receiver: NodeReceiver, names: Mapping[int, str], limits: Limits, clock: Clock
@@ -63,7 +63,7 @@ class LogMessages:
         self._note("start")
 
     def on_readable(self) -> None:
-        """Take up to FRAMES_A_CALL frames that are queued, and answer them."""
+        """Take up to FRAMES_A_CALL queued frames, and acknowledge them."""
         now_s, replies = self._clock.monotonic_s(), self._receiver.replies
         try:
             for _ in range(FRAMES_A_CALL):
@@ -82,7 +82,7 @@ class LogMessages:
                 self.unanswered += 1
 
     def poll(self) -> None:
-        """Call about once a second: keeps the logs going, forgets messages that were never finished."""
+        """Keep the logs going, and drop messages that were never finished; call it about once a second."""
         self._receiver.expire(self._clock.monotonic_s())
         if self._failed and self._socket.rebind():
             self._failed = False
@@ -90,11 +90,11 @@ class LogMessages:
             log.poll()
 
     def status(self) -> dict[str, LogStatus]:
-        """How the log of each node fares."""
+        """The status of each node's log."""
         return {self._names[node]: log.status() for node, log in self._logs.items()}
 
     def report(self) -> dict[str, object]:
-        """JSON-ready: messages logged and lost, frames that could not be answered, why a log is not written."""
+        """The report, JSON-ready: messages logged and lost, frames that could not be answered, why a log is not written."""
         reasons = {name: status.reason for name, status in self.status().items() if status.reason}
         return {"messages": self.messages, "lost": self.lost, "unanswered": self.unanswered, "not_writable": reasons}
 
@@ -115,7 +115,7 @@ class LogMessages:
 
 
 def line(t_ns: int, data: bytes) -> bytes:
-    """A message as a line of JSON."""
+    """Format a message as a line of JSON."""
     try:
         what = {"text": data.decode()}
     except UnicodeDecodeError:

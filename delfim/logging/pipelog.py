@@ -22,8 +22,8 @@ NOTE: Final = 1 << 31
 
 
 class PipeLog:
-    """`zpipe`. The pipe is the bounded buffer: a record that it has no room for is dropped. Nobody waits at its other end, the
-    child looks into it every now and then, so a `put` wakes nobody and costs one short system call."""
+    """A log by `zpipe`. The pipe is the bounded buffer: a record that it has no room for is dropped. Nobody waits at its other
+    end, the child looks into it every now and then, so a `put` wakes nobody and costs one short system call."""
 
     def __init__(self, settings: LogSettings, clock: Clock, nice: int) -> None:
         self._id, self._clock, self._refused = settings.id, clock, 0
@@ -123,7 +123,7 @@ class PipeLog:
         self._send(LENGTH.pack(len(self._settings)) + self._settings)
 
     def _send(self, message: bytes) -> bool:
-        """A message into the pipe, its end later if need be; False when there is no room even for its beginning."""
+        """Write a message into the pipe, its end later if need be; False when there is no room even for its beginning."""
         if self._rest:
             self._send_rest()
             if self._rest:
@@ -146,7 +146,7 @@ class PipeLog:
             self._rest = b""
 
     def _listen(self) -> None:
-        """The last of the child's reports counts; they hold sums."""
+        """Read the child's reports. The last one counts; they hold sums."""
         try:
             lines = os.read(self._reports, 1 << 16).splitlines()
             self._said = LogStatus(**json.loads(lines[-1]))
@@ -155,7 +155,7 @@ class PipeLog:
         self._heard_s = self._clock.monotonic_s()
 
     def _bury(self) -> None:
-        """The child is dead: records that it had not reported as written are lost."""
+        """Clean up after the child died: records that it had not reported as written are lost."""
         self._listen()
         self._close_pipe()
         said, before = self._said, self._before

@@ -1,4 +1,4 @@
-"""Reading log files, on any computer: the writers need Linux, the readers do not."""
+"""Reads log files, on any computer: the writers need Linux, the readers do not."""
 
 import zlib
 from collections.abc import Callable, Iterable, Iterator
@@ -25,13 +25,13 @@ class Member(NamedTuple):
 
 
 def raw(path: str | Path) -> bytes:
-    """A file of a log as it is. Raises OSError."""
+    """Read a file of a log as it is. Raises OSError."""
     return read_file(path, LOG_BYTES)
 
 
 class Inflating:
-    """The content of the gzip member that begins `at` there, in pieces, up to its end or its damage: in large steps, then byte
-    by byte. More than `bytes_max` is damage. `end`, `trouble`: of a `Member`, after the last piece."""
+    """Inflates the gzip member that begins at `at`, in pieces, up to its end or its damage: in large steps, then byte by byte.
+    More than `bytes_max` is damage. `end`, `trouble`: of a `Member`, after the last piece."""
 
     def __init__(self, data: bytes, at: int, bytes_max: int) -> None:
         self.end, self.trouble = at, "cut"
@@ -61,13 +61,13 @@ class Inflating:
 
 
 def member(data: bytes, at: int) -> Member:
-    """The gzip member that begins there."""
+    """Inflate the gzip member that begins at `at`."""
     its = Inflating(data, at, LOG_BYTES)
     return Member(b"".join(its), its.end, its.trouble)
 
 
 def read_log(path: str | Path) -> tuple[bytes, str]:
-    """The content of a log file, deflated or not, and its damage in words; empty if there is none. Raises OSError.
+    """Read a log file, deflated or not: its content, and its damage in words; empty if there is none. Raises OSError.
 
     A file that a power cut left without its end gives everything up to the last flush.
     """
@@ -77,8 +77,8 @@ def read_log(path: str | Path) -> tuple[bytes, str]:
 
 
 def read_lines(path: str | Path, tell: Callable[[str], object] = lambda trouble: None) -> Iterator[bytes]:
-    """The lines of a log file, deflated or not, without their ends; the last one may be torn. A piece of it is in memory at a
-    time: a small file may hold a hundred megabytes of nothing. Its damage is told in words. Raises OSError."""
+    """Read the lines of a log file, deflated or not, without their ends; the last one may be torn. A piece of it is in memory
+    at a time: a small file may hold a hundred megabytes of nothing. `tell` gets its damage in words. Raises OSError."""
     rest = b""
     for piece in _pieces(path, tell):
         *lines, rest = (rest + piece).split(b"\n")
@@ -90,7 +90,7 @@ def read_lines(path: str | Path, tell: Callable[[str], object] = lambda trouble:
 
 
 def _pieces(path: str | Path, tell: Callable[[str], object]) -> Iterator[bytes]:
-    """The content of a log file; its damage is told in words."""
+    """Read the content of a log file in pieces; `tell` gets its damage in words."""
     data = raw(path)
     if data[:2] != b"\x1f\x8b":
         yield data
@@ -112,7 +112,7 @@ Count = Annotated[float, msgspec.Meta(ge=0.0, le=1e6)]
 
 
 class LoggedVessel(msgspec.Struct):
-    """Another vessel, as a sidecar has it (docs/log-format.md)."""
+    """Another vessel, as a sidecar records it (docs/log-format.md)."""
 
     key: str
     name: str
@@ -134,7 +134,7 @@ Second = Annotated[float, msgspec.Meta(gt=-MOMENT_MAX_S, lt=MOMENT_MAX_S)]
 
 
 class LoggedSounding(msgspec.Struct, frozen=True):
-    """The fields that readers understand."""
+    """A sounding, with the fields that readers understand."""
 
     monotonic_s: Second
     measured_s: Second
@@ -143,7 +143,7 @@ class LoggedSounding(msgspec.Struct, frozen=True):
 
 
 def read_events(path: str | Path) -> Iterator[dict[str, Any]]:
-    """The events of a sidecar, a line each; unreadable lines are left out: the power may have failed in the middle of one.
+    """Read the events of a sidecar, one a line; unreadable lines are left out: the power may have failed in the middle of one.
     Raises OSError."""
     for line in raw(path).splitlines():
         try:
@@ -155,7 +155,7 @@ def read_events(path: str | Path) -> Iterator[dict[str, Any]]:
 
 
 def _is_event(told: dict[str, Any]) -> bool:
-    """Whether it has its time and name, and known fields only of the types that readers understand."""
+    """Whether an event has its time and name, and known fields only of the types that readers understand."""
     moments = [told[key] for key in ("monotonic_s", "at_s", "jumping_s", "jumped_s") if key in told]
     words = [told.get("event")] + [told[key] for key in ("refused",) if key in told]
     if not all(isinstance(word, str) for word in words):
@@ -182,7 +182,7 @@ def _is_of(kind: Any, value: object) -> bool:
 
 
 def in_order(paths: Iterable[Path]) -> list[Path]:
-    """Log files in the order in which they were made; plain sorting puts hhmmss-1 before hhmmss."""
+    """Sort log files by the time when they were made; plain sorting puts hhmmss-1 before hhmmss."""
 
     def key(path: Path) -> tuple[str, str, int]:
         time_, _, number = path.name.partition(".")[0].partition("-")

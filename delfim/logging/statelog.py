@@ -60,7 +60,7 @@ class Schema:
 
     @classmethod
     def parse(cls, content: bytes) -> tuple["Schema", int]:
-        """The schema at the head of a file, and where its records start. Raises FormatError."""
+        """Parse the schema at the head of a file, and where its records start. Raises FormatError."""
         end = content.find(b"\n", len(MAGIC)) + 1
         if not content.startswith(MAGIC) or not end:
             raise FormatError("not a state log: it starts with another header, or with an incomplete one")
@@ -84,7 +84,8 @@ class StateWriter:
         self._pack, self._put = schema.struct.pack, put
 
     def put(self, values: Sequence[object]) -> bool:
-        """Log one record, its values in the order of the schema. False: it was not. Raises nothing: the caller steers."""
+        """Log one record, its values in the order of the schema. False: it was not logged. It never raises: the caller
+        steers."""
         try:
             record = self._pack(*values)
         except (struct.error, OverflowError) as error:
@@ -114,7 +115,7 @@ def read_state(path: str | Path) -> StateFile:
 
 
 def columns(paths: Iterable[str | Path]) -> dict[str, list[Any]]:
-    """The records of several files, oldest first, as one list a field. NaN where a file does not have a field.
+    """Read the records of several files, oldest first, as one list for each field. NaN where a file does not have a field.
 
     Damage to a file is logged as a warning; a file without a readable header is left out. Raises OSError.
     """

@@ -35,7 +35,7 @@ class PipeMessages:
         self._buffer = bytearray()
 
     def feed(self, data: bytes) -> Iterator[tuple[bool, bytes]]:
-        """The messages that are now complete, each with whether it is for the sidecar."""
+        """Take bytes; return the messages that are now complete, each with whether it is for the sidecar."""
         buffer, at = self._buffer, 0
         buffer += data
         while len(buffer) - at >= LENGTH.size:

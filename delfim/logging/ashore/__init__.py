@@ -1,1 +1,1 @@
-"""Logs read ashore: found, fetched, tabulated, plotted, exported, repaired."""
+"""Tools that read logs ashore: they find, fetch, tabulate, plot, export and repair them."""

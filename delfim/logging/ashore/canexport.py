@@ -14,7 +14,7 @@ FORMATS: Final = ("log", "asc", "blf", "mf4")
 
 
 def write(frames: Iterable[tuple[str, Frame]], file: Path, form: str) -> int:
-    """Frames, each with the name of its device, to a file in one of FORMATS. Returns how many.
+    """Write frames, each with the name of its device, to a file in one of FORMATS. Returns how many.
 
     Channels of formats that have numbers are counted from 1, in the order in which the devices first speak.
     """
@@ -40,7 +40,8 @@ def write(frames: Iterable[tuple[str, Frame]], file: Path, form: str) -> int:
 
 
 def _asc(file: Path, begin_s: float) -> Any:
-    """python-can writes the time of the export into the head; here it is that of the first frame, as below it in the file."""
+    """Open a writer of ASC. python-can puts the time of the export into the head; here it is that of the first frame, as in the
+    lines below."""
     import can
 
     stream = file.open("w", encoding="utf-8")
@@ -54,7 +55,7 @@ def _asc(file: Path, begin_s: float) -> Any:
 
 
 def _mf4(file: Path, begin_s: float) -> Any:
-    """Likewise: samples count from the head's time, and would be negative."""
+    """Open a writer of MF4, whose samples count from the head's time, and would be negative without this."""
     import can
 
     writer = can.MF4Writer(str(file))
@@ -64,7 +65,7 @@ def _mf4(file: Path, begin_s: float) -> Any:
 
 
 def message(frame: Frame, channel: int | str | None = None) -> Any:
-    """A frame as python-can has it; channels count from 0."""
+    """Convert a frame to python-can's; channels count from 0."""
     import can
 
     return can.Message(

@@ -13,7 +13,7 @@ LONG: Final = 60  # of what was ordered; a mission's text is longer
 
 
 def table(events: Iterable[Mapping[str, Any]]) -> Iterator[str]:
-    """Lines, oldest first. Orders of a joystick that follow each other are one line."""
+    """The lines of the table, oldest first. Orders of a joystick that follow each other are one line."""
     yield _line(*HEADS)
     before: tuple[str, str, str] | None = None
     for event in sorted(events, key=lambda each: each["t_ns"]):
@@ -32,7 +32,7 @@ def _line(time: str, who: str, what: str, result: str) -> str:
 
 
 def _row(event: Mapping[str, Any]) -> tuple[str, str, str]:
-    """Who, what, and the result of an event."""
+    """The origin, subject and result of an event."""
     kind, value = event["event"], event.get("value")
     if kind == "command" and isinstance(value, dict):
         words = [f"{key} {_short(each)}" for key, each in value.items() if key != "command" and each not in (None, "")]
@@ -49,7 +49,7 @@ def _row(event: Mapping[str, Any]) -> tuple[str, str, str]:
 
 
 def _parted(note: str) -> tuple[str, str]:
-    """A trouble and its words."""
+    """Split a note into the trouble and its words."""
     name, _, words = note.partition(": ")
     return name, words
 

@@ -30,8 +30,8 @@ Events = Iterable[Mapping[str, Any]]  # of the sidecars
 
 
 def to_csv(columns: Columns, schema: Schema, events: Events, file: Path) -> None:
-    """For people and spreadsheets: a line a record, names with units in the first, degrees, modes by name; unknown values are
-    empty. The first column is the time in UTC; the stamps of the loop and of its inputs come last."""
+    """CSV for people and spreadsheets: a line for each record, names with units in the first, degrees, modes by name; unknown
+    values are empty. The first column is the time in UTC; the stamps of the loop and of its inputs come last."""
     its = units(schema)
     names = sorted(columns, key=lambda name: name in _STAMPS)
     heads = [f"{name} [{_DEGREES.get(its.get(name, ''), its[name])}]" if its.get(name) else name for name in names]
@@ -89,7 +89,7 @@ def _between(a: tuple[int, float, float], b: tuple[int, float, float], t_ns: int
 
 
 def to_parquet(columns: Columns, schema: Schema, events: Events, file: Path) -> None:
-    """A column a field, its unit and description in the field's metadata. Needs pyarrow."""
+    """Parquet: a column for each field, its unit and description in the field's metadata. Needs pyarrow."""
     import pyarrow as arrow
     from pyarrow import parquet
 
@@ -177,8 +177,8 @@ def to_mcap(columns: Columns, schema: Schema, events: Events, file: Path) -> Non
 
 
 def to_mat(columns: Columns, schema: Schema, events: Events, file: Path) -> None:
-    """MAT version 4: a column vector of doubles a field. Wall clock stamps become seconds since the text `start`: a double
-    does not hold nanoseconds since 1970."""
+    """MAT version 4: a column vector of doubles for each field. Wall clock stamps become seconds since the text `start`: a
+    double does not hold nanoseconds since 1970."""
     import struct
 
     zero_ns, its = int(columns[TIME][0]), units(schema)
@@ -207,7 +207,7 @@ FORMATS: Final[dict[str, Callable[[Columns, Schema, Events, Path], None]]] = {
 
 
 def _vessel_ways(events: Events) -> dict[str, list[tuple[int, float, float]]]:
-    """Of each other vessel (time, latitude, longitude), ns and degrees, while it was heard."""
+    """The track of each other vessel while it was heard: (time, latitude, longitude), ns and degrees."""
     ways: dict[str, list[tuple[int, float, float]]] = {}
     for event in events:
         for each in event["value"] if event["event"] == "vessels" else ():
@@ -217,7 +217,7 @@ def _vessel_ways(events: Events) -> dict[str, list[tuple[int, float, float]]]:
 
 
 def _positions(columns: Columns) -> Iterator[tuple[int, float, float]]:
-    """(time, latitude, longitude) in ns and degrees, where they are known."""
+    """The known positions: (time, latitude, longitude) in ns and degrees."""
     its = (columns[name].tolist() for name in (TIME, "latitude", "longitude"))
     for t_ns, latitude, longitude in zip(*its, strict=True):
         if math.isfinite(latitude + longitude):
@@ -225,7 +225,7 @@ def _positions(columns: Columns) -> Iterator[tuple[int, float, float]]:
 
 
 def _mode_changes(columns: Columns, events: Events) -> Iterator[tuple[int, float, float, str]]:
-    """(time, latitude, longitude, mode and reason) of the sidecar's changes of mode, at the position known then."""
+    """The changes of mode in the sidecar, (time, latitude, longitude, mode and reason), at the position known then."""
     import numpy as np
 
     points = list(_positions(columns))

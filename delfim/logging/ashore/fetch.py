@@ -1,4 +1,5 @@
-"""Logs from a boat over a slow radio: ftp://, ftps:// (RFC 959, 3659, 4217) or sftp:// (needs asyncssh), state logs first.
+"""Fetches logs from a boat over a slow radio: ftp://, ftps:// (RFC 959, 3659, 4217) or sftp:// (needs asyncssh), state logs
+first.
 
 A file that is here in full is not fetched again; one that is here in part goes on where it stopped (NAME.part), also after a
 lost link. On arrival its size is compared and a gzip file's checksums are verified; a damaged one is fetched once more from
@@ -82,8 +83,8 @@ def _tell(words: str) -> None:
 
 
 def wanted(entries: Sequence[RemoteFile], ids: Sequence[str], span: Span, *, summary: bool) -> list[RemoteFile]:
-    """The log files among these, in the order in which they matter: sidecars, state logs, the rest; the newest first. One that
-    cannot be a log is told of."""
+    """The log files among these, in the order in which they matter: sidecars, state logs, the rest; the newest first. A name
+    that cannot be a log's is reported."""
     margin_ns = tree.LATE_S * 1_000_000_000
     result = []
     for entry in entries:
@@ -107,8 +108,8 @@ def wanted(entries: Sequence[RemoteFile], ids: Sequence[str], span: Span, *, sum
 def transfer(
     connect: Callable[[], LogSource], entries: Sequence[RemoteFile], directory: Path, tell: Callable[[str], object]
 ) -> Fetched:
-    """Fetch these files where they are not here in full. A lost link is taken up again. Raises DelfimError if that fails;
-    the data received so far stays for the next time."""
+    """Fetch these files where they are not here in full. A lost link is restored. Raises DelfimError if that fails; the data
+    received so far stays for the next time."""
     due = [entry for entry in entries if _size(directory / entry.path) != entry.size]
     total = sum(entry.size - _here(directory / entry.path, entry.size) for entry in due)
     tell(f"{len(due)} files to fetch, {total / 1e6:.1f} MB; {len(entries) - len(due)} are here")
@@ -144,7 +145,7 @@ class _Link:
         self._drop()
 
     def read(self, path: str, part: Path, size: int, count: Callable[[bytes], None]) -> None:
-        """The rest of a file, appended to the part that is here."""
+        """Read the rest of a file, and append it to the part that is here."""
         attempts = 0
         with part.open("ab") as file:
             while file.tell() < size:
@@ -177,7 +178,7 @@ class _Link:
 
 
 def _fetched(link: _Link, entry: RemoteFile, target: Path, count: Callable[[bytes], None]) -> bool:
-    """One file, verified. False where the boat's own is cut."""
+    """Fetch one file and verify it; False where the boat's own is cut."""
     target.parent.mkdir(parents=True, exist_ok=True)
     part = target.with_name(target.name + ".part")
     here = _here(target, entry.size)
@@ -201,19 +202,19 @@ def _fetched(link: _Link, entry: RemoteFile, target: Path, count: Callable[[byte
 
 
 def _is_id(name: str) -> bool:
-    """A folder with another name is told of."""
+    """Whether a folder has the name of an id; another name is reported."""
     if not tree.is_id(name):
         _tell(f"{tree.readable(name)}: left out: no log has such a name")
     return tree.is_id(name)
 
 
 def _number(text: str) -> int:
-    """-1: none."""
+    """Parse a number; -1: there is none."""
     return int(text) if text.isascii() and text.isdecimal() and len(text) < 19 else -1
 
 
 def _changed_ns(text: str) -> int:
-    """The time of a listing, which may have fractions of a second; -1: none."""
+    """Parse the time of a listing, which may have fractions of a second, to ns; -1: there is none."""
     try:
         return int(datetime.strptime(text[:14], "%Y%m%d%H%M%S").replace(tzinfo=UTC).timestamp()) * 1_000_000_000
     except ValueError:
@@ -221,7 +222,7 @@ def _changed_ns(text: str) -> int:
 
 
 def _condition(file: Path) -> str:
-    """That of a gzip file; others carry no checksum."""
+    """The condition of a gzip file; others carry no checksum."""
     return condition(raw(file)) if file.name.removesuffix(".part").endswith(".gz") else ""
 
 
@@ -235,7 +236,7 @@ def _size(file: Path) -> int:
 
 
 def _here(target: Path, size: int) -> int:
-    """Bytes that need not be fetched."""
+    """The number of bytes that need not be fetched."""
     its = max(_size(target), _size(target.with_name(target.name + ".part")), 0)
     return its if its <= size else 0
 
@@ -245,7 +246,7 @@ def _rank(entry: RemoteFile) -> int:
 
 
 def opener(url: str) -> Callable[[], LogSource]:
-    """A function that connects to the URL. Raises DelfimError for another kind of URL."""
+    """Make a function that connects to the URL. Raises DelfimError for another kind of URL."""
     parts = urlsplit(url)
     if parts.scheme not in ("ftp", "ftps", "sftp") or not parts.hostname:
         raise DelfimError(f"{url}: write ftp://, ftps:// or sftp://[USER[:PASSWORD]@]HOST[:PORT]/DIRECTORY")
@@ -256,7 +257,7 @@ def opener(url: str) -> Callable[[], LogSource]:
 
 
 class Ftp:
-    """With TLS where the URL says ftps; listings by MLSD."""
+    """FTP, with TLS where the URL says ftps; listings by MLSD."""
 
     def __init__(self, url: SplitResult, password: str) -> None:
         secure = url.scheme == "ftps"
@@ -283,7 +284,7 @@ class Ftp:
         return [name for name, facts in self._listed(below) if facts.get("type") == "dir"]
 
     def _listed(self, below: str) -> list[tuple[str, dict[str, str]]]:
-        """A folder by MLSD (RFC 3659). ftplib's own keeps a listing that never ends."""
+        """List a folder by MLSD (RFC 3659). ftplib's own function keeps a listing that never ends."""
         found = list[tuple[str, dict[str, str]]]()
 
         def entry(line: str) -> None:
@@ -305,7 +306,7 @@ class Ftp:
 
 
 class Sftp:
-    """With the keys, agent and known hosts of this user, or the URL's password."""
+    """SFTP with the keys, agent and known hosts of this user, or the URL's password."""
 
     def __init__(self, url: SplitResult, password: str) -> None:
         import asyncssh

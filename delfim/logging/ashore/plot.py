@@ -23,7 +23,7 @@ INK, SEA, LINE, BOAT, WATER, SAND = "#1b2a33", "#f3f7f9", "#c9d6dd", "#d1495b", 
 
 
 def draw(columns: Columns, waypoints: Sequence[Waypoint], title: str, folder: Path, form: str = "png") -> list[Path]:
-    """All pictures of a run into a folder, as "png" or "svg"."""
+    """Draw all pictures of a run into a folder, as "png" or "svg"."""
     files = {name: folder / f"{name}.{form}" for name in ("track", "speeds", "rpm", "references", "latency")}
     track(columns, waypoints, title, files["track"])
     speeds(columns, f"{title}: speeds", files["speeds"])
@@ -34,7 +34,7 @@ def draw(columns: Columns, waypoints: Sequence[Waypoint], title: str, folder: Pa
 
 
 def track(columns: Columns, waypoints: Sequence[Waypoint], title: str, file: Path) -> None:
-    """The driven track over the mission, north up, metres."""
+    """Draw the track over the mission, north up, metres."""
     figure, axes = _sheet((8, 8))
     its = _arrays(columns, "latitude", "longitude", "north_speed", "east_speed")
     latitude, longitude, north, east = (column[np.isfinite(its[0] + its[1])] for column in its)
@@ -67,7 +67,7 @@ def track(columns: Columns, waypoints: Sequence[Waypoint], title: str, file: Pat
 
 
 def speeds(columns: Columns, title: str, file: Path) -> None:
-    """Speed over ground with its parts, and the rate of turn, over time."""
+    """Draw speed over ground with its parts, and the rate of turn, over time."""
     figure, (above, below) = _sheet((10, 6), 2)
     north, east, yaw_rate = _arrays(columns, "north_speed", "east_speed", "yaw_rate")
     _lines(above, columns, {"over ground": np.hypot(north, east), "north": north, "east": east}, "m/s")
@@ -77,7 +77,8 @@ def speeds(columns: Columns, title: str, file: Path) -> None:
 
 
 def rpm(columns: Columns, title: str, file: Path) -> None:
-    """Revolutions of each propeller, commanded and measured, or the command of one whose revolutions are not known; angles."""
+    """Draw the revolutions of each propeller, commanded and measured, or the command alone where they are not measured; and
+    angles."""
     names = [name.removesuffix("_command") for name in columns if name.endswith("_command")] or ["starboard", "port"]
     turning = [name for name in names if f"{name}_angle" in columns]
     count = len(names) + len(turning)
@@ -97,7 +98,7 @@ def rpm(columns: Columns, title: str, file: Path) -> None:
 
 
 def references(columns: Columns, title: str, file: Path) -> None:
-    """Heading and speed, references and actual values, and the cross-track error."""
+    """Draw heading and speed, set points and actual values, and the cross-track error."""
     figure, (above, middle, below) = _sheet((10, 8), 3)
     heading, asked, speed, off = _arrays(columns, "heading", "reference_heading", "reference_speed", "cross_track")
     north, east = _arrays(columns, "north_speed", "east_speed")
@@ -110,7 +111,7 @@ def references(columns: Columns, title: str, file: Path) -> None:
 
 
 def latency(columns: Columns, title: str, file: Path) -> None:
-    """Histogram of the critical path t0 to t4 (figure 3-10) above the stage means (figure 3-11)."""
+    """Draw a histogram of the critical path t0 to t4 (figure 3-10) above the stage means (figure 3-11)."""
     stamps = ("t0", "t1", "t2", "t3", "t4", "previous_t5")
     arrays = dict(zip(stamps, _arrays(columns, *stamps), strict=True))
     path_us = critical_path_us(arrays)
@@ -135,13 +136,13 @@ def latency(columns: Columns, title: str, file: Path) -> None:
 
 
 def _arrays(columns: Columns, *names: str) -> "list[NDArray[Any]]":
-    """These columns; NaN for those that are not there."""
+    """These columns as arrays; NaN for those that are not there."""
     length = len(columns["t1"])
     return [np.asarray(columns[name]) if name in columns else np.full(length, np.nan) for name in names]
 
 
 def _lines(axes: "Axes", columns: Columns, lines: "Mapping[str, NDArray[Any]]", unit: str) -> None:
-    """Values over UTC. Of many points a part is drawn."""
+    """Draw values over UTC; of many points only a part."""
     from matplotlib.dates import AutoDateLocator, ConciseDateFormatter
 
     (stamps,) = _arrays(columns, "t1")
@@ -157,7 +158,7 @@ def _lines(axes: "Axes", columns: Columns, lines: "Mapping[str, NDArray[Any]]", 
 
 
 def _compass(heading_rad: "NDArray[Any]") -> "NDArray[Any]":
-    """Degrees, 0..360, broken where a line would cross the whole picture."""
+    """Headings in degrees, 0..360, broken where a line would cross the whole picture."""
     degrees: NDArray[Any] = np.degrees(heading_rad).astype(float) % 360.0
     degrees[1:][np.abs(np.diff(degrees)) > 180.0] = np.nan
     return degrees

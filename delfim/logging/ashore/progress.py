@@ -11,7 +11,7 @@ T = TypeVar("T")
 
 
 def progress(what: str, total: float, *, bytes: bool = False) -> Callable[[float], None]:  # noqa: A002
-    """A function to call with the work done so far; the bar shows share and time left, and for bytes the rate."""
+    """Make a function to call with the work done so far; the bar shows share and time left, and for bytes the rate."""
     if not sys.stderr.isatty():
         return lambda done: None
     from rich.console import Console

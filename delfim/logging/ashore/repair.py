@@ -51,7 +51,7 @@ def repair(file: LogFile, *, in_place: bool = False) -> list[Repair]:
 
 
 def mended(data: bytes, suffix: str) -> tuple[bytes, str]:
-    """A log file's bytes made whole, and their damage in words; empty if there was none."""
+    """Make a log file's bytes whole; returns them and their damage in words, empty if there was none."""
     if not suffix.endswith(".gz"):
         kept = _records(suffix)(data)
         return kept, "" if kept == data else f"{len(data) - len(kept)} bytes at its end are an incomplete record"
@@ -71,7 +71,7 @@ def mended(data: bytes, suffix: str) -> tuple[bytes, str]:
 
 
 def pieces(data: bytes) -> Iterator[GzipPiece]:
-    """All of a gzip file, in order. Whole members are verified by their checksums."""
+    """Cut a gzip file into pieces, in order. Whole members are verified by their checksums."""
     at = 0
     while at < len(data):
         content, end, how = member(data, at)
@@ -87,7 +87,8 @@ def pieces(data: bytes) -> Iterator[GzipPiece]:
 
 
 def condition(data: bytes) -> str:
-    """ "damaged", "cut", or "" for whole: of a gzip file, as `pieces` tells it. No more of its content than a piece is kept."""
+    """The condition of a gzip file as `pieces` finds it: "damaged", "cut", or "" for whole. No more of its content than a piece
+    is kept."""
     size, at = 0, 0
     while at < len(data):
         its = Inflating(data, at, LOG_BYTES - size)
@@ -99,7 +100,7 @@ def condition(data: bytes) -> str:
 
 
 def _records(suffix: str) -> Callable[[bytes], bytes]:
-    """A function that keeps the whole records of its input, called with one part of a file after the other."""
+    """Make a function that keeps the whole records of its input, called with one part of a file after the other."""
     if suffix != ".state":
         return _frames if suffix == ".log" else _lines
     size = 0
@@ -119,7 +120,7 @@ def _records(suffix: str) -> Callable[[bytes], bytes]:
 
 
 def _frames(content: bytes) -> bytes:
-    """Whole lines of candump. Just before a damage some may be garbled; they are not kept."""
+    """Keep the whole lines of candump. Just before a damage some may be garbled; they are dropped."""
     return b"".join(line for line in content.splitlines(keepends=True) if _is_frame(line))
 
 
@@ -147,7 +148,7 @@ def _beside(path: str) -> str:
 
 
 def _write(path: str, data: bytes, like: os.stat_result) -> None:
-    """A file that is there whole or not at all, with the times of the original."""
+    """Write a file that is there whole or not at all, with the times of the original."""
     part = path + ".part"
     with open(part, "wb") as file:
         file.write(data)

@@ -21,7 +21,7 @@ QUIET: Final = ("start", "end", "command", "watchdog", "vessels", "sounding")  #
 
 
 def summary(files: Sequence[LogFile], span: Span, modes: dict[int, str]) -> dict[str, Any]:
-    """JSON-ready. `modes` are the names of mode numbers. Raises DelfimError where no state was logged."""
+    """Sum up a run, JSON-ready. `modes` are the names of mode numbers. Raises DelfimError where no state was logged."""
     from delfim.logging.ashore.table import table
 
     columns, schema = table((f for f in files if f.id == "state"), span)
@@ -45,7 +45,7 @@ def summary(files: Sequence[LogFile], span: Span, modes: dict[int, str]) -> dict
 
 
 def text(told: dict[str, Any]) -> str:
-    """A summary for people."""
+    """The summary as text for people."""
     speed, path, gaps = told["speed_mps"], told["latency"], told["gaps"]
     rows = [
         ("boat", told["boat"]),
@@ -83,7 +83,8 @@ def latency(columns: Columns) -> dict[str, Any]:
 
 
 def critical_path_us(columns: "Mapping[str, NDArray[Any]]") -> "NDArray[Any]":
-    """t0 to t4 of every cycle, us. Cycles during which the wall clock was stepped, and those of no length, are left out."""
+    """The critical path t0 to t4 of every cycle, us. Cycles during which the wall clock was stepped, and those of no length,
+    are left out."""
     t0, t4 = columns["t0"], columns["t4"]
     path_us: NDArray[Any] = (t4 - t0)[(t0 > 0) & (t4 > t0) & (t4 - t0 < STEPPED_NS)] / 1e3
     return path_us
@@ -98,7 +99,7 @@ def stages_us(columns: "Mapping[str, NDArray[Any]]") -> list[float]:
 
 
 def utc(t_ns: int) -> str:
-    """ "2010-01-01 09:30:00"."""
+    """UTC as "2010-01-01 09:30:00"."""
     return f"{datetime.fromtimestamp(t_ns // 1_000_000_000, UTC):%Y-%m-%d %H:%M:%S}"
 
 

@@ -1,4 +1,4 @@
-"""Reading the system log, on any computer."""
+"""Reads the system log, on any computer."""
 
 import contextlib
 import logging
@@ -29,7 +29,8 @@ def texts(runs: Iterable[Run], span: Span, level: str) -> Iterator[str]:
 
 
 def as_text(told: Mapping[str, Any]) -> str:
-    """A line for people; `told` is one of the log, parsed. Raises LookupError, TypeError, ValueError for anything else."""
+    """Format a line for people; `told` is one of the log, parsed. Raises LookupError, TypeError, ValueError for anything
+    else."""
     at = datetime.fromtimestamp(told["t_ns"] // 10**9, UTC)
     micros = told["t_ns"] // 1000 % 10**6
     return one_line(f"{at:%Y-%m-%d %H:%M:%S}.{micros:06} {told['level']:8} {told['service']}[{told['pid']}]: {told['text']}")

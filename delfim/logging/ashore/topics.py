@@ -44,17 +44,18 @@ def schema(of: str, state: Mapping[str, Mapping[str, str]] | None = None) -> tup
 
 
 def location(t_ns: int, boat: str, latitude_deg: float, longitude_deg: float) -> dict[str, object]:
-    """A place for the map."""
+    """The message of a position for the map."""
     return {"timestamp": _stamp(t_ns), "frame_id": boat, "latitude": latitude_deg, "longitude": longitude_deg, "altitude": 0.0}
 
 
 def line(t_ns: int, boat: str, level: int, words: str) -> dict[str, object]:
-    """A line of the log."""
+    """The message of a line of the log."""
     return {"timestamp": _stamp(t_ns), "level": level, "name": boat, "message": words}
 
 
 def targets(vessels: Iterable[Mapping[str, Any]]) -> dict[str, object]:
-    """Other vessels (docs/traffic.md) for the map: each a point with its name and age, and a line to where it sails."""
+    """The messages of other vessels (docs/traffic.md) for the map: each a point with its name and age, and a line to where it
+    sails."""
     features = []
     for each in vessels:
         at = [each["longitude_deg"], each["latitude_deg"]]  # GeoJSON has the longitude first (RFC 7946)

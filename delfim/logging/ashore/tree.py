@@ -35,7 +35,7 @@ End = Literal["clean", "cut", "running"]
 
 
 class LogFile(NamedTuple):
-    """One file. Sorting sorts by when they were made."""
+    """One log file. Files sort by the time when they were made."""
 
     begin_ns: int  # as its name says
     number: int  # among the files of that second
@@ -81,7 +81,7 @@ class Run(NamedTuple):
 
 
 def files(paths: Iterable[str | Path]) -> list[LogFile]:
-    """The log files under these paths (a tree, a day, an id's folder, or files), in order. Where a file was repaired, its copy.
+    """The log files under these paths (a tree, a day, an id's folder, or files), in order; of a repaired file its copy.
 
     Raises DelfimError if there is no such path, or if it is not a log file.
     """
@@ -96,13 +96,13 @@ def files(paths: Iterable[str | Path]) -> list[LogFile]:
 
 
 def readable(name: str) -> str:
-    """A name of a file for people: bytes that are no UTF-8 as \\xff, and nothing that steers a terminal."""
+    """Make a file's name readable: bytes that are no UTF-8 as \\xff, and nothing that steers a terminal."""
     text = os.fsencode(name).decode("utf-8", "backslashreplace")
     return "".join(letter if letter.isprintable() else repr(letter)[1:-1] for letter in text)
 
 
 def runs(files: Iterable[LogFile], now_ns: int) -> list[Run]:
-    """The runs that these files make up, in order."""
+    """Group these files into runs, in order."""
     by_id: dict[str, list[LogFile]] = {}
     for file in sorted(files):
         by_id.setdefault(file.id, []).append(file)
@@ -117,7 +117,7 @@ def runs(files: Iterable[LogFile], now_ns: int) -> list[Run]:
 
 
 def choose(found: Sequence[LogFile], name: str | None, now_ns: int) -> list[Run]:
-    """The runs of one time, chosen by a name or its beginning; "last" is the newest one, None all.
+    """Choose the runs of one time by a name or its beginning; "last" is the newest one, None all.
 
     To a state log belong the logs of other ids from the same time. Raises DelfimError where there is none.
     """
@@ -150,7 +150,7 @@ def events(files: Iterable[LogFile], span: Span = ALWAYS) -> Iterator[dict[str, 
 
 
 def span(begin: str | None, end: str | None, zero_ns: int) -> Span:
-    """The range between two times as people write them. Raises FormatError."""
+    """Parse the range between two times as people write them. Raises FormatError."""
     from_ns = 0 if begin is None else instant(begin, zero_ns, "--from")
     result = Span(from_ns, ALWAYS.to_ns if end is None else instant(end, zero_ns, "--to"))
     if result.to_ns < result.from_ns:
@@ -159,8 +159,8 @@ def span(begin: str | None, end: str | None, zero_ns: int) -> Span:
 
 
 def instant(text: str, zero_ns: int, option: str = "time") -> int:
-    """ns since 1970 of "2010-01-01T09:30:00", "20100101-093000", "09:30" or "09:30:05.5" (UTC, of the day of `zero_ns`), or
-    "+90" (seconds after `zero_ns`). Raises FormatError."""
+    """Parse a time to ns since 1970: "2010-01-01T09:30:00", "20100101-093000", "09:30" or "09:30:05.5" (UTC, of the day of
+    `zero_ns`), or "+90" (seconds after `zero_ns`). Raises FormatError."""
     try:
         if text.startswith("+"):
             return zero_ns + round(float(text) * _SECOND)
@@ -197,12 +197,12 @@ def is_day(name: str) -> bool:
 
 
 def is_id(name: str) -> bool:
-    """Whether a program of a boat calls its logs so. No such name leads elsewhere, on any system."""
+    """Whether a boat's program names its logs so. No such name leads elsewhere, on any system."""
     return bool(_ID.fullmatch(name))
 
 
 def begins(day: str, name: str) -> int:
-    """When a log file was made, ns since 1970, as its name says."""
+    """The time when a log file was made, ns since 1970, from its name."""
     moment = calendar.timegm((int(day[:4]), int(day[4:6]), int(day[6:]), int(name[:2]), int(name[2:4]), int(name[4:6])))
     return moment * _SECOND
 
@@ -265,7 +265,7 @@ def _starts(file: LogFile, before_ns: int) -> bool:
 
 
 def _end(last: LogFile, now_ns: int) -> tuple[End, int]:
-    """How and when the run with this last file ended."""
+    """The end of the run with this last file, and how it ended."""
     if last.sidecar:
         with open(last.sidecar, "rb") as sidecar:
             sidecar.seek(-min(200, os.fstat(sidecar.fileno()).st_size), os.SEEK_END)

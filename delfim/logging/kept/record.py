@@ -27,8 +27,8 @@ log = logging.getLogger(__name__)
 
 
 def newest(directories: Sequence[str], name: str, key: bytes) -> tuple[int, bytes | None]:
-    """The sequence and the newest whole record of these directories; (0, None) where none was kept. Raises FormatError where
-    there are slots and none is whole."""
+    """The newest whole record of these directories, with its sequence number; (0, None) where none was kept. Raises FormatError
+    where there are slots and none is whole."""
     found, wrong = list[tuple[int, bytes]](), ""
     for path in (Path(slot(directory, name, number)) for directory in dict.fromkeys(directories) for number in range(SLOTS)):
         try:
@@ -53,7 +53,7 @@ class Keeper:
         self.troubles = dict[str, str]()  # by directory: why it is not written, in words
 
     def put(self, record: bytes) -> bool:
-        """False: it is not kept, give the next one."""
+        """Keep this record; False: it is not kept, call again with the next one."""
         if self._child is None:
             self._start()
         if self._child is None or not self._send_rest():
@@ -64,7 +64,7 @@ class Keeper:
         return True
 
     def poll(self) -> None:
-        """Call about once a second: hears the child's reports, and starts it again after it died."""
+        """Read the child's reports, and start it again after it died; call it about once a second."""
         child = self._child
         if child is None:
             return
@@ -75,7 +75,7 @@ class Keeper:
             self._bury(child)
 
     async def close(self, timeout_s: float = CLOSE_S) -> None:
-        """The child gets what it was given, writes it and ends; waits for that at most so long, while the loop turns."""
+        """Give the child the rest, which it writes before it ends; wait for that at most so long, while the loop turns."""
         child = self._child
         if child is None or child.stdin is None:
             return
@@ -103,7 +103,7 @@ class Keeper:
         self._child, self._rest, self.troubles = child, LENGTH.pack(len(told)) + told, {}
 
     def _send_rest(self) -> bool:
-        """Whether all of it is in the pipe."""
+        """Send the rest; return whether all of it is in the pipe."""
         child = self._child
         if child is None or child.stdin is None:
             return False

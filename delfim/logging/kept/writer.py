@@ -36,13 +36,13 @@ def slot(directory: str, name: str, sequence: int) -> str:
 
 
 def packed(sequence: int, record: bytes, key: bytes) -> bytes:
-    """A slot's content."""
+    """Pack the content of a slot."""
     head = b"%s %d %d " % (MAGIC, sequence, len(record))
     return head + hmac.digest(key, head + record, "sha256").hex().encode() + b"\n" + record
 
 
 def unpacked(content: bytes, key: bytes) -> tuple[int, bytes]:
-    """Sequence and record. Raises FormatError for a slot that is torn, or that was not written with this key."""
+    """Unpack sequence and record. Raises FormatError for a slot that is torn, or that was not written with this key."""
     head, _, rest = content.partition(b"\n")
     words = head.split(b" ")
     if len(words) != 5 or b" ".join(words[:2]) != MAGIC or not (words[2].isdigit() and words[3].isdigit()):
@@ -97,7 +97,7 @@ class NewestRecord:
 
 
 def keep(newest: NewestRecord, directory: str, name: str, key: bytes) -> None:
-    """The thread of one directory."""
+    """Keep the newest record in one directory: the body of its thread."""
     done, told = newest.first, ""
     while True:
         with newest.changed:

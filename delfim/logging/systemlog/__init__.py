@@ -1,4 +1,4 @@
-"""The entrance of the system log: the words of every program of the suite, from Python's `logging` into one pipe.
+"""The entrance of the system log: it puts the records of every program of the suite, from Python's `logging`, into one pipe.
 
     logging -> SystemHandler -> a line of JSON, one write -> RUN-DIRECTORY/system.pipe -> syslogd -> DIRECTORY/YYYYMMDD/system/
                              -> from warnings on, as text -> standard error
@@ -118,7 +118,8 @@ class SystemHandler(logging.Handler):
             return False
 
     def _show(self, pieces: list[str]) -> None:
-        """On a terminal, or wherever standard error leads. A serial console that is behind must not hold up the boat."""
+        """Write to standard error, a terminal or wherever it leads. A serial console that is behind must not hold up the
+        boat."""
         for piece in pieces:
             with suppress(OSError):
                 if self._terminal_room.poll(0):
@@ -130,8 +131,8 @@ def _printable(text: str) -> str:
 
 
 def begin(directory: str, program: str, levels: Mapping[str, str], service: Callable[[], str] = str) -> None:
-    """From now on this program's `logging` is part of the system log of this run directory. `levels` is as in SystemHandler, by
-    their names. It tells its failures on standard error, and goes on."""
+    """Make this program's `logging` part of the system log of this run directory. `levels` is as in SystemHandler, by their
+    names. Failures go to standard error, and the program goes on."""
     path, reason = os.path.join(directory, PIPE), ""
     try:
         pipe = open_pipe(path)
@@ -146,7 +147,7 @@ def begin(directory: str, program: str, levels: Mapping[str, str], service: Call
 
 
 def recent(directory: str) -> list[bytes]:
-    """The last lines in a run directory, newest first. Reads files."""
+    """The last lines in a run directory, newest first. It reads files."""
     lines: list[bytes] = []
     for name in RECENT:
         with suppress(OSError), open(os.path.join(directory, name), "rb") as file:
@@ -155,7 +156,7 @@ def recent(directory: str) -> list[bytes]:
 
 
 def open_pipe(path: str) -> int:
-    """Both ends of the pipe: opening never waits, and a pipe that somebody holds keeps what is in it. Raises OSError."""
+    """Open both ends of the pipe. Opening never waits, and a pipe that somebody holds keeps what is in it. Raises OSError."""
     with suppress(FileExistsError):
         os.mkfifo(path, 0o600)
     pipe = os.open(path, os.O_RDWR | os.O_NONBLOCK | os.O_CLOEXEC | os.O_NOFOLLOW)

@@ -1,4 +1,5 @@
-"""The exit of the system log: from the pipe of delfim.logging.systemlog onto the disk, and into two small files for the page.
+"""The exit of the system log: it writes the lines of the pipe of delfim.logging.systemlog to the disk, and to two small files
+for the page.
 
 Lines that come while the disk takes nothing wait in memory, the newest WAITING_BYTES of them.
 """
@@ -60,7 +61,7 @@ class SystemWriter:
         self._tell()
 
     def figures(self) -> dict[str, object]:
-        """JSON-ready: lines and bytes on disk, lines lost, lines that wait; why it is not written."""
+        """Figures, JSON-ready: lines and bytes on disk, lines lost, lines that wait; why it is not written."""
         status = self._log.status()
         shown = {"lines": status.records, "bytes": status.bytes, "lost": self._lost(), "waiting": len(self._waiting)}
         return shown | ({"trouble": status.reason} if status.reason else {})
