@@ -53,7 +53,7 @@ class Tried(NamedTuple):
 
 
 class Wires:
-    """All lines and buses that a part opens, with somebody who speaks there."""
+    """All lines and buses that a part opens, with a device that sends there."""
 
     def __init__(self) -> None:
         self.clock = ManualClock()
@@ -71,7 +71,7 @@ class Wires:
         return self.buses[interface].bound(*filters)
 
     def say(self, data: bytes, chance: Random) -> None:
-        """Data on every line, and as frames on every bus."""
+        """Send data on every line, and as frames on every bus."""
         for line in self.lines.values():
             line.put(data)
         for end in self._ends.values():
@@ -79,14 +79,14 @@ class Wires:
             end.sendto(data[:8], CanAddress(arb))
 
     def said(self) -> int:
-        """How much the part has said since."""
+        """The number of bytes and frames that the part has sent since."""
         count = sum(len(line.written) for line in self.lines.values())
         for line in self.lines.values():
             line.written.clear()
         return count + sum(len(list(_received(end))) for end in self._ends.values())
 
     def deaf(self) -> None:
-        """From now on nothing is taken."""
+        """Take nothing more from the part."""
         for line in self.lines.values():
             line.refuses = True
         for bus in self.buses.values():
@@ -106,7 +106,7 @@ def _received(end: CanSocket) -> Iterator[object]:
 
 
 def settings_of(name: str, version: str, file: str = BOAT) -> config.Vehicle:
-    """The boat of a vehicle's file that names the part, or the file's boat with it. Raises ConfigError."""
+    """The settings of a vehicle's file that names the part, or of one with the part added. Raises ConfigError."""
     tree = read_toml(file)
     if name in tree.get("parts", {}):
         return config.load(file)
@@ -120,7 +120,8 @@ def settings_of(name: str, version: str, file: str = BOAT) -> config.Vehicle:
 
 
 def tried(name: str, version: str, file: str = BOAT) -> Iterator[Tried]:
-    """All that is tried of a part of this name. Raises ConfigError where the vehicle's file or its row is refused."""
+    """Try all that the contract asks of the part of this name. Raises ConfigError where the vehicle's file or its row is
+    refused."""
     settings = settings_of(name, version, file)
     part = parts.find(settings.aboard, name)
     assert part is not None
@@ -161,7 +162,7 @@ def _trying(found: list[str]) -> Iterator[None]:
 
 
 class Stopwatch:
-    """Calls, the longest of them, and what they raised."""
+    """Counts calls, the longest of them, and what they raised."""
 
     def __init__(self) -> None:
         self.worst_s, self.faults = 0.0, list[str]()
@@ -239,7 +240,7 @@ def _input(kind: str, name: str, settings: config.Vehicle) -> Iterator[Tried]:
 
 
 def _garbage(what: str, read: Callable[[State, float], object], wires: Wires, state: State | None = None) -> Iterator[Tried]:
-    """Pieces of all lengths, an endless line among them. What comes of it must make sense."""
+    """Feed pieces of all lengths, an endless line among them. What comes of it must make sense."""
     timed, chance, state = Stopwatch(), Random(what), state or State()
     faults = list[str]()
     for k in range(PIECES):
@@ -255,7 +256,7 @@ def _garbage(what: str, read: Callable[[State, float], object], wires: Wires, st
 
 
 def _played(name: str, settings: config.Vehicle) -> bytes:
-    """What the part's device in simulation says first; empty: it has none on a line."""
+    """The first output of the part's device in simulation; empty: it has none on a line."""
     nodes, clock = nodes_of(settings, 1), ManualClock()
     for _ in range(READS):
         nodes.step(clock.monotonic_s(), clock.time_ns())
@@ -267,7 +268,7 @@ def _played(name: str, settings: config.Vehicle) -> bytes:
 
 
 def _timings(kind: str, read: Callable[[State, float], object], said: bytes, wires: Wires, state: State) -> Iterator[Tried]:
-    """What its device says: as it comes, byte by byte, all at once, and the same again and again."""
+    """Feed the output of its device: as it comes, byte by byte, all at once, and the same again and again."""
     (line,) = list(wires.lines.values())[:1]
     bytewise = [said[k : k + 1] for k in range(len(said))]
     for what, pieces in (
@@ -295,7 +296,7 @@ def _jsonable(what: str, report: Callable[[], object]) -> Tried:
 
 
 def _mode(name: str, settings: config.Vehicle) -> Iterator[Tried]:
-    """A mode steers for a while, with numbers that make no sense in between it stops, and it is left."""
+    """Let a mode steer for a while, with numbers that make no sense in between; it must stop then. Then leave it."""
     faults = list[str]()
     with _trying(faults):
         run = Lockstep(settings, 1, lambda clock: NoLog())
@@ -311,7 +312,8 @@ def _mode(name: str, settings: config.Vehicle) -> Iterator[Tried]:
 
 
 def _order(part: Part, row: OrderRow, settings: config.Vehicle) -> Iterator[Tried]:
-    """An order without values, and with some that make no sense: it is carried out, or refused for a reason, and in time."""
+    """Give an order without values, and with some that make no sense: it is carried out, or refused for a reason, and in
+    time."""
     faults, run = list[str](), Lockstep(settings, 1, lambda clock: NoLog())
     health, garbage = run.state.parts[part.name], (-1e300, 1e300, "\0")
     tries: list[console.Values] = [{}, {"no_such_key": 1.0}]
@@ -330,7 +332,7 @@ def _order(part: Part, row: OrderRow, settings: config.Vehicle) -> Iterator[Trie
 
 @contextmanager
 def _in_real_time() -> Iterator[None]:
-    """Calls of parts are broken off within."""
+    """Break off the calls of parts within."""
     before = foreign._limit[0]
     foreign.in_real_time()
     try:
@@ -340,7 +342,7 @@ def _in_real_time() -> Iterator[None]:
 
 
 def _voyage(part: Part, settings: config.Vehicle) -> Iterator[Tried]:
-    """A voyage in lock step, twice: it must be the same, and the part must not fail."""
+    """Sail a voyage in lock step twice: it must be the same, and the part must not fail."""
     ends = list[tuple[float, float, tuple[float, ...]]]()
     faults = list[str]()
     for _attempt in range(2):

@@ -104,8 +104,8 @@ class Breakage(NamedTuple):
 def fault(
     kind: str, where: str = "", value: float | None = None, for_s: float | None = None, thrusters: Collection[str] = ()
 ) -> Breakage:
-    """A fault, checked, with the kind's default value; `thrusters` are those of the boat, if it is known. Raises FormatError in
-    words."""
+    """Check a fault and fill in its kind's default value; `thrusters` are those of the boat, if it is known. Raises FormatError
+    in words."""
     if kind not in KINDS:
         raise FormatError(f"no fault {kind!r}; choose one of {', '.join(KINDS)}")
     places = ("", "receiver", "compass") if kind in PARTS else WHERE.get(kind, ("",))
@@ -124,7 +124,7 @@ def fault(
 
 
 class Broken:
-    """The present faults, and when each ends."""
+    """The present faults, and the time when each ends."""
 
     def __init__(self) -> None:
         self.thrusters: tuple[str, ...] = ()  # of the boat, by name; empty: not known here
@@ -171,12 +171,12 @@ class Faults(Broken):
 
     @property
     def due_s(self) -> float:
-        """When `step` is due next."""
+        """The time when `step` is due next."""
         late = [queue[0][0] for queue in (self._late, self._late_heard) if queue]
         return min(self.nodes.due_s, *self.faults.values(), *late, math.inf)
 
     def step(self, now_s: float, utc_ns: int) -> list[Frame]:
-        """As in `Nodes`."""
+        """Step the nodes, as `Nodes.step` does."""
         if not self.busy:
             return self.nodes.step(now_s, utc_ns)
         self.expire(now_s)
@@ -188,7 +188,7 @@ class Faults(Broken):
         return [] if "bus_off" in self.on else frames
 
     def feed(self, frame: Frame, now_s: float) -> None:
-        """As in `Nodes`."""
+        """Feed a frame, as `Nodes.feed` does."""
         if not self.on:
             self.nodes.feed(frame, now_s)
         elif "bus_off" not in self.on:
@@ -196,7 +196,7 @@ class Faults(Broken):
                 self.nodes.feed(heard, now_s)
 
     def _disturbed(self, frames: Iterable[Frame], late: deque[tuple[float, Frame]], now_s: float) -> list[Frame]:
-        """The frames that arrive now, given these."""
+        """The frames that arrive now out of these."""
         drop, double = self.on.get("frames_dropped", 0.0), self.on.get("frames_duplicated", 0.0)
         if drop:
             frames = [frame for frame in frames if self._random.random() >= drop]
@@ -258,7 +258,7 @@ class Faults(Broken):
                 drive.charge = min(drive.charge, max(value, 0.0))
 
     def begin(self, broken: Breakage, now_s: float) -> None:
-        """Raises FormatError if this boat has no such node."""
+        """Begin a fault. Raises FormatError if this boat has no such node."""
         if broken.kind in WHERE and broken.where not in self.nodes.sensors:
             raise FormatError(f"{broken.kind}: this boat has no {broken.where}")
         if broken.kind in PARTS and not self._parts(broken.where):
@@ -272,7 +272,7 @@ class Faults(Broken):
         super().begin(broken, now_s)
 
     def _parts(self, where: str) -> Sequence[NavigationNode | GnssReceiver | Compass]:
-        """The sensors of navigation: of one kind, or all."""
+        """The sensors of navigation, of one kind or all."""
         nodes = self.nodes
         if not where:
             return nodes.navigation, *nodes.receivers, *nodes.compasses
@@ -283,7 +283,7 @@ class Faults(Broken):
 
 
 def _disturb(compass: Compass, kind: str, value: float) -> None:
-    """rad, rad for each ampere, rad/s a minute; 0 ends it. The bias that a gyro has by then stays."""
+    """Disturb a compass by rad, rad for each ampere, or rad/s a minute; 0 ends it. The bias that a gyro has by then stays."""
     if kind == "heading_jumping":
         compass.jump_rad = value
     elif kind == "compass_cable":
@@ -293,7 +293,7 @@ def _disturb(compass: Compass, kind: str, value: float) -> None:
 
 
 def _disturb_ais(receiver: Shipping, kind: str, value: float, on: bool) -> None:
-    """Value: s or m; 0 ends it."""
+    """Disturb a receiver of AIS by s or m; 0 ends it."""
     if kind == "ais_silent":
         receiver.silent = on
     elif kind == "ais_frozen":

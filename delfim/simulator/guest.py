@@ -1,4 +1,4 @@
-"""A guest computer, as GREX was on DelfimX (thesis 3.4): it hears navigation from the vehicle and asks for headings.
+"""A guest computer, as GREX was on DelfimX (thesis 3.4): it receives navigation from the vehicle and requests headings.
 
 The vehicle is the TCP server; both directions are JSON, one object a line (`delfim/vehicle/grex.py`). `reference` is a pure
 function of navigation to set points, so that a lock-step simulation can be its own guest. The guest always asks; the vehicle
@@ -25,7 +25,7 @@ BACKOFF_S: Final = (0.1, 5.0)  # first and longest pause before a new connection
 
 
 class Heard(msgspec.Struct, frozen=True):
-    """One line of the vehicle. None is unknown; other keys are for later guests."""
+    """One line from the vehicle. None is unknown; other keys are for later guests."""
 
     utc_ns: int
     mode: str
@@ -37,14 +37,14 @@ class Heard(msgspec.Struct, frozen=True):
 
 
 class Asked(NamedTuple):
-    """One line of the guest: a course to steer, 0..360 degrees true, and a speed."""
+    """One line of the guest: the course, 0..360 degrees true, and the speed that it requests."""
 
     heading_deg: float
     speed_mps: float
 
 
 class Circle(NamedTuple):
-    """Circles round a point, clockwise; anticlockwise with a negative radius."""
+    """The plan of circles round a point, clockwise; anticlockwise with a negative radius."""
 
     latitude_deg: float
     longitude_deg: float
@@ -53,7 +53,7 @@ class Circle(NamedTuple):
 
 
 class Zigzag(NamedTuple):
-    """A zigzag of this many degrees to either side of a course, to starboard first, a leg every `leg_s` of UTC."""
+    """The plan of a zigzag of this many degrees to either side of a course, to starboard first, a leg every `leg_s` of UTC."""
 
     course_deg: float
     amplitude_deg: float = 30.0
@@ -62,7 +62,7 @@ class Zigzag(NamedTuple):
 
 
 class Script(NamedTuple):
-    """Headings one after the other, each for `leg_s` of UTC, then from the first again. At least one."""
+    """The plan of headings one after the other, each for `leg_s` of UTC, then from the first again. At least one."""
 
     headings_deg: tuple[float, ...]
     leg_s: float = 30.0
@@ -83,7 +83,7 @@ _decode_challenge = msgspec.json.Decoder(Challenge).decode
 
 
 def heard(line: bytes) -> Heard:
-    """Raises FormatError for a line that is not navigation."""
+    """Parse a line of the vehicle. Raises FormatError for a line that is not navigation."""
     try:
         return _decode(line)
     except UNREADABLE as error:
@@ -101,7 +101,8 @@ def reference(plan: Plan, at: Heard, start_ns: int) -> Asked | None:
 
 
 def _around(plan: Circle, at: Heard) -> Asked | None:
-    """Along the tangent, and towards the circle in proportion to the distance from it: a vector field (Nelson et al. 2007)."""
+    """The course along the tangent, and towards the circle in proportion to the distance from it: a vector field (Nelson et al.
+    2007)."""
     if at.latitude_deg is None or at.longitude_deg is None:
         return None
     centre = geodesy.origin(math.radians(plan.latitude_deg), math.radians(plan.longitude_deg))
@@ -113,7 +114,7 @@ def _around(plan: Circle, at: Heard) -> Asked | None:
 
 
 def answered(line: bytes, key: bytes) -> bytes:
-    """The line that answers the vehicle's challenge, its first line where it asks for a key. Raises FormatError."""
+    """Answer the vehicle's challenge, its first line where it asks for a key. Raises FormatError."""
     try:
         return msgspec.json.encode({"proof": proof(key, _decode_challenge(line).challenge)}) + b"\n"
     except UNREADABLE as error:
@@ -121,7 +122,7 @@ def answered(line: bytes, key: bytes) -> bytes:
 
 
 def written(asked: Asked) -> bytes:
-    """The line to the vehicle."""
+    """Format the line to the vehicle."""
     return msgspec.json.encode(asked._asdict()) + b"\n"
 
 
@@ -159,6 +160,6 @@ async def guest(
 
 
 async def _line(reader: asyncio.StreamReader) -> bytes:
-    """The next line; empty at the end. Raises TimeoutError. Not by wait_for, which may lose a cancellation."""
+    """Read the next line; empty at the end. Raises TimeoutError. It does not use wait_for, which may lose a cancellation."""
     async with asyncio.timeout(SILENCE_S):
         return await reader.readline()

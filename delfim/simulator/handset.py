@@ -1,4 +1,4 @@
-"""A hand-set in lock step: sticks and switches by the scenario, as a CRSF receiver tells them."""
+"""A hand-set in lock step: sticks and switches set by the scenario, sent as a CRSF receiver sends them."""
 
 from typing import Annotated
 
@@ -28,14 +28,14 @@ class HandsetAt(tables.Table, frozen=True):
 
 
 class SimulatedReceiver:
-    """At the other end of the boat's serial line."""
+    """The receiver at the other end of the boat's serial line."""
 
     def __init__(self, settings: config.HandsetTable, rows: tuple[HandsetAt, ...], line: LockstepLine) -> None:
         self._settings, self._line = settings, line
         self._rows = sorted(rows, key=lambda row: row.at_s)
 
     def speak(self, now_s: float) -> None:
-        """Call at each cycle."""
+        """Send the channels; call it at each cycle."""
         due = [row for row in self._rows if row.at_s <= now_s]
         if not due:
             return

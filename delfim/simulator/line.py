@@ -1,4 +1,4 @@
-"""A serial line inside one process, for lock-step simulation and replay: data put there is read piece by piece."""
+"""A serial line inside one process, for lock-step simulation and replay: data that is put there is read piece by piece."""
 
 from collections import deque
 from typing import Final

@@ -1,4 +1,4 @@
-"""Lock-step simulation: the real loop, control, console words and state log, a modelled world, and a clock that jumps.
+"""Lock-step simulation: the real loop, control, orders and state log, a modelled world, and a clock that jumps.
 
 Nothing waits and nothing runs beside: navigation is due, the nodes speak, the handlers are called, the clock is advanced. The
 same seed gives the same bytes. It leaves out event loop, sockets and processes, which exist only in real time.
@@ -45,7 +45,7 @@ class OrderLog(Protocol):
 
 
 class Ordered(NamedTuple):
-    """An order of the operator."""
+    """An order that the operator gave."""
 
     mode: Mode  # in which the boat was when it came
     name: str
@@ -92,7 +92,7 @@ class Lockstep:
         self.ordered: Ordered | None = None  # the last one
 
     def _start(self) -> None:
-        """The boat's program, from its beginning."""
+        """Start the boat's program from its beginning."""
         self.state, self.started_s = State(), self.elapsed_s
         links = Links(self._bus, self._line)
         record_to = FaultyLog(self.log, self.faults)
@@ -106,7 +106,7 @@ class Lockstep:
         self.guest = self.vehicle.guest
 
     def kept(self, boot: str = "a boot") -> bytes:
-        """The voyage, as the boat keeps it now."""
+        """The voyage as the boat keeps it now."""
         plan = voyage.plan_command(self.vehicle.helm)
         line = Sliced(console.written(plan)).finish() if plan is not None else b""
         return voyage.text(self._own(boot), self.vehicle.helm, self.state, line)
@@ -115,8 +115,8 @@ class Lockstep:
         return voyage.KeptHead(self.settings.boat.name, "", boot, self.clock.time_ns(), self.clock.monotonic_s())
 
     def restart(self, off_s: float, kept: bytes | None = None, boot: str = "a boot") -> None:
-        """The boat's program dies, and starts again after this time with the voyage that it had kept, or with this one. Another
-        `boot`: the computer was off."""
+        """Let the boat's program die, and start again after this time with the voyage that it had kept, or with this one.
+        Another `boot`: the computer was off."""
         told = self.kept() if kept is None else kept
         for end in self._opened:
             end.close()
@@ -132,7 +132,7 @@ class Lockstep:
             self.vehicle.on_command(command, RESTART)
 
     def _drift(self) -> None:
-        """One navigation period without the boat's program."""
+        """Let one navigation period pass without the boat's program."""
         now_s, nodes = self.elapsed_s, self.faults if self.faults.busy else self.nodes
         self._world.send_many([frame[:2] for frame in nodes.step(now_s, self.clock.time_ns())])
         for devices, end in self._beside:
@@ -167,7 +167,7 @@ class Lockstep:
         return self.vehicle.on_command(command)
 
     def order(self, command: console.Commands, operator: str) -> str | None:
-        """The same, and it is logged, as the doors of the boat do with each."""
+        """Give a command as `command` does, and log it, as the boat's listeners do with each."""
         mode = self.state.mode
         why = self.vehicle.on_command(command, operator) if payload_of(operator) else self.command(command)
         self.ordered = Ordered(mode, str(command.__struct_config__.tag), why or "")
@@ -190,7 +190,7 @@ class Lockstep:
             self.vehicle.on_guest(line)
 
     def cycle(self) -> None:
-        """One navigation period: the nodes send, the loop runs, time passes."""
+        """Run one navigation period: the nodes send, the loop runs, time passes."""
         clock, world, vehicle, faults = self.clock, self._world, self.vehicle, self.faults
         now_s, utc_ns = clock.monotonic_s(), clock.time_ns()
         nodes = faults if faults.busy else self.nodes
@@ -246,13 +246,13 @@ class Lockstep:
         clock.advance(self._cycle_s)
 
     def _answer(self, outlet: LockstepLine) -> None:
-        """As the outlet does, which holds the last pulses while it is silent."""
+        """Answer as the outlet does, which holds the last pulses while it is silent."""
         while outlet.written:
             counter, run = unpack_head(outlet.written.popleft())
             outlet.put(pack_answer(PulseAnswer(counter, STATES[2 * run], "")))
 
     def _navigate_again(self) -> None:
-        """Of late messages some come at once. Nobody knows whether a line has more."""
+        """Deliver more messages of navigation: of late messages some come at once. Nobody knows whether a line has more."""
         for _ in range(BURST - 1):
             left = [source for source, queue in self._sources if queue is None or queue]
             if not left:
@@ -268,8 +268,8 @@ class Lockstep:
             yield self.state
 
     def sail(self, mission: str, limit_s: float, look: Callable[[Self], object] = lambda run: None) -> str:
-        """Load a mission's text, play it as soon as the boat is fit, and sail until it ends; how it ended, in words. `look` is
-        called after each cycle."""
+        """Load a mission's text, play it as soon as the boat is fit, and sail until it ends. Returns how it ended, in words.
+        `look` is called after each cycle."""
         reason = self.order(console.LoadMission(mission), "simulation")
         if reason is not None:
             return f"stopped: {reason}"

@@ -21,7 +21,7 @@ _new = tuple.__new__  # a third of the time of Frame(...)
 
 
 class LockstepBus:
-    """The wire. `socket` opens one more end of it."""
+    """The wire of the bus; `socket` opens one more end of it."""
 
     def __init__(self, clock: Clock, name: str = "lockstep", queue_max: int = QUEUE_MAX) -> None:
         self.clock, self.name, self.queue_max = clock, name, queue_max
@@ -32,7 +32,7 @@ class LockstepBus:
         self._routes: dict[int, tuple[_End, ...]] = {}  # by arbitration field: the ends that accept it
 
     def socket(self, computer: str = "vehicle") -> CanSocket:
-        """A socket, not bound and not blocking: waiting here would never end. Frames between sockets of the same
+        """Open a socket, not bound and not blocking: waiting here would never end. Frames between sockets of the same
         `computer` are marked `sent_here`."""
         end = _End(self, computer)
         self._ends.append(end)
@@ -42,14 +42,15 @@ class LockstepBus:
         return socket
 
     def bound(self, *filters: CanAddress, computer: str = "vehicle") -> CanSocket:
-        """A socket that receives what the filters accept; without filters, nothing."""
+        """Open a socket that receives what the filters accept; without filters, nothing."""
         socket = self.socket(computer)
         if filters:
             socket.bind(*filters)
         return socket
 
     def deliver(self, sender: "_End", messages: Sequence[tuple[int, bytes]]) -> None:
-        """To all other ends that accept them. Raises FormatError for one that is no frame; those before it were sent."""
+        """Deliver messages to all other ends that accept them. Raises FormatError for one that is no frame; those before it
+        were sent."""
         routes, room, t_ns, computer = self._routes, self.queue_max, self.clock.time_ns(), sender.computer
         for arb, data in messages:
             if len(data) > 8:
@@ -78,7 +79,7 @@ class LockstepBus:
         return any(not (frames.arb ^ each.arb) & ~frames.mask & ~each.mask for each in taken)
 
     def changed(self, closed: "_End | None" = None) -> None:
-        """An end was bound or closed."""
+        """Note that an end was bound or closed."""
         self._routes.clear()
         self.changes += 1
         if closed in self._ends:
@@ -134,7 +135,7 @@ class _End:
         bus.deliver(self, ((arb, bytes(data)),))
 
     def rehearse(self) -> None:
-        """Nothing: there are no caches to warm."""
+        """Do nothing: there are no caches to warm."""
 
     def rebind(self) -> bool:
         return self._bus is not None

@@ -77,8 +77,8 @@ class Hull(NamedTuple):
 
 
 def hull_of(vehicle: Vehicle) -> Hull:
-    """The default hull, which is that of DelfimX, in the size of the vehicle's file: forces and masses as those of a hull of
-    its length and mass in like motion (Froude). The drag ahead is the file's where it gives it."""
+    """The default hull, which is that of DelfimX, scaled to the size of the vehicle's file: forces and masses by Froude's law
+    from length and mass. The drag ahead is that of the file where it gives one."""
     boat, same = vehicle.boat, Hull()
     long = boat.length_m / LENGTH_M
     heavy = boat.length_m * boat.beam_m / (LENGTH_M * BEAM_M) if boat.mass_kg is None else boat.mass_kg / MASS_KG
@@ -107,8 +107,8 @@ def hull_of(vehicle: Vehicle) -> Hull:
 
 
 def _dragged(hull: Hull, vehicle: Vehicle) -> Hull:
-    """With the drag ahead of the file, or the one that full thrust overcomes at the speed of the file, or at the one that the
-    autopilot takes without it; a fifth of it linear. That says nothing for the propellers of DelfimX, which lose thrust with
+    """The hull with the drag ahead of the file, or with that which full thrust overcomes at the file's speed, or at the
+    autopilot's default speed; a fifth of it linear. This does not hold for the propellers of DelfimX, which lose thrust with
     speed."""
     boat = vehicle.boat
     if boat.drag_n_per_mps is not None or boat.drag_n_per_mps2 is not None:
@@ -126,7 +126,7 @@ nothing; for a propeller of DelfimX None, its thrust coefficients at rest and th
 
 
 class Bank(NamedTuple):
-    """A round place with less water, BANK_M about its middle."""
+    """A round shoal, BANK_M about its middle."""
 
     north_m: float
     east_m: float
@@ -189,21 +189,21 @@ class Model:
 
     @property
     def depth_m(self) -> float:
-        """Of the water here: the bottom is flat but for the bank."""
+        """The depth of the water here, m: the bottom is flat but for the bank."""
         bank = self.bank
         is_on = bank is not None and math.hypot(self.north_m - bank.north_m, self.east_m - bank.east_m) <= BANK_M
         return bank.depth_m if bank is not None and is_on else DEPTH_M
 
     def command(self, name: str, rpm: float, run: bool) -> None:
-        """The reference of a thruster's motor controller, which limits it. NaN is motor off."""
+        """Set the reference of a thruster's motor controller, which limits it. NaN is motor off."""
         drive = self.drives[name]
         drive.run = run and math.isfinite(rpm)
         most = drive.rpm_max
         drive.reference_rpm = 0.0 if not drive.run else rpm if -most <= rpm <= most else math.copysign(most, rpm)
 
     def push(self, name: str, part: float, angle_rad: float = 0.0, run: bool = True) -> None:
-        """The same as -1..1 of full command, with the angle of one that turns, as drivers are told. Without `run` it stays
-        where it points."""
+        """Set a thruster to -1..1 of full command, with the angle of one that turns, as drivers command it. Without `run` it
+        stays where it points."""
         drive = self.drives[name]
         if run and drive.row.steer is not None and math.isfinite(angle_rad):
             drive.reference_rad = angle_rad
@@ -221,15 +221,15 @@ class Model:
 
     @property
     def alive(self) -> bool:
-        """False when there is nothing to measure: the model is in another program that has sent nothing new."""
+        """Whether there is something to measure: False while a model in another program has sent nothing new."""
         return True
 
     def taken(self) -> None:
-        """Navigation was made from the present state."""
+        """Note that navigation was made from the present state."""
 
     @property
     def starboard(self) -> Drive:
-        """A propeller of DelfimX."""
+        """The starboard propeller of DelfimX."""
         return self.drives["starboard"]
 
     @property
@@ -238,13 +238,13 @@ class Model:
 
     @property
     def north_mps(self) -> float:
-        """Velocity over ground."""
+        """Velocity over ground to the north, m/s."""
         c, s = math.cos(self.heading_rad), math.sin(self.heading_rad)
         return self.surge_mps * c - self.sway_mps * s + self.current_north_mps
 
     @property
     def east_mps(self) -> float:
-        """Velocity over ground."""
+        """Velocity over ground to the east, m/s."""
         c, s = math.cos(self.heading_rad), math.sin(self.heading_rad)
         return self.surge_mps * s + self.sway_mps * c + self.current_east_mps
 
@@ -258,7 +258,7 @@ class Model:
 
     @property
     def wind_north_mps(self) -> float:
-        """Velocity of the air over ground, with the present gust."""
+        """Velocity of the air over ground to the north, m/s, with the present gust."""
         return self._mean_north_mps + self._gust_north_mps
 
     @property
@@ -274,7 +274,7 @@ class Model:
         return 0.5 * self._wave_rad * math.sin(2.9 * self.time_s + self._pitch_phase)
 
     def _gust(self, dt_s: float) -> None:
-        """Both components of the gust are first-order Gauss-Markov processes; exact for any step."""
+        """Advance the gust, whose components are first-order Gauss-Markov processes; exact for any step."""
         if self._gust_mps:
             keep = math.exp(-dt_s / GUST_S)
             new = self._gust_mps * math.sqrt(1.0 - keep * keep)
@@ -282,14 +282,15 @@ class Model:
             self._gust_east_mps = keep * self._gust_east_mps + self._random.gauss(0.0, new)
 
     def _air(self) -> tuple[float, float] | None:
-        """Velocity of the water through the air, north and east; None: no wind blows, and that of a current does not count."""
+        """Velocity of the water through the air, north and east, m/s; None: no wind blows, and that of a current does not
+        count."""
         if not (self._gust_mps or self._mean_north_mps or self._mean_east_mps):
             return None
         north_mps = self.current_north_mps - self._mean_north_mps - self._gust_north_mps
         return north_mps, self.current_east_mps - self._mean_east_mps - self._gust_east_mps
 
     def _turn(self, drive: Drive, h: float) -> float:
-        """Motor, what turns it, and their load on the batteries; returns the mean rpm of the step."""
+        """Advance a motor, its steering, and their load on the batteries; returns the mean rpm of the step."""
         if drive.row.steer is not None:
             drive.turn(h)
         motor_s, coast_s, idle_a, capacity_as = self._motors
@@ -311,14 +312,14 @@ class Model:
         return 0.5 * (before_rpm + rpm)
 
     def _motor_a(self, rpm: float) -> float:
-        """Into the motor of a propeller of DelfimX at these revolutions."""
+        """The current into the motor of a propeller of DelfimX at these revolutions, A."""
         d, water, torque, per_j, voltage_v = self._torque
         n, ahead_mps = abs(rpm) / 60.0, math.copysign(self.surge_mps, self.surge_mps * rpm)
         torque_nm = water * n * (torque * n * d - per_j * ahead_mps)
         return torque_nm * math.tau * n / voltage_v if torque_nm > 0.0 else 0.0
 
     def _pushing(self, h: float) -> list[Push]:
-        """Let the motors run for a step; what pushes the boat then."""
+        """Run the motors for a step; returns the forces that push the boat then."""
         pushes: list[Push] = []
         thrust, per_j, astern = self._propeller
         for drive, y in self._arms:
@@ -333,7 +334,7 @@ class Model:
         return pushes
 
     def _move(self, h: float, pushes: list[Push], air: tuple[float, float] | None) -> None:
-        """One step by the midpoint rule (second-order Runge-Kutta)."""
+        """Advance the hull by one step of the midpoint rule (second-order Runge-Kutta)."""
         u, v, r, heading = self.surge_mps, self.sway_mps, self.yaw_rate_radps, self.heading_rad
         half = 0.5 * h
         du, dv, dr = self._accelerations(u, v, r, math.cos(heading), math.sin(heading), pushes, air)

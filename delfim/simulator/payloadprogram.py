@@ -27,7 +27,7 @@ Order = Callable[[console.Commands, str], str | None]
 
 
 class PayloadProgram(contextlib.AbstractContextManager["PayloadProgram"]):
-    """One program. `turn` after each cycle. Raises DelfimError where it cannot be started."""
+    """One program; call `turn` after each cycle. Raises DelfimError where it cannot be started."""
 
     def __init__(self, name: str, words: Sequence[str], order: Order) -> None:
         self.name, self._order, self._budget = name, order, OrderBudget()
@@ -40,8 +40,8 @@ class PayloadProgram(contextlib.AbstractContextManager["PayloadProgram"]):
             raise DelfimError(f"payload {name}: {error.strerror}: {words[0]}") from None
 
     def turn(self, run: Lockstep) -> None:
-        """Tell it where the boat is, if that is due, and carry out what it orders. One that has ended is silent,
-        and so is one whose link is lost, as a guest's."""
+        """Send it the boat's state, if that is due, and carry out its orders. A program that has ended is silent, and so is one
+        whose link is lost, as a guest's."""
         now_s = run.elapsed_s
         if now_s + 1e-9 < self._next_s or not self.is_running or "guest_lost" in run.faults.on:
             return
@@ -60,7 +60,8 @@ class PayloadProgram(contextlib.AbstractContextManager["PayloadProgram"]):
             self.is_running = False
 
     def _listen(self, run: Lockstep) -> None:
-        """Its lines up to the one that ends its turn. Raises DelfimError for a program that neither ends it nor itself."""
+        """Read its lines up to the one that ends its turn. Raises DelfimError for a program that ends neither its turn nor
+        itself."""
         assert self._child.stdout is not None
         said = 0
         while self.is_running:
@@ -77,7 +78,7 @@ class PayloadProgram(contextlib.AbstractContextManager["PayloadProgram"]):
             self._rest += data
 
     def _obeyed(self, line: bytes, run: Lockstep) -> str | None:
-        """Why its order was refused, or None."""
+        """Carry out its order; returns why it was refused, or None."""
         try:
             command = ordered(line)
             if why := self._budget.exceeded(command, run.elapsed_s):

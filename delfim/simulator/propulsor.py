@@ -29,7 +29,7 @@ class Drive:
     )
 
     def __init__(self, row: ThrusterTable, rpm_max: float, rpm_per_s_max: float) -> None:
-        """The limits are those of a motor controller of DelfimX; another thruster has its own."""
+        """`rpm_max` and `rpm_per_s_max` are the limits of a motor controller of DelfimX; another thruster has its own."""
         self.row = row
         self.curve: Curve | None = None
         self.rpm_max, self.rpm_per_s_max = rpm_max, rpm_per_s_max
@@ -49,7 +49,7 @@ class Drive:
         self.fault: DriveFault | None = None
 
     def turn(self, h: float) -> None:
-        """Turn towards the angle that was asked for, for a time."""
+        """Turn towards the requested angle for this time."""
         steer = self.row.steer
         if steer is None or self.fault == "stuck":
             return
@@ -58,22 +58,22 @@ class Drive:
         self.angle_rad += min(max(left, -most), most)
 
     def push_n(self, part: float) -> tuple[float, float]:
-        """Force ahead and to starboard at these revolutions, -1..1 of those at full command, where the curve gives it. A rudder
-        turns the stream of a propeller that pushes ahead."""
+        """The force ahead and to starboard, N, at these revolutions, -1..1 of those at full command, where the curve gives it.
+        A rudder turns the stream of a propeller that pushes ahead."""
         row, force_n = self.row, self.curve.force(part) if self.curve is not None else 0.0
         straight = row.steer is not None and row.steer.kind == "rudder" and force_n < 0.0
         to_rad = math.radians(row.angle_deg) + (0.0 if straight else self.angle_rad)
         return force_n * math.cos(to_rad), force_n * math.sin(to_rad)
 
     def failing(self) -> tuple[bool, float]:
-        """Whether the motor of one with a fault is driven, and its rpm."""
+        """Whether the motor of a thruster with a fault is driven, and its rpm."""
         if self.fault == "stuck":
             return self.powered, self.rpm
         return self.run and self.powered and self.fault != "dead", -self.reference_rpm
 
     @property
     def part(self) -> float:
-        """Its revolutions, -1..1 of those at full command."""
+        """The revolutions, -1..1 of those at full command."""
         return self.rpm / self.rpm_max
 
     @property
@@ -82,5 +82,5 @@ class Drive:
 
     @property
     def voltage_v(self) -> float:
-        """Of the batteries: 42 V empty to 54 V full at rest, and 20 mohm within (assumed)."""
+        """The voltage of the batteries, V: 42 empty to 54 full at rest, and 20 mohm within (assumed)."""
         return VOLTAGE_V + 12.0 * (self.charge - 0.5) - 0.02 * self.current_a

@@ -1,4 +1,4 @@
-"""The berth of a simulated boat: its number, folder, bus, ports and boat's number, none of them shared with another one.
+"""The workspace of a simulated boat: its number, folder, bus, ports and boat's number, none of them shared with another one.
 
 The first simulation of a computer uses the values of the vehicle's file. The next have numbers: a folder `run/sim-2`, a bus
 `canloop:can0-2`, ports ten above. A port that another program uses is skipped. A value that the operator gave is taken
@@ -72,7 +72,7 @@ HEEDED: Final = {  # of the settings below, those into which what the operator s
 
 
 class BerthSettings(NamedTuple):
-    """A simulated boat's overrides of its file, and the part of them that is shown."""
+    """The overrides of a simulated boat's file, and the part of them that is shown."""
 
     overrides: list[str]
     boat_id: int
@@ -84,8 +84,8 @@ class BerthSettings(NamedTuple):
 
 @contextlib.contextmanager
 def berth(folder: str | None) -> Iterator[Berth]:
-    """The next free berth, held as long as the context lasts; in this folder, or in one named by its number. Raises DelfimError
-    if another simulation has the folder, or if the boat's programs cannot run on this system."""
+    """Hold the next free workspace as long as the context lasts; in this folder, or in one named by its number. Raises
+    DelfimError if another simulation has the folder, or if the boat's programs cannot run on this system."""
     if not hasattr(select, "epoll"):
         raise DelfimError("in real time the boat's own programs run, and need Linux (on Windows: WSL 2); --lockstep sails here")
     with contextlib.ExitStack() as held:
@@ -175,15 +175,16 @@ def _instruments(vehicle: config.Vehicle, its: Berth) -> dict[str, str]:
 
 
 def _of_parts(vehicle: config.Vehicle, place: Path, loop: str) -> dict[str, str]:
-    """Where the devices of a laboratory's parts are played: none of them is a real one."""
+    """The overrides for the devices of a laboratory's parts: none of them is a real one."""
     tables = [(part.name, vehicle.table(part.name)) for part in vehicle.aboard if part.table is not None]
     lines = {f"{name}.device": f"{place}/{name}" for name, table in tables if hasattr(table, "device")}
     return lines | {f"{name}.interface": f"{loop}-{name}" for name, table in tables if hasattr(table, "interface")}
 
 
 def _beside(vehicle: config.Vehicle, its: Berth) -> dict[str, str]:
-    """Where the boat tells others its navigation, and where a pilot steers it. A simulated position on a real bridge, or a real
-    plotter that steers a simulated boat, would deceive somebody. On this computer the datagrams' own port stays."""
+    """The overrides for outputs of navigation, and for lines on which a pilot steers the boat. A simulated position on a real
+    bridge, or a real plotter that steers a simulated boat, would deceive somebody. On this computer the datagrams' own port
+    stays."""
     outs = {f"nmea0183.out.{name}.to": (f"out-{name}", out.to) for name, out in vehicle.table("nmea0183").out.items()}
     pilot = {"nmea0183.guest.device": ("guest", vehicle.table("nmea0183").guest.device)}
     return {key: _device(name, to, its) for key, (name, to) in {**outs, **pilot}.items() if not _is_here(to)}
@@ -195,7 +196,7 @@ def _is_here(place: str) -> bool:
 
 
 def _corrected(vehicle: config.Vehicle) -> tuple[str, ...]:
-    """The sources of corrections for a receiver that is none of the boat's simulated ports."""
+    """The sources of corrections, for a receiver that is none of the boat's simulated ports."""
     to = vehicle.table("corrections").to
     return (
         ()
@@ -205,7 +206,8 @@ def _corrected(vehicle: config.Vehicle) -> tuple[str, ...]:
 
 
 def _shared(vehicle: config.Vehicle, named: Collection[str]) -> Iterator[str]:
-    """The fleet's broker and a ROS 2 elsewhere: who listens there would take the simulated boat for the one of its name."""
+    """The overrides for the fleet's broker and a ROS 2 elsewhere: their listeners would take the simulated boat for the real
+    one of its name."""
     if "fleet.broker" not in named:
         yield from ("fleet.broker", "fleet.credentials", "fleet.authorities")
     if not _is_here(vehicle.table("ros").router.replace("/", ":", 1)):
@@ -213,7 +215,7 @@ def _shared(vehicle: config.Vehicle, named: Collection[str]) -> Iterator[str]:
 
 
 def _device(name: str, device: str, its: Berth) -> str:
-    """Where a simulated instrument is heard: the real port, or the network, is left alone."""
+    """The device where a simulated instrument is heard: the real port, or the network, is left alone."""
     if device.startswith("/"):
         return f"{its.folder.resolve()}/nmea0183-{name}"
     kind, _, place = device.replace("gpsd:", "tcp:").partition(":")
@@ -221,7 +223,7 @@ def _device(name: str, device: str, its: Berth) -> str:
 
 
 def _by_pulses(vehicle: config.Vehicle) -> list[Any]:
-    """The rows, with motors whose devices are not simulated told by pulses, which `parts/pwm/sim.py` reads. Raises
+    """The rows, with motors whose devices are not simulated driven by pulses, which `parts/pwm/sim.py` reads. Raises
     DelfimError for more of them than there are channels."""
     channels, told = count(), list[Any]()
     for row in vehicle.thrusters:
@@ -253,7 +255,8 @@ def folders() -> list[Path]:
 
 @contextlib.contextmanager
 def _numbered(number: int) -> Iterator[bool]:
-    """Whether the number was free. It is a name in this computer's network namespace, released when the program ends."""
+    """Take a number; returns whether it was free. It is a name in this computer's network namespace, released when the program
+    ends."""
     with socket.socket(socket.AF_UNIX) as name:
         try:
             name.bind(f"\0delfim simulation {number}")
@@ -265,7 +268,7 @@ def _numbered(number: int) -> Iterator[bool]:
 
 @contextlib.contextmanager
 def _locked(folder: Path) -> Iterator[bool]:
-    """Make the folder; whether it is free. Raises OSError."""
+    """Make and lock the folder; returns whether it is free. Raises OSError."""
     import fcntl  # not on Windows, where only lock step sails
 
     folder.mkdir(parents=True, exist_ok=True)

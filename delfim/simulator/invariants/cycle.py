@@ -1,4 +1,4 @@
-"""A cycle of a boat in lock step, as its invariants see it: what was before it, and what is after it."""
+"""A cycle of a boat in lock step, as its invariants see it: the boat before it, and after it."""
 
 from collections.abc import Iterator
 from typing import Final, NamedTuple, Protocol
@@ -12,7 +12,7 @@ NOTHING: Final = 0.0, 0.0, 0.0
 
 
 class Before(NamedTuple):
-    """The boat when a cycle begins, after the last orders."""
+    """The boat at the beginning of a cycle, after the last orders."""
 
     now_s: float
     mode: Mode
@@ -52,8 +52,8 @@ def before(run: Lockstep) -> Before:
 
 
 class CycleSeen:
-    """One cycle, or, `is_order`, the first step of a mode, which is done as soon as its order is obeyed. `steered`: it had one
-    message of navigation, and the boat is in the mode that it was in."""
+    """One cycle, or, if `is_order`, the first step of a mode, which is done as soon as its order is obeyed. `steered`: the
+    cycle had one message of navigation, and the boat is in the mode that it was in."""
 
     __slots__ = ("dt_s", "is_order", "memory", "now_s", "run", "state", "steered", "was")
 
@@ -72,6 +72,6 @@ class CycleSeen:
 
 
 class Invariant(Protocol):
-    """`look` after a cycle: what is wrong, in words."""
+    """A rule; `look` after a cycle returns what is wrong, in words."""
 
     def look(self, cycle: CycleSeen) -> Iterator[str]: ...

@@ -1,5 +1,5 @@
-"""What the boat says of its motion, batteries and times is plausible; what it tells its operator and its log is what it knows,
-and, where nothing deceives its sensors, the truth."""
+"""What the boat reports of its motion, batteries and times is plausible; what it reports to its operator and its log is what it
+knows, and, where nothing deceives its sensors, the truth."""
 
 import math
 from collections.abc import Iterable, Iterator
@@ -37,7 +37,7 @@ SIDES: Final = "batteries_starboard", "batteries_port"  # by the address of thei
 
 
 def _settled_s(run: Lockstep) -> float:
-    """When a boat that nobody looked at before is what it was told by sound sensors alone."""
+    """The time from which a boat that nobody observed before knows only what sound sensors have measured."""
     return run.elapsed_s + SETTLES_S if run.elapsed_s else 0.0
 
 
@@ -93,7 +93,7 @@ class Plausible:
 
 
 class Batteries:
-    """Charge is never gained, goes no faster than a motor can draw it, and is told as it is."""
+    """Charge is never gained, goes no faster than a motor can draw it, and is reported as it is."""
 
     def __init__(self, run: Lockstep) -> None:
         hull: Hull = run.nodes.model.hull
@@ -128,7 +128,7 @@ class Batteries:
 
 
 class NotedChanges:
-    """Each change of mode, and each trouble that comes or goes, is told when it happens, with its reason; nothing else is."""
+    """Each change of mode, and each trouble that comes or goes, is noted when it happens, with its reason; nothing else is."""
 
     def __init__(self, run: Lockstep) -> None:
         state = run.state
@@ -164,7 +164,7 @@ class NotedChanges:
 
 
 def _of_troubles(before: Iterable[Notice], after: Iterable[Notice], noted: tuple[str, ...]) -> Iterator[str]:
-    """What the notes of a cycle say of troubles is how the notices changed."""
+    """The notes of a cycle about troubles agree with how the notices changed."""
     known, present = {(each.name, each.action) for each in before}, {each.name for each in after}
     news = {f"{each.name}: {each.reason}: {each.action}" for each in after if (each.name, each.action) not in known}
     gone = {f"{name}: over" for name, _ in known if name not in present}
@@ -178,8 +178,8 @@ def _of_troubles(before: Iterable[Notice], after: Iterable[Notice], noted: tuple
 
 
 class Reported:
-    """The report that pages and `/api/state` show, and the record of the log, say what the boat knows; and this is the truth
-    where nothing deceives it."""
+    """The report that pages and `/api/state` show, and the record of the log, agree with what the boat knows; and this is the
+    truth where nothing deceives it."""
 
     def __init__(self, run: Lockstep) -> None:
         there = run.settings.of(Simulation)

@@ -1,4 +1,4 @@
-"""The fence by plane geometry that is slow and obvious: what docs/failsafe.md says of it, from the zones as files have them."""
+"""The fence by plane geometry that is slow and obvious, as docs/failsafe.md defines it, from the zones as files have them."""
 
 import math
 from collections.abc import Sequence
@@ -40,7 +40,7 @@ class OneZone:
         return away_m if self.holds(p) is self.keep_in else -away_m
 
     def holds(self, p: Point) -> bool:
-        """Whether a point is inside a polygon: of the sides that pass east of it, an odd number."""
+        """Whether a point is inside a polygon: an odd number of its sides pass east of the point."""
         crossed = [
             a[1] + (b[1] - a[1]) * (p[0] - a[0]) / (b[0] - a[0]) for a, b in self.sides if (a[0] > p[0]) is not (b[0] > p[0])
         ]
@@ -68,7 +68,7 @@ class PlainFence:
         self._clear: tuple[Point, float] | None = None  # a place, and its clearance
 
     def zones(self) -> list[OneZone] | None:
-        """None: not known here, because it has several areas to stay in, of which any will do."""
+        """The zones; None: not known here, because several areas to stay in apply, of which any will do."""
         plans, origin = self._run.vehicle.helm.plans, self._run.state.origin
         basis = plans.fence, origin, plans.zones
         if self._basis and all(one is other for one, other in zip(basis, self._basis, strict=True)):
@@ -131,7 +131,7 @@ class PlainFence:
         return any(least < margin_m and least < now - LEAVES_M for least, now in least_m)
 
     def _surely_m(self, here: Point, zones: Sequence[OneZone]) -> float:
-        """A clearance that the boat surely has: it loses no more than the way that it makes."""
+        """A clearance that the boat certainly has: it loses no more than the distance that it sails."""
         if self._clear is not None and (least_m := self._clear[1] - math.dist(here, self._clear[0]) - ROUNDING_M) > 12.0:
             return least_m
         clear_m = min(zone.clear_m(here) for zone in zones)

@@ -1,4 +1,4 @@
-"""Each mode steers for what it was told, and ends a leg, a drive or itself where docs/control.md says."""
+"""Each mode steers for its set points, and ends a leg, a drive or itself where docs/control.md says."""
 
 import math
 from collections.abc import Iterator
@@ -24,7 +24,7 @@ Point = tuple[float, float]
 
 
 def onto(a: Point, b: Point, motion: Motion) -> tuple[float, float, float]:
-    """(bearing, cross-track, left to go) of the boat on a line from a to b."""
+    """(bearing, cross-track error, distance left) of the boat on a line from a to b."""
     bearing_rad = math.atan2(b[1] - a[1], b[0] - a[0])
     off_n, off_e = motion.north_m - b[0], motion.east_m - b[1]
     ahead_n, ahead_e = math.cos(bearing_rad), math.sin(bearing_rad)
@@ -34,7 +34,7 @@ def onto(a: Point, b: Point, motion: Motion) -> tuple[float, float, float]:
 def line_of_sight(
     was: LineOfSight, motion: Motion, bearing_rad: float, cross_m: float, cycle: CycleSeen
 ) -> tuple[LineOfSight, float]:
-    """docs/control.md, "Line of sight": its memory after this step, and the heading."""
+    """The line of sight of docs/control.md: its memory after this step, and the heading."""
     path, dt_s = cycle.run.vehicle.helm.limits.control.path, cycle.dt_s
     made_mps = motion.north_mps * math.cos(motion.heading_rad) + motion.east_mps * math.sin(motion.heading_rad)
     crab_rad = 0.0
@@ -50,7 +50,7 @@ def line_of_sight(
 
 
 def reached(to: Waypoint, far_m: float, left_m: float) -> bool:
-    """Within the radius, or abeam within twice of it."""
+    """Whether a waypoint is reached: within the radius, or abeam within twice of it."""
     return far_m <= to.acceptance_m + SAME or (left_m <= SAME and far_m <= 2.0 * to.acceptance_m + SAME)
 
 
@@ -130,7 +130,7 @@ class Guidance:
             yield from self._leg(cycle, to, stops=leg == 0, then=leg - 1 if leg else None)
 
     def _leg(self, cycle: CycleSeen, to: Waypoint, *, stops: bool, then: int | None) -> Iterator[str]:
-        """One step on a leg; `then` is the leg that begins at its end. None: it is the last."""
+        """Take one step on a leg; `then` is the leg that begins at its end. None: it is the last."""
         state, was, after = cycle.state, cycle.was.memory, cycle.memory
         motion, reference, control = state.motion, state.reference, cycle.run.vehicle.helm.limits.control
         mode, begin, end = state.mode.name.lower(), (was.north_m, was.east_m), (to.north_m, to.east_m)
@@ -159,7 +159,7 @@ class Guidance:
             yield f"{mode} goes on with leg {after.leg}, not {leg}, {far_m:.1f} m from the end of leg {was.leg}"
 
     def _done(self, cycle: CycleSeen) -> Iterator[str]:
-        """The boat says that a mode is done."""
+        """Whether the boat reports that a mode is done."""
         was, motion, setpoint, mode = cycle.was.memory, cycle.state.motion, cycle.was.setpoint, cycle.was.mode
         to = setpoint.target if mode is Mode.GOTO else None
         if mode is Mode.PLAY and setpoint.plan is not None:
@@ -266,7 +266,7 @@ class Beginnings:
         self._place: Point | None = None  # where a hold would have begun without a fence
 
     def ordered(self, state: State, *, is_hold: bool) -> None:
-        """An order was obeyed."""
+        """Note that an order was obeyed."""
         place = begun(Mode.HOLD, state.setpoint, state.motion) if is_hold else None
         self._hold_s, self._place = state.mode_s, None if place is None else (place.north_m, place.east_m)
 
@@ -294,7 +294,7 @@ class Beginnings:
             yield from self._held(cycle, self._place, (has.north_m, has.east_m), has.room)
 
     def _held(self, cycle: CycleSeen, first: Point, at: Point, room: float) -> Iterator[str]:
-        """Where a hold keeps the boat, if it would have been at `first` without a fence."""
+        """The place that a hold keeps, if it would have been at `first` without a fence."""
         zones, helm = self._fence.zones(), cycle.run.vehicle.helm
         if zones is None:
             return

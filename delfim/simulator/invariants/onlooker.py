@@ -1,4 +1,4 @@
-"""Invariants: what must never happen to a boat in lock step, whatever fails."""
+"""Checks the invariants: what must never happen to a boat in lock step, whatever fails."""
 
 import math
 from collections.abc import Callable
@@ -37,7 +37,8 @@ _IDLE: Final = Mode.IDLE  # asked for in each cycle; the lookup in the enumerati
 
 
 class TruePlace:
-    """Where the hull is in truth, for all who look at a run: found once in each cycle. Call `look` after it, before theirs."""
+    """The true position of the hull, for all who look at a run: computed once in each cycle. Call `look` after it, before
+    theirs."""
 
     def __init__(self, run: Lockstep) -> None:
         self._run, self._model = run, run.nodes.model
@@ -54,8 +55,8 @@ class TruePlace:
         self.at = north_m, (longitude_rad - origin.longitude_rad) * origin.east_m_per_rad
 
     def clear_m(self, within_m: float) -> float:
-        """Of the fence, negative outside it: exact where it is less than `within_m`. It is not found again before the boat can
-        have come so near: it loses no more of it than the way that it makes."""
+        """The clearance from the fence, negative outside it: exact where it is less than `within_m`. It is not computed again
+        before the boat can have come so near: it loses no more than the distance sailed."""
         fence, at = self._run.vehicle.helm.plans.fence, self.at
         if fence is None or at is None or not fence.zones:
             return math.inf
@@ -80,7 +81,7 @@ class Onlooker:
     """Call `look` after each cycle, `order` to give an order, and `ready` after anything else that changes the boat."""
 
     def __init__(self, run: Lockstep, *, facts: bool = False) -> None:
-        """`facts`: of who calls `look` after each single cycle."""
+        """`facts`: the checks of a caller that calls `look` after each single cycle."""
         self._run, self._drives, self.place = run, run.nodes.model.drives, TruePlace(run)
         self.failures: list[str] = []
         self._uncut = {row.name for _, row in run.settings.driven("nodes", False)}
@@ -91,7 +92,7 @@ class Onlooker:
         self._begin()
 
     def _begin(self) -> None:
-        """With the boat's program as it is: what rules remember of another one says nothing of this one."""
+        """Begin with the boat's program as it is: what rules remember of another one does not apply to it."""
         run = self._run
         self._vehicle, self._troubles, self._beginnings = run.vehicle, Troubles(run), Beginnings(run)
         self._rules = [*(rule(run) for rule in (RULES + FACTS if self._facts else RULES)), self._troubles, self._beginnings]
@@ -99,7 +100,7 @@ class Onlooker:
             self._rules.append(Returns(run, self._before))
 
     def ready(self) -> None:
-        """The next cycle begins."""
+        """Begin the next cycle."""
         if self._run.vehicle is not self._vehicle:
             self._begin()
         self._before = before(self._run)
@@ -131,7 +132,7 @@ class Onlooker:
         self._before = before(run)
 
     def order(self, command: console.Commands, by: str) -> str | None:
-        """Give an order, and look at what comes of it."""
+        """Give an order, and check its effect."""
         self.ready()
         self._orders.before()
         why = self._run.order(command, by)
@@ -158,20 +159,20 @@ class Onlooker:
         return why
 
     def _is_broken(self, rule: Invariant, cycle: CycleSeen) -> bool:
-        """One that was broken is not asked again."""
+        """Whether a rule is broken; one that was broken is not checked again."""
         words = next(rule.look(cycle), "")
         if words:
             self._fail(words)
         return bool(words)
 
     def _turns(self) -> bool:
-        """Whether propellers give thrust. One that does not obey, and that the boat cannot cut off, is not its fault."""
+        """Whether propellers give thrust. One that does not obey, and that the boat cannot cut off, does not count."""
         drives = [drive for name, drive in self._drives.items() if not (drive.fault and name in self._uncut)]
         return any(abs(drive.part) > TURNS for drive in drives)
 
     def _adrift(self, now_s: float) -> None:
-        """Propellers give thrust while nothing steers the boat. Neither a failed bus, nor an outlet that hangs, nor a node that
-        tells it nothing is the boat's fault: what turns then it learns afterwards."""
+        """Propellers give thrust while nothing steers the boat. Neither a failed bus, nor an outlet that hangs, nor a silent
+        node is the boat's fault: it learns afterwards what turns then."""
         on = self._run.faults.on
         if not _TOLD_NOTHING.isdisjoint(on) or any(kind.startswith("frames_") for kind in on):
             self._turning_since_s, self._astray = math.inf, False
@@ -183,7 +184,7 @@ class Onlooker:
 
     def _fenced(self, around: Fence, state: State, idle: bool) -> None:
         """A boat that obeys, knows its position and drives must not leave its fence. A stopped boat may drift, and so may one
-        that was told a wrong position; one that was within the margin when it began to drive, or learnt where it is, may go on
+        that received a wrong position; one that was within the margin when it began to drive, or learnt where it is, may go on
         while it turns, until it has the margin again."""
         at, clear_m = self.place.at, self.place.clear_m(around.limits.margin_m)
         if at is None:

@@ -31,7 +31,7 @@ RIGHT: Final = {
 
 
 class BeforeOrder(NamedTuple):
-    """What an order that is refused leaves as it is."""
+    """The part of the state that a refused order leaves as it is."""
 
     boat: Before
     armed: bool
@@ -46,7 +46,7 @@ class BeforeOrder(NamedTuple):
 
 
 class Whose(NamedTuple):
-    """What an order of a payload program leaves as it is, even if it is obeyed."""
+    """The part of the state that an order of a payload program leaves as it is, even if it is obeyed."""
 
     helmsman: str
     operator: str
@@ -69,7 +69,7 @@ def aboard(run: Lockstep) -> BeforeOrder:
 
 
 class Orders:
-    """`before` an order and `after` it."""
+    """The rules of orders, for `before` an order and `after` it."""
 
     def __init__(self, run: Lockstep) -> None:
         self._run, self._fence = run, PlainFence(run)
@@ -79,7 +79,7 @@ class Orders:
         self._was, self._whose = aboard(self._run), whose(self._run)
 
     def after(self, command: console.Commands, why: str | None, payload: str = "") -> Iterator[str]:
-        """What is wrong with the answer, in words. `payload`: the program that ordered; empty: an operator did."""
+        """What is wrong with the answer, in words. `payload`: the program that gave the order; empty: an operator did."""
         now, was, name = aboard(self._run), self._was, str(command.__struct_config__.tag)
         if why is not None:
             if self._whose.helmsman and not payload:  # it takes the boat back all the same, and the reason says so
@@ -119,7 +119,7 @@ class Orders:
             yield from self._does(name, Mode.MANUAL, was.boat.setpoint._replace(starboard=command.starboard, port=command.port))
 
     def _below(self, payload: str, command: console.Commands, why: str | None) -> Iterator[str]:
-        """What a program may not do."""
+        """Check that a program did nothing that it may not do."""
         word, table = str(command.__struct_config__.tag), self._run.settings.table("payload").get(payload)
         has = self._whose.helmsman == payload or word in FREE
         if why is None and not (has and table is not None and table.may and (word == "alive" or RIGHT[word] in table.may)):
@@ -128,8 +128,8 @@ class Orders:
             yield f"{word} of payload {payload} passed for an operator's, or overruled the failsafe"
 
     def entered(self, command: console.Commands) -> CycleSeen | None:
-        """The first step of a mode that an order began, which is done at once. None: it began none, or went on with one, or a
-        hand-set may have the boat."""
+        """The first step of a mode that an order began, which is done at once. None: the order began none, or continued one, or
+        a hand-set may have the boat."""
         run, was, state = self._run, self._was.boat, self._run.state
         is_manual = isinstance(command, console.Manual)
         if run.settings.handset.device or isinstance(command, console.Continue):
@@ -141,7 +141,7 @@ class Orders:
         return CycleSeen(run, began, is_order=True)
 
     def _wanted(self, command: Any) -> tuple[Mode, Setpoint] | None:
-        """The mode and the set points that an order asks for; None: it asks for none, or for what depends on more."""
+        """The mode and the set points that an order asks for; None: it asks for none, or they depend on more than the order."""
         state, helm = self._run.state, self._run.vehicle.helm
         was, control = self._was.boat, helm.limits.control
         setpoint = was.setpoint
@@ -186,7 +186,7 @@ class Orders:
         return None
 
     def _does(self, name: str, mode: Mode, setpoint: Setpoint) -> Iterator[str]:
-        """The boat is in the mode, and has the set points."""
+        """Whether the boat is in the mode, and has the set points."""
         state, is_new = self._run.state, mode is not self._was.boat.mode
         if state.mode is not mode:
             yield f"{name} was obeyed, and the boat is in {state.mode.name.lower()}"
@@ -207,7 +207,8 @@ class Orders:
                 yield f"{name} was obeyed, and the {field} is {one}, not {other}"
 
     def _forbidden(self, mode: Mode, setpoint: Setpoint) -> str | None:
-        """Why docs/failsafe.md and docs/control.md forbid a mode, in words; empty: they do not; None: not known here."""
+        """The reason, in words, why docs/failsafe.md and docs/control.md forbid a mode; empty: they do not; None: not known
+        here."""
         run, state = self._run, self._run.state
         settings, now_s, motion, failsafe = run.vehicle.helm.settings, run.elapsed_s, state.motion, run.settings.failsafe
         is_at_sea, fence = state.has_left_idle, run.vehicle.helm.plans.fence
@@ -253,7 +254,7 @@ class Orders:
         return self._impossible(mode, setpoint, motion, now_s)
 
     def _impossible(self, mode: Mode, setpoint: Setpoint, motion: Motion, now_s: float) -> str | None:
-        """The same for what the mode itself needs."""
+        """The reason why the mode itself cannot begin, as `_forbidden`."""
         plan, settings = setpoint.plan, self._run.vehicle.helm.settings
         to: tuple[float, ...] | None = None
         if mode is Mode.GREX:

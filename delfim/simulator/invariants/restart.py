@@ -1,4 +1,5 @@
-"""After a restart of its program a boat has what was aboard, and does what docs/restart.md says for the mode that it was in."""
+"""After a restart of its program a boat has what was aboard, and does what docs/restart.md demands for the mode that it was
+in."""
 
 from collections.abc import Iterator
 from typing import Final
@@ -12,7 +13,7 @@ AFTER: Final = {"hold": (Mode.HOLD,), "home": (Mode.HOME, Mode.HOLD), "idle": ()
 
 
 class Returns:
-    """`was`: the boat when its program died."""
+    """The rules of a restart; `was` is the boat when its program died."""
 
     def __init__(self, run: Lockstep, was: Before) -> None:
         self._was = was

@@ -1,4 +1,4 @@
-"""Thrust is what docs/control.md makes of the motion and of where the mode steers, within what docs/propulsion.md allows."""
+"""Thrust is what docs/control.md computes from the motion and the set points, within what docs/propulsion.md allows."""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -32,7 +32,7 @@ class Pair(NamedTuple):
 
 
 def pair_of(rows: Sequence[config.ThrusterTable]) -> Pair | None:
-    """None: the boat has others."""
+    """The pair of these rows; None: the boat has other thrusters."""
     if len(rows) != 2 or any(row.steer is not None or row.curve or row.angle_deg for row in rows):
         return None
     one, two = rows
@@ -43,13 +43,13 @@ def pair_of(rows: Sequence[config.ThrusterTable]) -> Pair | None:
 
 
 def force_n(row: config.ThrusterTable, command: float) -> float:
-    """docs/propulsion.md: the force of a command."""
+    """The force of a command, N (docs/propulsion.md)."""
     share = max((abs(command) - row.dead) / (1.0 - row.dead), 0.0)
     return math.copysign(abs(row.thrust_n[command > 0.0]) * share**row.power, command)
 
 
 def shared(pair: Pair, surge_n: float, yaw_nm: float) -> tuple[float, float]:
-    """The forces of both: yaw as far as it can be given, and then surge as far as yaw leaves it."""
+    """The forces of both, N: yaw as far as it can be given, and then surge as far as yaw leaves it."""
     (n1, n2), (low1, low2), (high1, high2) = pair.arms_m, pair.least_n, pair.most_n
     ends = [n1 * f1 + n2 * f2 for f1 in (low1, high1) for f2 in (low2, high2)]
     yaw_nm = min(max(yaw_nm, min(ends)), max(ends))
@@ -97,7 +97,7 @@ class CommandedThrust:
 
 
 def command(row: config.ThrusterTable, force_n: float) -> float:
-    """The command of a force."""
+    """The command for a force."""
     share = abs(force_n / row.thrust_n[force_n > 0.0])
     return math.copysign(row.dead + (1.0 - row.dead) * share ** (1.0 / row.power), force_n) if share >= 1e-4 else 0.0
 
@@ -107,7 +107,7 @@ def bounded(value: float, most: float) -> float:
 
 
 class LawStep(NamedTuple):
-    """What the control law asks for, and its memory after that."""
+    """The output of the control law, and its memory after that."""
 
     surge_n: float
     yaw_nm: float
@@ -117,7 +117,7 @@ class LawStep(NamedTuple):
 
 
 def law(before: Before, motion: Motion, reference: Reference, limits: Settings, dt_s: float, turn_radps: float) -> LawStep:
-    """docs/control.md, "Autopilot"."""
+    """One step of the control law (docs/control.md, "Autopilot")."""
     was, short, gains, hull, speed = before.memory.integrals, before.short, limits.gains, limits.hull, limits.control.speed
     assert reference.heading_rad is not None
     assert reference.speed_mps is not None

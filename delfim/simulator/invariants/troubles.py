@@ -1,4 +1,4 @@
-"""Each trouble of docs/failsafe.md is told when its condition has lasted, is over when its cause is, and is followed by its
+"""Each trouble of docs/failsafe.md is reported when its condition has lasted, is over when its cause is, and is followed by its
 action and by no other."""
 
 import math
@@ -32,7 +32,7 @@ FIXED: Final = {"control": "stop", "kill": "stop", "restarted": "warn"}
 
 @dataclass(slots=True)
 class Glance:
-    """What the boat looked at ten times a second: the state, in the mode that it had then."""
+    """The state that the boat checks ten times a second, in the mode that it had then."""
 
     settings: config.Vehicle
     state: State
@@ -145,11 +145,11 @@ def is_astray(look: Glance, i: int) -> bool | None:
 
 
 class Unrest:
-    """Since when thrusters turn although they were switched off, whatever is ordered meanwhile: at the earliest, and at the
-    latest."""
+    """The earliest and the latest time since when thrusters turn although they were switched off, whatever is ordered
+    meanwhile."""
 
     def __init__(self, unknown: Collection[int]) -> None:
-        """`unknown`: thrusters that nobody looked at before."""
+        """`unknown`: thrusters that were not observed before."""
         self._since_s, self._first_s = dict.fromkeys(unknown, -NEVER_S), dict.fromkeys(unknown, -NEVER_S)
         self._sure_s, self._last_s = dict[int, float](), dict[int, float]()  # the same two, surely and not perhaps
         self._looked_s = self._ran_s = 0.0
@@ -259,7 +259,7 @@ class Lasting:
 
 
 class Troubles:
-    """What the boat tells of its troubles, and does about them, is what docs/failsafe.md says of their conditions."""
+    """The troubles that the boat reports, and its actions, follow from their conditions in docs/failsafe.md."""
 
     def __init__(self, run: Lockstep) -> None:
         self._run, self._fence, self._clear_s = run, PlainFence(run), run.settings.failsafe.clear_s
@@ -268,7 +268,7 @@ class Troubles:
         self._unrest = Unrest(() if is_new else range(len(run.settings.thrusters)))
 
     def overruled(self) -> None:
-        """An order of the operator was obeyed that overrules what is told."""
+        """Note that an order of the operator was obeyed that overrules what is reported."""
         for each in self._lasting.values():
             each.is_answered = each.is_answered or each.acting_s < NEVER_S
 
@@ -297,7 +297,7 @@ class Troubles:
         yield from _followed(SEVERITY[max(severities)] if severities else "", cycle, mode)
 
     def _compare(self, name: str, holds: bool | None, look: Glance, notice: Notice | None) -> Iterator[str]:
-        """The memory of one trouble after this look, and whether the boat tells it."""
+        """The memory of one trouble after this look, and whether the boat reports it."""
         now_s, each = look.now_s, self._lasting.get(name)
         if holds is None or (each is not None and not each.is_known):
             yield from self._believe(name, holds, look, notice)
@@ -319,8 +319,8 @@ class Troubles:
             yield f"{name} is told to be there since {notice.since_s:.1f} s, not since {each.since_s:.1f} s"
 
     def _believe(self, name: str, holds: bool | None, look: Glance, notice: Notice | None) -> Iterator[str]:
-        """The memory of a trouble of which it is not known since when it is there, or whether: the boat's word is taken, if it
-        says so in time."""
+        """The memory of a trouble whose beginning is not known, or whether it is there: the boat's report is accepted if it
+        comes in time."""
         now_s, was = look.now_s, self._lasting.get(name)
         if notice is None:
             self._lasting.pop(name, None)
@@ -341,7 +341,7 @@ class Troubles:
             each.seen_s = now_s
 
     def _acts(self, notice: Notice, look: Glance) -> str:
-        """Why the action that is told for a trouble is not that of the table, in words."""
+        """The reason, in words, why the action reported for a trouble is not that of the table."""
         each, name, mode, table = self._lasting[notice.name], notice.name, look.mode, look.settings.failsafe
         action = FIXED.get(name) or self._of_table(table, name, mode)
         if not each.is_known and notice.action == "warn":
@@ -379,13 +379,13 @@ class Troubles:
 
 
 def _lasts_s(table: config.Failsafe, name: str) -> float:
-    """How long a condition without an age of its own must last."""
+    """The time, s, that a condition without an age of its own must last."""
     row: object = getattr(table, name, None)
     return row.after_s if isinstance(row, config.Trouble) and not isinstance(row, config.Silence) else 0.0
 
 
 def _followed(action: str, cycle: CycleSeen, mode: Mode) -> Iterator[str]:
-    """The worst action is done, and none but it changes the mode."""
+    """Whether the worst action is done, and none but it changed the mode."""
     state, was = cycle.state, cycle.was
     does = {"hold": (Mode.HOLD,), "back": (Mode.HOLD,), "home": (Mode.HOME, Mode.HOLD), "stop": ()}.get(action)
     if does is None:
@@ -398,6 +398,6 @@ def _followed(action: str, cycle: CycleSeen, mode: Mode) -> Iterator[str]:
 
 
 def _by_itself(cycle: CycleSeen) -> bool:
-    """Whether a mode ended or began without a trouble: at its end, after a restart, by a hand aboard, or on a way round."""
+    """Whether a mode ended or began without a trouble: at its end, after a restart, by a hand aboard, or on a detour."""
     reason, was = cycle.state.reason, cycle.was.mode.name.lower()
     return reason.startswith((f"{was} done", "restarted: ", "operator", "kill: ")) or cycle.run.vehicle is not cycle.was.handed

@@ -1,5 +1,5 @@
-"""The other nodes of the boat (thesis figure 3-2) around a model, a file a kind, named in NODES; and what is
-played beside them: files named in OTHER_BUSES, and the devices of parts, named by their rows.
+"""The other nodes of the boat (thesis figure 3-2) around a model, one file for each kind, named in NODES; beside them those of
+OTHER_BUSES, and the devices of parts, named by their rows.
 
 Every node is a clocked object without socket or task: `step(now_s, utc_ns)` returns the frames that it puts on the bus now,
 `feed(frame, now_s)` hands it a frame, `due_s` is when it sends next. `now_s` is monotonic and never goes back.
@@ -91,7 +91,7 @@ class Nodes:
 
     @property
     def due_s(self) -> float:
-        """When `step` is due next."""
+        """The time when `step` is due next."""
         return min(node.due_s for node in self.named.values())
 
     def feed(self, frame: Frame, now_s: float) -> None:

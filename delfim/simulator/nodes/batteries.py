@@ -42,7 +42,7 @@ class BatteriesNode:
         return self._status.due_s
 
     def feed(self, frame: Frame, now_s: float) -> None:
-        """A command to this side. Malformed ones are counted and change nothing."""
+        """Take a command to this side. Malformed ones are counted and change nothing."""
         if frame.arb == RESET:
             self._status.reset(frame.data, self._node, now_s)
             return

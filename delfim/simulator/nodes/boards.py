@@ -1,4 +1,4 @@
-"""A board with ArduRover that tells where it is by MAVLink, as `parts/frontseats/mavlink_source.py` hears it."""
+"""A board with ArduRover that sends its position by MAVLink, as `parts/frontseats/mavlink_source.py` receives it."""
 
 import math
 from typing import Any, Final
@@ -13,7 +13,7 @@ RTK_M: Final = 0.1  # a receiver that states less has RTK
 
 
 class PlayedBoard:
-    """What it says of its own measurements: no motor, no battery."""
+    """The messages of a board about its own measurements: no motor, no battery."""
 
     def __init__(self, number: int) -> None:
         self._codec: Any = dialect.MAVLink(None, number, dialect.MAV_COMP_ID_AUTOPILOT1)
@@ -21,7 +21,7 @@ class PlayedBoard:
         self._heading_rad: float | None = None
 
     def moved(self, moved: AntennaMotion, receiver: GnssReceiver, utc_ns: int) -> bytes:
-        """GPS_RAW_INT and GLOBAL_POSITION_INT; now and then HEARTBEAT and SYSTEM_TIME before them."""
+        """The messages GPS_RAW_INT and GLOBAL_POSITION_INT; now and then HEARTBEAT and SYSTEM_TIME before them."""
         boot_ms = self._boot_ms(utc_ns)
         at = round(math.degrees(moved.latitude_rad) * 1e7), round(math.degrees(moved.longitude_rad) * 1e7)
         over = round(moved.north_mps * 100.0), round(moved.east_mps * 100.0)

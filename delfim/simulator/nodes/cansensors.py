@@ -72,14 +72,14 @@ class CanSensors:
 
     @property
     def due_s(self) -> float:
-        """When `step` is due next."""
+        """The time when `step` is due next."""
         return min(self.receiver.due_s, self.compass.due_s) if self._navigates else self._words.due_s
 
     def feed(self, frame: Frame, now_s: float) -> None:
-        """They listen to nobody."""
+        """Ignore the frame: the sensors listen to nobody."""
 
     def step(self, now_s: float, utc_ns: int) -> list[Frame]:
-        """The frames that they send now; the model was advanced by the nodes."""
+        """The frames that the sensors send now; the model was advanced by the nodes."""
         self._began_s = now_s if self._began_s is None else self._began_s
         frames = list[Frame]()
         if self._navigates:
@@ -111,13 +111,13 @@ class CanSensors:
         return self._frames(FIX2, self._gnss, pack(FIX2, (*head, *state), (UNKNOWN,)))
 
     def _turning(self, turn: Turn, now_s: float) -> list[Frame]:
-        """The reading of the compass; frozen, the same as before."""
+        """The reading of the compass; the same as before while it is frozen."""
         if not (self.compass.frozen and self._said):
             self._said = self._measured(turn, now_s)
         return [frame for kind, payload in self._said for frame in self._frames(kind, self._heading, payload)]
 
     def _measured(self, turn: Turn, now_s: float) -> list[tuple[DataType, bytes]]:
-        """Field, and what gyro and accelerometer measure, in the axes of the device."""
+        """The magnetic field, and the values of gyro and accelerometer, in the axes of the device."""
         north, down = self._axes(turn.heading_rad)
         (nx, ny, nz), (dx, dy, dz) = north, down
         earth_ga = LEVEL_GA * nx + DEEP_GA * dx, LEVEL_GA * ny + DEEP_GA * dy, LEVEL_GA * nz + DEEP_GA * dz
@@ -133,7 +133,7 @@ class CanSensors:
         return [field, (RAW_IMU, pack(RAW_IMU, (0, dt_s, *rates, *STILL, *force, *STILL)))]
 
     def _axes(self, heading_rad: float) -> tuple[Vector, Vector]:
-        """Magnetic north, and down, in the axes of the device."""
+        """The directions of magnetic north and of down, in the axes of the device."""
         model, (ca, sa) = self._model, self._arrow
         heading_rad -= self._variation_rad
         roll_rad, pitch_rad = model.roll_rad, model.pitch_rad
@@ -144,7 +144,7 @@ class CanSensors:
         return (x * ca + y * sa, y * ca - x * sa, z), (dx * ca + dy * sa, dy * ca - dx * sa, cr * cp)
 
     def _bent(self, field_ga: Vector) -> Vector:
-        """The field that the calibration of the file makes straight again."""
+        """The field as disturbed as the calibration of the file corrects it."""
         (x, y, z), (a, b, c), whole, own = field_ga, self._columns, self._whole, self._own_ga
         return (
             (x * a[0] + y * b[0] + z * c[0]) / whole + own[0],

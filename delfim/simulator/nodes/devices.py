@@ -33,7 +33,7 @@ GNSS: Final = 1  # method of a fix
 
 
 class Devices:
-    """All devices of the bus. They keep their addresses, and say their NAMEs at the start and to all who ask for them."""
+    """All devices of the bus. They keep their addresses, and send their NAMEs at the start and to all who ask for them."""
 
     hears = tuple(CanAddress(arb, mask) for arb, mask in any_of(REQUEST))
 
@@ -46,15 +46,15 @@ class Devices:
 
     @property
     def due_s(self) -> float:
-        """When `step` is due next."""
+        """The time when `step` is due next."""
         return min(self.receiver.due_s, self.compass.due_s)
 
     def feed(self, frame: Frame, now_s: float) -> None:
-        """Who has which address?"""
+        """Take a request for addresses."""
         self._must_claim |= addressed(frame.arb)[0] == REQUEST and frame.data[:3] == ROLL_CALL.data
 
     def step(self, now_s: float, utc_ns: int) -> list[Frame]:
-        """The frames that they send now; the model was advanced by the nodes."""
+        """The frames that the devices send now; the model was advanced by the nodes."""
         said = self._claims() if self._must_claim else []
         self._must_claim = False
         if (turn := self.compass.step(now_s)) is not None:

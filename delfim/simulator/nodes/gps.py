@@ -1,4 +1,4 @@
-"""The GPS receiver: its health, and the time frame."""
+"""The GPS receiver with its health and the time frame."""
 
 import math
 from typing import Final
@@ -38,7 +38,7 @@ class GpsNode:
         self._number = 0
 
     def feed(self, frame: Frame, now_s: float) -> None:
-        """It ignores all frames."""
+        """Ignore the frame."""
 
     def step(self, now_s: float, utc_ns: int) -> list[Frame]:
         second, rest_ns = divmod(utc_ns, _SECOND_NS)

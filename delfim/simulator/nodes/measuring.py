@@ -1,4 +1,4 @@
-"""Measurements of the model by off-the-shelf sensors, with their errors from the seed; devices.py and talkers.py say it.
+"""Measurements of the model by off-the-shelf sensors, with their errors from the seed; devices.py and talkers.py send them.
 
 Each is asked by `step` and answers when it is due, unless it is silent. Faults are set by hand, or by `delfim fault`.
 """
@@ -21,7 +21,7 @@ _new = tuple.__new__  # in half the time of Turn(...)
 
 
 class AntennaMotion(NamedTuple):
-    """Where the antenna is and how it moves over ground."""
+    """Position of the antenna, and its motion over ground."""
 
     latitude_rad: float
     longitude_rad: float
@@ -30,14 +30,14 @@ class AntennaMotion(NamedTuple):
 
 
 class Turn(NamedTuple):
-    """How the boat lies and turns, positive to starboard."""
+    """Attitude and rate of turn of the boat, positive to starboard."""
 
     heading_rad: float
     rate_radps: float
 
 
 class ApparentWind(NamedTuple):
-    """Apparent wind: where it comes from, from the bow to starboard, and how fast."""
+    """Apparent wind: its direction, from the bow to starboard, and its speed."""
 
     angle_rad: float
     speed_mps: float
@@ -136,7 +136,7 @@ class Sounder:
 
 
 class Vane:
-    """Apparent wind, as a vane and a cup wheel on the mast have it."""
+    """Apparent wind as a vane and cups on the mast measure it."""
 
     def __init__(self, model: Model, here: Simulation, seed: int) -> None:
         self._model, self._random = model, Random(f"vane {seed}")

@@ -59,7 +59,7 @@ class NavigationNode:
         return self._period.due_s if self._model.alive else math.inf
 
     def feed(self, frame: Frame, now_s: float) -> None:
-        """It ignores all frames."""
+        """Ignore the frame."""
 
     def step(self, now_s: float, utc_ns: int) -> list[Frame]:
         if not self._model.alive or not self._period.passed(now_s):

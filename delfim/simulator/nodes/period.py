@@ -1,4 +1,4 @@
-"""When a node sends next, and whether a reset is addressed to it."""
+"""The time when a node sends next, and whether a reset is addressed to it."""
 
 import math
 from typing import Final
@@ -17,7 +17,7 @@ def patience_s(silent_s: float, settings: config.Vehicle) -> float:
 
 
 class Period:
-    """Due at once, then each `period_s`. Missed periods are skipped and the phase is kept."""
+    """A period: due at once, then each `period_s`. Missed periods are skipped and the phase is kept."""
 
     __slots__ = ("_period_s", "due_s")
 

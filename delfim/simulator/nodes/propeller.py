@@ -52,7 +52,7 @@ class PropellerNode:
         return min(self._status.due_s, self._silent_s) if self._drive.run else self._status.due_s
 
     def feed(self, frame: Frame, now_s: float) -> None:
-        """A command to this side. Malformed ones are counted and change nothing."""
+        """Take a command to this side. Malformed ones are counted and change nothing."""
         if frame.arb == RESET:
             self._status.reset(frame.data, self._node, now_s)
             return

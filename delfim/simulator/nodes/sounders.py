@@ -29,7 +29,7 @@ class EchoSounder:
         return self._period.due_s
 
     def feed(self, frame: Frame, now_s: float) -> None:
-        """It listens to nobody."""
+        """Ignore the frame: the sounder listens to nobody."""
 
     def step(self, now_s: float, utc_ns: int) -> list[Frame]:
         if not self._period.passed(now_s):

@@ -47,7 +47,7 @@ class SimulatedBoard(Protocol):
 
 
 class Instrument(NamedTuple):
-    """A sensor, and what it says of a measurement at a time."""
+    """A sensor with the sentences that it sends of a measurement at a time."""
 
     port: str
     sensor: Measuring
@@ -55,7 +55,7 @@ class Instrument(NamedTuple):
 
 
 class AisLine:
-    """The messages that a receiver of AIS heard since it was asked last; the same that it says on the bus."""
+    """The messages that a receiver of AIS received since it was asked last; it sends the same on the bus."""
 
     def __init__(self, heard: deque[bytes]) -> None:
         self._heard, self._period = heard, Period(AIS_S)
@@ -73,7 +73,8 @@ class AisLine:
 
 
 class SimulatedInstruments:
-    """All of them. `receivers` and `compasses` are those that faults break. `ais` are the sentences of a receiver of AIS."""
+    """All instruments. `receivers` and `compasses` are those that faults break. `ais` are the sentences of a receiver of
+    AIS."""
 
     def __init__(self, settings: config.Vehicle, model: Model, seed: int, ais: deque[bytes] | None) -> None:
         self._here, self._model, self._seed, self._ais = settings.of(Simulation), model, seed, ais
@@ -87,12 +88,12 @@ class SimulatedInstruments:
 
     @property
     def ports(self) -> frozenset[str]:
-        """Those with an instrument."""
+        """The ports with an instrument."""
         return frozenset(each.port for each in self._all)
 
     @property
     def due_s(self) -> float:
-        """When `step` is due next."""
+        """The time when `step` is due next."""
         return min((each.sensor.due_s for each in self._all), default=math.inf)
 
     def step(self, now_s: float, utc_ns: int) -> Iterator[tuple[str, bytes]]:
@@ -102,7 +103,7 @@ class SimulatedInstruments:
                 yield port, say(measured, utc_ns)
 
     def _made(self, port: str, kind: str) -> Iterator[Instrument]:
-        """None of a kind that the file switches off."""
+        """Make an instrument; None of a kind that the file switches off."""
         here, model, seed = self._here, self._model, self._seed
         if kind == "receiver" and here.receiver_hz:
             receiver = GnssReceiver(model, here, seed, f"receiver {port}")
@@ -122,7 +123,7 @@ class SimulatedInstruments:
             yield Instrument(port, AisLine(self._ais), lambda said, utc_ns: bytes(said))
 
     def _board(self, settings: config.Vehicle) -> Iterator[Instrument]:
-        """A Pixhawk with a receiver and a compass that know where north is."""
+        """The board: a Pixhawk with a receiver and a compass that know where north is."""
         says: SimulatedBoard = import_module(f"{__package__}.boards").PlayedBoard(settings.table(BOARD).board)
         if self._here.receiver_hz:
             receiver = GnssReceiver(self._model, self._here, self._seed, BOARD)
@@ -133,12 +134,12 @@ class SimulatedInstruments:
             yield Instrument(BOARD, self.compasses[-1], says.turned)
 
     def _heading(self, turn: Turn, utc_ns: int) -> bytes:
-        """A magnetic compass that does not know the variation of the place."""
+        """The sentences of a magnetic compass that does not know the variation of the place."""
         return framed(f"HCHDG,{_degrees(turn.heading_rad - self._variation_rad)},,,,")
 
 
 def _position(receiver: GnssReceiver, moved: AntennaMotion, utc_ns: int) -> bytes:
-    """GGA, RMC and GST, as a receiver of several systems says them."""
+    """The sentences GGA, RMC and GST, as a receiver of several systems sends them."""
     n = Navigation(utc_ns, *moved, None, None, None, None, FIX, receiver.satellites, HDOP, 0, None, receiver.corrections_s)
     sigma = f"{receiver.stated_m:.2f}"
     return gga(n) + rmc(n) + framed(f"GPGST,{clock(n)},{sigma},,,,{sigma},{sigma},")
@@ -161,7 +162,7 @@ def _degrees(angle_rad: float) -> str:
 
 
 def placed(settings: config.Vehicle) -> tuple[str, ...]:
-    """PORT:INSTRUMENT of a boat that listens to such ports."""
+    """The PORT:INSTRUMENT pairs of a boat that listens to such ports."""
     if "nmea0183" not in (*settings.navigation.sources, *settings.sensors.names):
         return ()
     first = next(iter(settings.table("nmea0183").ports))
@@ -169,7 +170,7 @@ def placed(settings: config.Vehicle) -> tuple[str, ...]:
 
 
 def port_devices(settings: config.Vehicle) -> dict[str, str]:
-    """The devices of all ports, by their names."""
+    """The devices of all ports by their names."""
     ports = {name: port.device.replace("gpsd:", "tcp:") for name, port in settings.table("nmea0183").ports.items()}
     of_parts = {part.name: str(getattr(settings.table(part.name), "device", "")) for part in settings.aboard}
     return ports | {BOARD: settings.table(BOARD).device} | of_parts

@@ -95,7 +95,7 @@ class ExternalModel(Model):
         self._fresh = False
 
     def fileno(self) -> int:
-        """Readable when the other program sent: call `listen` then."""
+        """The descriptor, readable when the other program sent: call `listen` then."""
         return self._socket.fileno()
 
     def command(self, name: str, rpm: float, run: bool) -> None:
@@ -125,7 +125,7 @@ class ExternalModel(Model):
                 self._peer, self._asked_s, self._idle = peer, self.time_s, set(self.drives)
 
     def settle(self) -> None:
-        """Call when the nodes have stepped: a state from which no navigation was made is answered now."""
+        """Answer a state from which no navigation was made; call it when the nodes have stepped."""
         if self._fresh:
             self._fresh = False
             self._answer()
@@ -172,16 +172,16 @@ class ExternalModel(Model):
 
 
 class SteppedModel(ExternalModel):
-    """The same in lock step: the simulation waits for the state of each navigation period, and answers it with the propellers'
-    work until the next one and with that one's time. A state of another time, such as one that was sent twice, is left out.
-    """
+    """A model in another program in lock step: the simulation waits for the state of each navigation period, and answers it
+    with the propellers' work until the next one and with that one's time. A state of another time, such as one that was sent
+    twice, is left out."""
 
     @property
     def alive(self) -> bool:
         return True
 
     def begin(self) -> None:
-        """Meet the other program and take its state of time 0. Raises DelfimError if it does not come."""
+        """Connect with the other program and take its state of time 0. Raises DelfimError if it does not come."""
         self._wait(START_S, None)
         while self._arrived(0.0):  # it knocked more than once
             self._socket.recv(2048)
@@ -200,7 +200,7 @@ class SteppedModel(ExternalModel):
         self._wait(STEP_S, self.time_s)
 
     def _wait(self, patience_s: float, time_s: float | None) -> None:
-        """Wait for the state of this time; None: of any."""
+        """Wait for the state of this time; None: for any."""
         until_s = time.monotonic() + patience_s
         while self._arrived(until_s - time.monotonic()):
             data, self._peer = self._socket.recvfrom(2048)

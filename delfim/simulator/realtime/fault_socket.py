@@ -1,4 +1,4 @@
-"""Faults by command, `delfim fault`: a datagram of JSON over a local socket, answered with a line of words.
+"""Takes the faults of `delfim fault`: a datagram of JSON over a local socket, answered with a line of words.
 
 Two programs listen in the run directory: that of the nodes, and, where the vehicle's file says `simulation.faults`, the boat's
 own, for faults around its loop: the log, the guest, the operator's commands.
@@ -57,7 +57,7 @@ def _told(path: str, words: bytes) -> str:
 
 @contextlib.contextmanager
 def listening(path: str) -> Iterator[socket.socket]:
-    """The socket for requests."""
+    """Open the socket for requests."""
     Path(path).parent.mkdir(parents=True, exist_ok=True)
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_NONBLOCK) as requests:
         Path(path).unlink(missing_ok=True)
@@ -133,7 +133,7 @@ class Aboard(Broken):
         return FaultyGuest(state, clock, self)
 
     def begin(self, broken: Breakage, now_s: float) -> None:
-        """A restart is a death without a word, as soon as the answer is sent."""
+        """Begin a fault. A restart is a death without a word, as soon as the answer is sent."""
         if broken.kind == "restarted":
             self._loop.call_soon(os.kill, os.getpid(), signal.SIGKILL)
         else:
@@ -141,5 +141,5 @@ class Aboard(Broken):
 
     @property
     def deaf(self) -> str | None:
-        """Why the operator's commands are not heard; None: they are."""
+        """The reason why the operator's commands do not arrive; None: they do."""
         return "not heard: console_lost" if "console_lost" in self.on else None

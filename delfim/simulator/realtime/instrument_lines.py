@@ -94,7 +94,7 @@ class ConnectionEnd:
             self._hang_up()
 
     def _newest(self, now_s: float) -> socket.socket | None:
-        """The connection. Raises OSError."""
+        """The connection, the newest where several were made. Raises OSError."""
         if self._door is not None:
             with contextlib.suppress(BlockingIOError):
                 taken, _ = self._door.accept()
@@ -123,7 +123,7 @@ class InstrumentLines:
     """The ends of all ports that have instruments."""
 
     def __init__(self, settings: config.Vehicle, ports: Iterable[str]) -> None:
-        """Raises OSError."""
+        """Open the ends. Raises OSError."""
         table, run = port_devices(settings), Path(settings.runtime.run_directory)
         made = {name: _end(table[name], run) for name in ports}
         self._ends = {name: end for name, end in made.items() if end is not None}
@@ -141,7 +141,7 @@ class InstrumentLines:
 
 
 def _end(device: str, run: Path) -> LineEnd | None:
-    """None for a real device. Raises OSError."""
+    """Open the end of a port; None for a real device. Raises OSError."""
     kind, _, place = device.partition(":")
     if device.startswith("/"):
         return PtyEnd(Path(device)) if Path(device).is_relative_to(run) else None

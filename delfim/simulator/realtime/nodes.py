@@ -73,7 +73,7 @@ def run_nodes(settings: config.Vehicle, seed: int) -> int:
 
 
 def _beside(nodes: Nodes, opened: contextlib.ExitStack) -> list[tuple[BusDevices, CanSocket]]:
-    """The devices of other buses, and a socket on each. Raises BusError."""
+    """Open a socket for each of the other buses' devices. Raises BusError."""
     found = list[tuple[BusDevices, CanSocket]]()
     for devices in nodes.beside:
         if devices.interface.startswith("canloop:"):

@@ -41,7 +41,7 @@ class Findings:
             self.differences.append(Difference(t_ns, self.cycle, told, recorded, repeated))
 
     def logged(self, t_ns: int, told: str, recorded: float, repeated: float) -> None:
-        """A command in the record of a cycle, which has the precision of the log."""
+        """Compare a command in the record of a cycle, which has the precision of the log."""
         if self.span.has(t_ns):
             self.commands += 1
             (now,) = _F32.unpack(_F32.pack(repeated))
@@ -59,7 +59,7 @@ class Commands(Protocol):
 
 
 def has_bus(driver: str) -> bool:
-    """Whether it commands motors on a bus of their own, with a protocol."""
+    """Whether the driver commands motors on a bus of their own, with a protocol."""
     return driver in OWN and bool(OWN[driver].driver and OWN[driver].protocol)
 
 
@@ -82,7 +82,7 @@ class Listener:
             self._made.append((t_ns, self._findings.cycle, command))
 
     def hear(self, t_ns: int, command: bytes) -> None:
-        """A recorded command. Before the first cycle, everything is as the driver was started."""
+        """Take a recorded command. Before the first cycle, everything is as the driver was started."""
         made, findings = self._made, self._findings
         if not made:
             return
@@ -106,7 +106,7 @@ class Listener:
             self._is_said = False
 
     def finish(self) -> None:
-        """Those that were never recorded."""
+        """Count the repeated commands that were never recorded."""
         self._skip(len(self._made))
 
 
@@ -122,7 +122,7 @@ class MotorBus:
         self._recorded, self._told = deque[tuple[int, str, bytes]](), dict[str, Listener]()
 
     def keep(self, frame: Frame) -> bool:
-        """Whether a recorded frame was sent by the boat; then it is kept for the comparison."""
+        """Whether a recorded frame was sent by the boat; if so it is kept for the comparison."""
         if not self._then.is_own(frame):
             return False
         if (command := self._then.command(frame)) is not None:
@@ -141,7 +141,7 @@ class MotorBus:
             self._of(name).hear(t_ns, command)
 
     def make(self, t_ns: int) -> None:
-        """Take what the replay just sent."""
+        """Take the frames that the replay just sent."""
         while (frame := self._onlooker.receive()) is not None:
             if self._now.is_own(frame) and (command := self._now.command(frame)) is not None:
                 self._of(command[0]).make(t_ns, command[1])

@@ -43,7 +43,7 @@ class GuestReference(NamedTuple):
 
 
 class Contact(NamedTuple):
-    """A word of the console, the guest, or a payload program."""
+    """A message of the console, the guest, or a payload program."""
 
     at_s: float  # monotonic
     key: str  # of the state: "console_s", "guest_s"; of the log: "payload_NAME_s"
@@ -51,7 +51,7 @@ class Contact(NamedTuple):
 
 
 def heard(boxes: Sequence[LogFile], files: Sequence[LogFile]) -> Iterator[BusInput]:
-    """All entries of the black boxes of buses and lines, by time."""
+    """Read all entries of the black boxes of buses and lines, by time."""
     of_buses = (BusInput(name, frame.t_ns, frame) for name, frame in frames(boxes))
     of_lines = (BusInput(*piece) for piece in pieces(file for file in files if file.suffix.startswith(SUFFIX)))
     return heapq.merge(of_buses, sorted(of_lines, key=_when), key=_when)
@@ -62,7 +62,8 @@ def _when(heard: BusInput) -> int:
 
 
 def cycles(columns: Any, rows: Sequence[tuple[int, str]]) -> Iterator[Due]:
-    """`rows`: the thrusters, by place in the vehicle's file and name, whose commands are taken from the records."""
+    """Read the cycles. `rows`: the thrusters, by place in the vehicle's file and name, whose commands are taken from the
+    records."""
     told = [
         (index, what, columns[f"{name}_{what}"].tolist())
         for index, name in rows
@@ -89,7 +90,7 @@ def _asked(columns: Any) -> Iterator[GuestReference]:
 
 
 def words_of(columns: Any) -> Iterator[Contact]:
-    """Each time that a console, a guest, or a payload program was heard, with the guest's set point in the following cycle."""
+    """The times when a console, a guest, or a payload program was heard, with the guest's set point in the following cycle."""
     payloads = (name for name in columns if name.startswith("payload_") and name.endswith("_s"))
     for key in ("console_s", "guest_s", *payloads):
         before_s = NEVER_S
@@ -106,7 +107,7 @@ def commands(told: Iterable[dict[str, Any]]) -> Iterator[Due]:
 
 
 def looks(columns: Any, told: Iterable[dict[str, Any]]) -> Iterator[Due]:
-    """Checks of the watchdog: those with a recorded time, and between them those that must have happened."""
+    """The checks of the watchdog: those with a recorded time, and between them those that must have happened."""
     events = {event["at_s"]: event for event in told if event["event"] == "watchdog"}
     known = {at_s: _wall_ns(event) for at_s, event in events.items()}
     for t1, now_s, at_s in zip(*(columns[key].tolist() for key in ("t1", "monotonic_s", "watchdog_s")), strict=True):

@@ -1,5 +1,5 @@
-"""Replay of a day at sea: the recorded frames and commands go through the real loop, at the recorded times. What it tells its
-motors is compared bit by bit with what it told them then: on buses by the black box, by lines and pulses by the state log.
+"""Replay of a day at sea: the recorded frames and commands go through the real loop, at the recorded times. Its commands to the
+motors are compared bit by bit with those of the day: on buses by the black box, by lines and pulses by the state log.
 
 The logs hold all inputs of a cycle: frames in the black box; the times of each cycle, of the watchdog's last check and of
 the last words of console and guest in the state log; commands and settings in its sidecar. A run is repeated from its start,
@@ -88,7 +88,7 @@ class RerunResult(NamedTuple):
 
 
 class Recalled:
-    """The clock of the recorded run."""
+    """The clock of the recorded run, read back."""
 
     def __init__(self) -> None:
         self.now_s, self.now_ns = 0.0, 0
@@ -101,7 +101,8 @@ class Recalled:
 
 
 class DeafGuest(Guest):
-    """The set points of a guest are in the state log: a line that it speaks on is not heard again."""
+    """A guest that is not listened to: its set points are in the state log, and the line that it speaks on is not heard
+    again."""
 
     def hear(self, line: bytes) -> None:
         pass
@@ -170,13 +171,13 @@ class Rerun:
             self.recorded[-1] = self.recorded[-1][0], tuple(group)
 
     def cut(self, last_ns: int) -> None:
-        """The power failed after this last logged cycle: frames that only one log still has are not compared."""
+        """Note that the power failed after this last logged cycle: frames that only one log still has are not compared."""
         whole_ns = [t_ns for t_ns, group in self.recorded if len(group) == self._size]
         ends_ns, span = [motors.last_ns for motors in self._motors.values()], self._found.span
         self._found.span = span._replace(to_ns=min(span.to_ns, last_ns, *whole_ns[-1:], *ends_ns))
 
     def feed(self, until_ns: int) -> None:
-        """The frames that had arrived by then."""
+        """Feed the frames that had arrived by then."""
         while self._inputs and self._inputs[0].t_ns <= until_ns:
             self._deliver(self._inputs.popleft())
 
@@ -222,7 +223,7 @@ class Rerun:
         self.clock.now_ns, self.clock.now_s = t_ns, at_s
 
     def _unexplained(self) -> None:
-        """A propulsion command outside a cycle: a check of the watchdog in idle, or the end."""
+        """Replay a propulsion command outside a cycle: a check of the watchdog in idle, or the end."""
         t_ns, group = self.recorded[0]
         self.feed(t_ns)
         self.clock.now_s += (t_ns - self.clock.now_ns) / 1e9
@@ -233,7 +234,7 @@ class Rerun:
             self._judge(t_ns, group, ())
 
     def _refuse(self, jumping_s: float, jumped_s: float) -> None:
-        """Positions that were refused since the last look of the watchdog; they made no record."""
+        """Set the positions that were refused since the last look of the watchdog; they made no record."""
         self.state.jumping_s, self.state.jumped_s = jumping_s, jumped_s
         for source in self.vehicle.sources:
             for _ in range(WAITING):
@@ -241,7 +242,7 @@ class Rerun:
                     break
 
     def _navigate(self, due: Due) -> None:
-        """The cycle of a record. The black box may have stamped its last frame after the vehicle read it."""
+        """Replay the cycle of a record. The black box may have stamped its last frame after the vehicle read it."""
         self._ask(due.what)
         refused, waiting = self._refused(), WAITING
         while not any(self.vehicle.on_navigation(source) for source in self.vehicle.sources[due.source :]):
@@ -254,11 +255,11 @@ class Rerun:
             self._at(due.t_ns, due.at_s)
 
     def _refused(self) -> int:
-        """How many navigation messages were read, and made no cycle."""
+        """The number of navigation messages that were read, and made no cycle."""
         return sum(self.state.counts.get(name, 0) for name in REFUSALS)
 
     def hear(self, word: Contact) -> None:
-        """Replay a word of the console, the guest, or a payload program."""
+        """Replay a message of the console, the guest, or a payload program."""
         if name := word.key.removeprefix("payload_") if word.key.startswith("payload_") else "":
             self.state.payloads_s[name.removesuffix("_s")] = word.at_s
         else:
@@ -267,7 +268,7 @@ class Rerun:
             self._ask(word.asked)
 
     def _ask(self, asked: GuestReference) -> None:
-        """Set the guest's set point from now on; NaN: it has none."""
+        """Set the guest's set point; NaN: it has none."""
         heading = None if asked.heading_rad != asked.heading_rad else asked.heading_rad
         self.state.setpoint = self.state.setpoint._replace(guest_heading_rad=heading, guest_speed_mps=asked.speed_mps)
 

@@ -1,1 +1,1 @@
-"""Runs in lock step: scenarios, encounters, mixed and searching seeds, and the watch over them."""
+"""Runs in lock step: scenarios, encounters, and runs drawn from a seed."""

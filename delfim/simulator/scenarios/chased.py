@@ -45,7 +45,7 @@ def chased(seed: int, vehicle: config.Vehicle) -> Scenario:
 
 
 def _fleet(random: Random) -> list[dict[str, Any]]:
-    """All of one kind: they stay where the boat is, in an arc; some move, or tell so; some chase it in truth."""
+    """Vessels, all of one kind: they stay where the boat is, in an arc; some move, or report so; some chase it in truth."""
     kind, number = random.choice(("lie", "push", "ahead", "sides", "chase")), random.randint(1, FLEET)
     bearing_deg, arc_deg = random.uniform(0.0, 360.0), random.choice((0.0, 60.0, 90.0, 180.0, 360.0))
     length_m, away_m = random.choice((12.0, 60.0, 200.0)), random.uniform(5.0, 400.0 if kind == "ahead" else 80.0)
@@ -67,7 +67,7 @@ def _fleet(random: Random) -> list[dict[str, Any]]:
 
 
 def _orders(random: Random, place: Callable[[float, float], list[float]]) -> list[dict[str, Any]]:
-    """Up to three, then none; refusals are allowed."""
+    """Up to three orders, then none; refusals are allowed."""
     orders, at_s = list[dict[str, Any]](), 8.0
     for _ in range(random.randint(1, 3)):
         latitude_deg, longitude_deg = place(random.uniform(-70.0, 70.0), random.uniform(-70.0, 70.0))

@@ -29,7 +29,7 @@ POINTS_MAX: Final = 2000
 
 
 def sail(settings: config.Vehicle, mission: str, limit_s: float | None = None, seed: int = 1) -> dict[str, Any]:
-    """The answer, JSON-ready."""
+    """Sail a mission, and return the forecast, JSON-ready."""
     run = Lockstep(settings, seed, lambda clock: NoLog())
     track: list[tuple[float, float]] = []
     end, begun_s, next_s = run.command(console.LoadMission(mission)) or "", 0.0, 0.0

@@ -43,14 +43,15 @@ class StraightWay(NamedTuple):
     s: float
 
     def at(self, t_s: float) -> tuple[float, float]:
-        """North and east, m."""
+        """The position at this time: north and east, m."""
         north_m, east_m, speed_mps, c, s = self
         way_m = speed_mps * t_s
         return north_m + way_m * c, east_m + way_m * s
 
 
 class Ship(tables.Table, frozen=True):
-    """Where a vessel is at the beginning, from where the boat is. `kind`: the meeting for the boat, by rules 13 to 15."""
+    """The position of a vessel at the beginning, from where the boat is. `kind`: the meeting for the boat, by rules 13 to
+    15."""
 
     north_m: float
     east_m: float
@@ -78,7 +79,7 @@ class Encounter(tables.Table, frozen=True):
 
 
 class EncounterFile(tables.Table, frozen=True):
-    """A file of them (etc/encounters)."""
+    """A file of encounters (etc/encounters)."""
 
     scale: str
     own_mps: float
@@ -96,8 +97,8 @@ class Staged(NamedTuple):
 
 
 def staged_of(scenario: Scenario, path: str | Path) -> tuple[Staged, ...]:
-    """What a scenario's file stages: itself, or each encounter of its file. Random ones are staged by `drawn`. Raises
-    ConfigError."""
+    """The scenarios that a scenario's file stages: itself, or each encounter of its file. Random ones are staged by `drawn`.
+    Raises ConfigError."""
     if scenario.encounters in ("", RANDOM):
         return (Staged("", scenario, mission_of(scenario, path)),)
     file = read_encounters(Path(path).parent / scenario.encounters)
@@ -105,7 +106,7 @@ def staged_of(scenario: Scenario, path: str | Path) -> tuple[Staged, ...]:
 
 
 def read_encounters(place: Path) -> EncounterFile:
-    """Raises ConfigError."""
+    """Read the encounters of a file. Raises ConfigError."""
     try:
         return msgspec.json.decode(read_text(place), type=EncounterFile)
     except (OSError, msgspec.DecodeError, msgspec.ValidationError) as error:
@@ -150,12 +151,12 @@ def _row(ship: Ship, own_mps: float, scale: float, begin_s: float) -> dict[str, 
 
 
 def _lead_s(own_mps: float, ship: Ship) -> float:
-    """So long before a boat knows nothing of a vessel that it could act on yet."""
+    """The time, s, before which a boat knows nothing of a vessel that it could act on."""
     return max(LEAD_S, AMPLE * axes_m(ship.length_m)[1] / own_mps)
 
 
 def _entered_s(own_mps: float, ship: Ship) -> float:
-    """When the boat would enter the domain of a vessel, or be nearest."""
+    """The time, s, when the boat would enter the domain of a vessel, or be nearest."""
     axes, way, t_s = axes_m(ship.length_m), ship.way, 0.0
     while t_s < ship.tcpa_s:
         north_m, east_m = way.at(t_s)
@@ -166,7 +167,7 @@ def _entered_s(own_mps: float, ship: Ship) -> float:
 
 
 def _mission(way_m: float) -> str:
-    """A leg to the north; the boat starts on it."""
+    """The mission: a leg to the north, on which the boat starts."""
     place = origin(math.radians(LATITUDE_DEG), math.radians(LONGITUDE_DEG))
     corners = (math.degrees(from_plane(place, each_m, 0.0)[0]) for each_m in (0.0, way_m))
     rows = [f"[[waypoint]]\nlatitude_deg = {each:.8f}\nlongitude_deg = {LONGITUDE_DEG}\n" for each in corners]
@@ -208,7 +209,7 @@ def _ships(random: Random, own_mps: float, count: int) -> Iterator[Ship]:
 
 
 def kind_of(own_mps: float, north_m: float, east_m: float, course_deg: float, speed_mps: float) -> str:
-    """What meeting a vessel is for a boat that steers north, by rules 13 to 15: from bearings and speeds alone."""
+    """The kind of meeting with a vessel for a boat that steers north, by rules 13 to 15: from bearings and speeds alone."""
     bearing_rad, course_rad = math.atan2(east_m, north_m), math.radians(course_deg)
     seen_deg = abs(math.degrees(bearing_rad))  # the vessel from the boat, off its bow ...
     seen_back_deg = abs(math.degrees(wrap(bearing_rad + math.pi - course_rad)))  # ... and the boat from the vessel

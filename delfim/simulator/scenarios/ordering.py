@@ -16,7 +16,7 @@ SWIM: Final[Words] = {"command": "mode", "mode": "swim"}
 
 
 class DrawnOperator:
-    """Draws orders to a boat. `thruster`: the name of one."""
+    """Draws orders to a boat. `thruster`: the name of one thruster."""
 
     def __init__(self, random: Random, place: Place, thruster: str) -> None:
         self._random, self._place = random, place
@@ -53,18 +53,18 @@ class DrawnOperator:
         }
 
     def word(self, name: str) -> Words:
-        """An order by its name, "goto refused" is one that is refused."""
+        """Draw an order by its name; "goto refused" is one that is refused."""
         made = self._made.get(name) or self._made.get(name.partition(" ")[0])
         return {"command": name.partition(" ")[0]} if made is None else made()
 
     def enters(self, mode: str) -> Words:
-        """The order that enters a mode; idle is a stop."""
+        """Draw the order that enters a mode; idle is a stop."""
         if mode in ("heading", "course", "goto", "play", "manual"):
             return self.word(mode)
         return {"command": "stop"} if mode == "idle" else {"command": "mode", "mode": mode}
 
     def before(self, name: str) -> list[Words]:
-        """Orders without which this one would not be obeyed, or would not be refused."""
+        """Draw the orders without which this one would not be obeyed, or would not be refused."""
         match name:
             case "clear":
                 return [self.word("kill")]

@@ -1,5 +1,5 @@
 """Pairs of what happens to a boat at once: the mode that it is in, the troubles that it has, the action of its failsafe, the
-order of its operator. How many of the possible ones a campaign has met tells how much of the boat it has tried.
+order of its operator. The number of possible ones that a campaign has met shows how much of the boat it has tried.
 
 docs/campaigns.md says what counts. A thing is a word and a name, as in "trouble log" or "order goto refused".
 """
@@ -32,7 +32,7 @@ NUMBER: Final = {thing: number for number, thing in enumerate(THINGS)}
 
 
 class Never(NamedTuple):
-    """Two kinds of things that never meet, and why."""
+    """Two kinds of things that never meet, with the reason."""
 
     these: frozenset[str]
     those: frozenset[str]

@@ -32,7 +32,7 @@ HALF_M: Final = 65.0  # distance of the fence's sides from the start
 
 
 def mixed(seed: int, vehicle: config.Vehicle) -> Scenario:
-    """The run of a seed. What this boat does not have does not break."""
+    """Draw the run of a seed. What this boat does not have does not break."""
     random, here, nodes = Random(f"mixed {seed}"), vehicle.of(Simulation), nodes_of(vehicle, seed).sensors
     places = {kind: tuple(name for name in names if name in nodes) for kind, names in WHERE.items()}
     places |= dict.fromkeys(OF_THRUSTERS, tuple(row.name for row in vehicle.thrusters))
@@ -63,7 +63,7 @@ def mixed(seed: int, vehicle: config.Vehicle) -> Scenario:
 
 
 def place_of(here: Simulation, north_m: float, east_m: float) -> list[float]:
-    """[latitude_deg, longitude_deg] of a point at this distance from the start."""
+    """The point [latitude_deg, longitude_deg] at this distance from the start."""
     at = geodesy.origin(math.radians(here.latitude_deg), math.radians(here.longitude_deg))
     return [round(math.degrees(angle), 7) for angle in geodesy.from_plane(at, north_m, east_m)]
 
@@ -113,7 +113,7 @@ def sail_mixed(
     *,
     logged: bool = False,
 ) -> Result:
-    """The run of a seed with a vehicle's file. Raises ConfigError. A refused order is not a failure here."""
+    """Sail the run of a seed with a vehicle's file. Raises ConfigError. A refused order is not a failure here."""
     here = config.load(vehicle, overrides)
     scenario = draw(seed, here)
     settings = settings_of(scenario, vehicle, overrides)

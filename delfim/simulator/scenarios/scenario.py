@@ -25,7 +25,7 @@ Time = Annotated[float, msgspec.Meta(ge=0.0, le=DAY_S)]
 
 
 class FaultAt(tables.Table, frozen=True):
-    """Something breaks."""
+    """A fault and its time."""
 
     at_s: Time
     kind: str
@@ -83,7 +83,7 @@ class Scenario(tables.Table, frozen=True):
 
 
 def load_scenario(path: str | Path) -> Scenario:
-    """A scenario, its faults and commands checked. Raises ConfigError."""
+    """Load a scenario, and check its faults and commands. Raises ConfigError."""
     scenario = tables.decode(tables.read_toml(path), Scenario, str(path))
     key = ""
     try:
@@ -129,7 +129,7 @@ class OperatorWord(NamedTuple):
 
     @classmethod
     def of(cls, words: dict[str, Any]) -> Self:
-        """From a table of a scenario. Raises FormatError."""
+        """Parse a table of a scenario. Raises FormatError."""
         rest = {**words}
         at_s, refused, held_s = rest.pop("at_s", None), rest.pop("refused", ""), rest.pop("held_s", 0.0)
         is_timed = all(isinstance(each, float | int) and 0.0 <= each <= DAY_S for each in (at_s, held_s))
@@ -140,7 +140,7 @@ class OperatorWord(NamedTuple):
 
 
 def fault_of(asked: FaultAt, thrusters: Collection[str] = ()) -> Breakage:
-    """`thrusters`: the names of the boat's. Raises FormatError."""
+    """The fault of a row; `thrusters` are the names of the boat's. Raises FormatError."""
     return fault(asked.kind, asked.where, asked.value, asked.for_s, thrusters)
 
 

@@ -68,12 +68,12 @@ AIMS: Final = tuple(Random("aims").sample(PAIRS, len(PAIRS)))  # so that any str
 
 
 def searching(seed: int, vehicle: config.Vehicle) -> Scenario:
-    """The run of a seed."""
+    """Draw the run of a seed."""
     return _Aimed(Random(f"searching {seed}"), vehicle, AIMS[seed % len(AIMS)]).scenario(seed)
 
 
 class _Aimed:
-    """A run while it is drawn."""
+    """A run that is being drawn."""
 
     def __init__(self, random: Random, vehicle: config.Vehicle, aim: tuple[str, str]) -> None:
         self.random, self.vehicle, self.aim = random, vehicle, aim
@@ -119,7 +119,7 @@ class _Aimed:
         )
 
     def _breakable(self) -> list[FaultAt]:
-        """What the boat does not have does not break."""
+        """The faults that this boat can have: what it lacks does not break."""
         settings = config.read(laid_over(msgspec.to_builtins(self.vehicle), self.tree), "the scenario")
         nodes = nodes_of(settings, 0)
         lacks = {*(() if nodes.compasses else OF_COMPASS), *(() if nodes.shipping else OF_AIS)}
@@ -131,7 +131,7 @@ class _Aimed:
         self.tree = laid_over(self.tree, tree)
 
     def _does(self, trouble: str, action: str) -> None:
-        """The boat's file says so for all modes."""
+        """Set the action of a trouble in the boat's file, for all modes."""
         modes = {mode.name.lower(): "same" for mode in Mode if mode is not Mode.IDLE}
         self._lay({"failsafe": {trouble: {**modes, "action": action}}})
 
@@ -139,13 +139,13 @@ class _Aimed:
         self.faults.append(FaultAt(at_s=at_s, kind=kind, where=where, value=value, for_s=for_s))
 
     def _blink(self, kind: str, at_s: float, for_s: float, every_s: float, where: str = "") -> None:
-        """Again and again: what happens in the one cycle in which a trouble begins gets as many chances."""
+        """Break something again and again: what happens in the one cycle in which a trouble begins gets as many chances."""
         while at_s < self.end_s:
             self._break(kind, at_s, where, None, for_s)
             at_s += every_s
 
     def _parts(self) -> None:
-        """The boat may have other sensors and motors than its file says, as far as those leave what is aimed at."""
+        """Draw other sensors and motors than the boat's file has, as far as those leave what is aimed at."""
         random, others = self.random, "navigation_twice" not in self.troubles and self.has_nodes
         self.is_plain = others and (
             ("control" in self.troubles and self.order != "heading") or (self.rests and bool(self.action))
@@ -197,7 +197,7 @@ class _Aimed:
             self._lay({"fence": {"keep_in": [{"polygon": corners}], "keep_out": [rock]}})
 
     def _aim(self) -> None:
-        """The troubles, and what the boat does for them: as its file says, what is aimed at, or nothing, so that they last."""
+        """Set the troubles, and the boat's actions: as its file says, those aimed at, or none, so that the troubles last."""
         random, carriers = self.random, [each for each in self.troubles if each not in WITHOUT_TABLE]
         if self.action == "disconnect":
             self._lay({"failsafe": {"thruster": {"after_s": 1.5}}})
@@ -222,7 +222,7 @@ class _Aimed:
             self._break("navigation_silent", AT_S, "compass")
 
     def _bring(self, trouble: str, at_s: float) -> None:
-        """What leads to a trouble about this time."""
+        """Bring about a trouble near this time."""
         random, often = self.random, self.random.random() < 0.6 or self.action == "home"
         match trouble:
             case "control" if self.is_plain:
@@ -281,12 +281,12 @@ class _Aimed:
         self._lay({"sensors": {"names": [*dict.fromkeys((*self.vehicle.sensors.names, "nmea2000"))]}})
 
     def _by_hand(self, *rows: HandsetAt) -> None:
-        """What somebody does with a hand-set."""
+        """Draw the actions of somebody with a hand-set."""
         self._lay({"handset": HANDSET})
         self.handset = tuple(sorted((*(self.handset or (HandsetAt(at_s=0.0),)), *rows), key=lambda row: row.at_s))
 
     def _meets(self, trouble: str, at_s: float) -> None:
-        """Other vessels."""
+        """Place other vessels."""
         random = self.random
         self._hears()
         self.end_s += 15.0
@@ -306,7 +306,7 @@ class _Aimed:
         self.vessels.append(row)
 
     def _sail(self) -> None:
-        """The mode that is aimed at, and again whenever the boat may have left it."""
+        """Enter the mode that is aimed at, again whenever the boat may have left it."""
         random, at_s = self.random, AT_S
         steady = self.in_a_moment or "navigation_frozen" in self.troubles
         some = (
@@ -339,12 +339,12 @@ class _Aimed:
             at_s += every_s
 
     def _enters(self) -> Words:
-        """By hand without thrust where silence is aimed at, or where the failsafe took the thrust away."""
+        """Enter a mode: by hand without thrust where silence is aimed at, or where the failsafe took the thrust away."""
         is_still = self.mode == "manual" and (self.silences or self.in_a_moment) and "navigation_frozen" not in self.troubles
         return {"command": "mode", "mode": "manual"} if is_still else self.operator.enters(self.mode)
 
     def _ask(self) -> None:
-        """The order that is aimed at, as a stream: a moment that lasts one cycle is not missed then."""
+        """Give the order that is aimed at as a stream, so that a moment of one cycle is not missed."""
         random, order = self.random, self.operator.word(self.order)
         if self.order == "mode" and (self.in_a_moment or "kill" in self.troubles or self.action == "disconnect"):
             order = {"command": "mode", "mode": "idle"}  # the others are refused then
@@ -388,14 +388,14 @@ class _Aimed:
             self.orders.append({"at_s": at_s + i * every_s, **words[i % len(words)]})
 
     def _unfit(self, asked: str) -> None:
-        """Poor navigation, for which the boat refuses this mode, and for which it would not stop in another one."""
+        """Make navigation so poor that the boat refuses this mode, but would not stop in another one."""
         mode = {"arm": "manual", "mode": "hold"}.get(asked, asked)
         self._does("gnss_poor", "warn")
         self._lay({"failsafe": {"gnss_poor": {mode: "hold", **({} if "gnss_poor" in self.troubles else {"after_s": 30.0})}}})
         self._break("gnss_poor", self.at_s - 1.0)
 
     def _chance(self) -> None:
-        """Faults and orders that nobody aims at; each run has some kinds of them alone."""
+        """Draw faults and orders at random, beside those aimed at; each run has some kinds of them alone."""
         random = self.random
         is_brief = {"navigation_silent", "control"} & {*self.troubles}
         but = ("sensor_", *OF_THRUSTERS, *(("frames_", "bus_", "navigation_") if is_brief else ()))

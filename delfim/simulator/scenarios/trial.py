@@ -35,7 +35,7 @@ HELD_S: Final = 0.5
 
 
 class Event(NamedTuple):
-    """An event of a run."""
+    """One event of a run."""
 
     t_s: float
     kind: Literal["command", "fault", "mode", "notice", "propellers"]
@@ -79,7 +79,7 @@ class Recorder:
             self.events.append(Event(now_s, "propellers", "stopped" if stopped else "turning"))
 
     def passes(self, place: TruePlace) -> None:
-        """How near the boat's true position came to each waypoint."""
+        """Note how near the boat's true position came to each waypoint."""
         plan, at = self._run.state.setpoint.plan, place.at
         if plan is None or at is None:
             return
@@ -99,9 +99,8 @@ def sail(
     *,
     look: Callable[[Lockstep, TruePlace], object] | None = None,
 ) -> Result:
-    """One run. `mission` is the text of the scenario's mission file. The same seed gives the same bytes. `look` is called after
-    each cycle.
-    """
+    """Sail one run. `mission` is the text of the scenario's mission file. The same seed gives the same bytes. `look` is called
+    after each cycle."""
     run = Lockstep(settings, seed, make_log or (lambda clock: NoLog()), handset=scenario.handset)
     watch = Onlooker(run, facts=True)
     recorder, operator = Recorder(run), Operator(run, watch, scenario, mission)
@@ -164,7 +163,7 @@ class Operator:
                 self._again_s = now_s + RETRY_S
 
     def _give(self, order: OperatorWord, recorder: Recorder) -> bool:
-        """Whether the operator is done with the order."""
+        """Give an order; returns whether the operator is done with it."""
         name, now_s = str(order.command.__struct_config__.tag), self._run.elapsed_s
         why = self._watch.order(order.command, "scenario")
         if order.refused:
@@ -185,7 +184,7 @@ class Operator:
 
 
 def _missed(expected: Expect, recorder: Recorder, end_s: float, vessels: Sequence[Vessel]) -> str | None:
-    """Why a run misses an expected result, in words; None: it does not."""
+    """The reason, in words, why a run misses an expected result; None: it does not."""
     if expected.waypoints:
         reached = sum(away_m <= 1.0 for away_m in recorder.nearest_m)
         return None if reached >= expected.waypoints else f"{reached} of {expected.waypoints} waypoints reached"
@@ -213,7 +212,7 @@ def _missed(expected: Expect, recorder: Recorder, end_s: float, vessels: Sequenc
 
 
 def _too_near(expected: Expect, vessels: Sequence[Vessel]) -> str | None:
-    """The truth decides, whatever the boat heard."""
+    """Whether a vessel came too near in truth, whatever the boat received."""
     for vessel in vessels:
         if vessel.nearest < expected.nearest or vessel.nearest_m < expected.nearest_m:
             near = f"{vessel.nearest_m:.0f} m and {vessel.nearest:.2f} domains"
@@ -230,7 +229,7 @@ def _since(after: float | str, events: list[Event]) -> float | None:
 def run_file(
     path: str | Path, vehicle: str | Path, seed: int, overrides: tuple[str, ...] = (), *, logged: bool = False
 ) -> Result:
-    """A scenario file, sailed; FILE:NAME is one of its encounters. `logged`: its log is written, too. Raises ConfigError."""
+    """Sail a scenario file; FILE:NAME is one of its encounters. `logged`: its log is written, too. Raises ConfigError."""
     file, _, name = str(path).partition(".toml:")
     file = f"{file}.toml" if name else file
     here = load_scenario(file)
@@ -246,6 +245,6 @@ def run_file(
 
 
 def report(result: Result) -> list[str]:
-    """The events and the verdict, a line each."""
+    """Format the events and the verdict, a line each."""
     lines = [f"{e.t_s:7.1f} s  {e.kind:10} {e.name}{f'  {e.text}' if e.text else ''}" for e in result.events]
     return lines + [f"FAILED: {words}" for words in result.failures]

@@ -1,4 +1,4 @@
-"""Other vessels of the simulated world: how they move, what a boat hears of them by AIS, and how near they come in truth.
+"""Other vessels of the simulated world: their motion, what a boat receives of them by AIS, and how near they come in truth.
 
 They sail by the rows of `simulation.traffic` in the vehicle's file; none of them sees the boat but those that follow or chase
 it. A receiver on the NMEA 2000 bus speaks their AIS with the intervals of ITU-R M.1371 (docs/encounters.md).
@@ -50,17 +50,17 @@ def axes_m(length_m: float) -> tuple[float, float]:
 
 
 def nearness(north_m: float, east_m: float, course_rad: float, axes: tuple[float, float]) -> float:
-    """How far a point so far from a vessel is in its domain: 0 in the middle, 1 on the edge."""
+    """How far a point at this distance from a vessel is in its domain: 0 in the middle, 1 on the edge."""
     return within(north_m, east_m, math.cos(course_rad), math.sin(course_rad), axes)
 
 
 def within(north_m: float, east_m: float, c: float, s: float, axes: tuple[float, float]) -> float:
-    """The same, by the cosine and the sine of the course."""
+    """The nearness of a point, by the cosine and the sine of the course."""
     return math.hypot((north_m * c + east_m * s) / axes[0], (east_m * c - north_m * s) / axes[1])
 
 
 class Vessel:
-    """One of them: its true motion, and the nearest that the boat came to it."""
+    """One vessel: its true motion, and the nearest that the boat came to it."""
 
     def __init__(self, row: SimulatedVessel, mmsi: int, model: Model, random: Random, manner: str) -> None:
         self.row, self.mmsi, self._model = row, mmsi, model
@@ -79,7 +79,7 @@ class Vessel:
         self.nearest_s = 0.0  # when it was nearest, in domains
 
     def sail(self, t_s: float) -> None:
-        """On to this time since the start."""
+        """Sail on to this time since the start."""
         h = t_s - self._t_s
         self._t_s, way_m, wanted_rad = t_s, self.speed_mps * h, self.course_rad
         if self.row.chases:
@@ -97,7 +97,7 @@ class Vessel:
         self._measure()
 
     def _follow(self, away_m: float, t_s: float) -> None:
-        """To its place beside the boat, whatever it tells of its course and speed."""
+        """Move to its place beside the boat, whatever it reports of its course and speed."""
         sides_s, bearing_rad = self.row.sides_s, math.radians(self.row.follows_deg)
         if sides_s and t_s // sides_s % 2.0:
             bearing_rad += math.pi
@@ -105,7 +105,7 @@ class Vessel:
         self.east_m = self._model.east_m + away_m * math.sin(bearing_rad)
 
     def _turn(self, wanted_rad: float, way_m: float, h: float) -> None:
-        """On by this way in this time, towards another course."""
+        """Sail on by this distance in this time, turning towards another course."""
         most_rad = self._turn_radps * h
         turned_rad = min(max(wrap(wanted_rad - self.course_rad), -most_rad), most_rad)
         middle_rad = self.course_rad + 0.5 * turned_rad
@@ -124,7 +124,7 @@ class Vessel:
 
 
 class Spoken(NamedTuple):
-    """A message of AIS that is heard."""
+    """A message of AIS that is received."""
 
     told: VesselPosition | VesselFacts
     status: int | None  # of a position of class A
@@ -133,7 +133,7 @@ class Spoken(NamedTuple):
 
 
 class Transponder:
-    """What it says of its vessel, and when: lossy, late and wrong as AIS is."""
+    """The transponder of a vessel: lossy, late and wrong as AIS is."""
 
     def __init__(self, vessel: Vessel, heard: str, lost: float, noise: bool, random: Random) -> None:
         row = vessel.row
@@ -148,8 +148,8 @@ class Transponder:
         self._facts_due_s = random.uniform(0.0, FIRST_STATIC_S)
 
     def _intervals_s(self) -> tuple[float, float]:
-        """Between two positions, straight on and turning (ITU-R M.1371): of class A by speed and turning, of class B "CS" by
-        speed. A vessel keeps its speed."""
+        """The intervals between two positions, straight on and turning (ITU-R M.1371): of class A by speed and turning, of
+        class B "CS" by speed. A vessel keeps its speed."""
         knots = self._vessel.speed_mps / KNOT_MPS
         if self._is_perfect:
             return PERFECT_S, PERFECT_S
@@ -162,7 +162,7 @@ class Transponder:
         return (10.0, 10.0 / 3.0) if knots <= 14.0 else (6.0, 2.0)
 
     def is_due(self, t_s: float) -> bool:
-        """Whether it has a position or its facts to tell."""
+        """Whether it has a position or its facts to send."""
         return t_s >= self._facts_due_s or self._is_position_due(t_s)
 
     def _is_position_due(self, t_s: float) -> bool:
@@ -170,8 +170,8 @@ class Transponder:
         return t_s >= self._said_s + interval_s - TOLERANCE_S
 
     def speak(self, t_s: float, second: int, frozen: bool, wrong_m: float) -> Iterator[Spoken]:
-        """Each message of this instant that is heard. Of a receiver that is `frozen` the position is the last one; `wrong_m` is
-        how far it may be off."""
+        """The messages of this instant that are received. Of a receiver that is `frozen` the position is the last one;
+        `wrong_m` is how far it may be off."""
         status = self._vessel.row.status if self._is_class_a else None
         if self._is_position_due(t_s):
             told, is_first = self._told(t_s, wrong_m), self._last is None
@@ -184,13 +184,13 @@ class Transponder:
                 yield Spoken(self._facts(), status, self._is_class_a, second)
 
     def _is_heard(self, t_s: float, is_first: bool) -> bool:
-        """The first of a kind stands for those before the run and is not lost: a vessel was in reach for an hour, and a slow
-        one tells its position each 3 minutes."""
+        """Whether a message is received. The first of a kind stands for those before the run and is not lost: a vessel was in
+        reach for an hour, and a slow one sends its position each 3 minutes."""
         begin_s, end_s = self._vessel.silent
         return (self._random.random() >= self._lost or is_first) and not begin_s <= t_s < end_s
 
     def _told(self, t_s: float, wrong_m: float) -> VesselPosition:
-        """Its antenna, course and speed, with their errors, as coarse as AIS is."""
+        """The position of its antenna, course and speed, with their errors, as coarse as AIS is."""
         vessel, gauss = self._vessel, self._random.gauss
         keep = math.exp((self._said_s - t_s) / WANDER_S)
         self._said_s, new_m = t_s, self._noise_m * math.sqrt(1.0 - keep * keep)
@@ -220,7 +220,7 @@ class Transponder:
 
 
 class Shipping:
-    """All of them, and a receiver of AIS on the NMEA 2000 bus."""
+    """All other vessels, and a receiver of AIS on the NMEA 2000 bus."""
 
     hears: tuple[CanAddress, ...] = ()
 
@@ -246,11 +246,11 @@ class Shipping:
 
     @property
     def due_s(self) -> float:
-        """When `step` is due next."""
+        """The time when `step` is due next."""
         return self._period.due_s
 
     def feed(self, frame: Frame, now_s: float) -> None:
-        """The receiver listens to nobody."""
+        """Ignore the frame: the receiver listens to nobody."""
 
     def step(self, now_s: float, utc_ns: int) -> list[Frame]:
         """The frames that the receiver sends now; the vessels sail on to this time."""
@@ -292,7 +292,7 @@ class Shipping:
 
 
 def silent_of(row: SimulatedVessel, manner: str) -> tuple[float, float]:
-    """From when to when a vessel's AIS says nothing, s."""
+    """The time, s, from when to when a vessel's AIS is silent."""
     if row.meets_s is not None and manner == "silent":
         return row.meets_s - SILENT_S, math.inf
     if row.meets_s is not None and manner == "gap":
@@ -302,7 +302,7 @@ def silent_of(row: SimulatedVessel, manner: str) -> tuple[float, float]:
 
 
 def turns_of(row: SimulatedVessel, manner: str, random: Random) -> list[tuple[float, float]]:
-    """When a vessel turns, s, and to which course, deg."""
+    """The (time s, course deg) of each turn of a vessel."""
     turns = [(turn.at_s, turn.course_deg) for turn in row.turns]
     if row.meets_s is None:
         return turns

@@ -1,4 +1,4 @@
-"""AIS as a receiver says it over NMEA 2000: the inverse of `delfim.canproxy.nmea2000.ais`, with the same layouts.
+"""AIS as a receiver sends it over NMEA 2000: the inverse of `delfim.canproxy.nmea2000.ais`, with the same layouts.
 
 PGN 129038 and 129039 are positions of class A and B, 129794, 129809 and 129810 names and sizes. What is None is sent as not
 available.

@@ -1,4 +1,4 @@
-"""AIS as a receiver says it over NMEA 0183: sentences VDM with the messages 1, 5, 18 and 24 of ITU-R M.1371.
+"""AIS as a receiver sends it over NMEA 0183: sentences VDM with the messages 1, 5, 18 and 24 of ITU-R M.1371.
 
 What is None is sent as not available.
 """
@@ -17,7 +17,7 @@ _LEAVE: Final = 0
 
 
 class _Bits:
-    """A message under way: numbers of so many bits, the most significant first."""
+    """A message that is being written: numbers of so many bits, the most significant first."""
 
     def __init__(self, kind: int, mmsi: int) -> None:
         self._value, self._length = 0, 0
@@ -29,7 +29,7 @@ class _Bits:
             self._length += width
 
     def text(self, words: str | None, characters: int) -> None:
-        """In the six-bit alphabet; "@" fills up."""
+        """Add a text in the six-bit alphabet; "@" fills up."""
         for each in (words or "").upper().ljust(characters, "@")[:characters]:
             code = ord(each) if 32 <= ord(each) < 96 else ord("?")
             self.add((code & 63, 6))
@@ -51,7 +51,7 @@ class _Bits:
 
 
 def position_said(told: VesselPosition, status: int | None, second: int) -> bytes:
-    """Message 1, or 18 where there is no `status`. `second`: of UTC, 0..59."""
+    """The sentences of message 1, or of 18 where there is no `status`. `second`: of UTC, 0..59."""
     bits = _Bits(18 if status is None else 1, told.mmsi)
     knots = 1023 if told.speed_mps is None else min(round(told.speed_mps / KNOT_MPS * 10.0), 1022)
     if status is None:
@@ -70,7 +70,7 @@ def position_said(told: VesselPosition, status: int | None, second: int) -> byte
 
 
 def facts_said(told: VesselFacts, is_class_a: bool, number: int) -> Iterator[bytes]:
-    """Message 5, or the two parts of message 24."""
+    """The sentences of message 5, or of the two parts of message 24."""
     size = _distances(told)
     if is_class_a:
         bits = _Bits(5, told.mmsi)
@@ -95,7 +95,7 @@ def facts_said(told: VesselFacts, is_class_a: bool, number: int) -> Iterator[byt
 
 
 def _distances(told: VesselFacts) -> list[tuple[int, int]]:
-    """Of the antenna from bow, stern, port and starboard, m; all 0: not known."""
+    """The distances of the antenna from bow, stern, port and starboard, m; all 0: not known."""
     length_m, beam_m, bow_m, starboard_m = told.length_m, told.beam_m, told.from_bow_m, told.from_starboard_m
     if length_m is None or beam_m is None or bow_m is None or starboard_m is None:
         return [(0, 9), (0, 9), (0, 6), (0, 6)]
@@ -110,7 +110,7 @@ def _place(angle_rad: float | None, unknown_deg: float) -> int:
 
 
 def _turning(rate_radps: float | None) -> int:
-    """The indicator of M.1371: 4.733 times the root of degrees a minute, signed."""
+    """The rate of turn by M.1371: 4.733 times the root of degrees a minute, signed."""
     if rate_radps is None:
         return -128
     return round(math.copysign(min(4.733 * math.sqrt(abs(math.degrees(rate_radps)) * 60.0), 126.0), rate_radps))
