@@ -48,7 +48,7 @@ class DeadMan:
         self.ended = ""  # why, in words
 
     def is_held(self, now_s: float, is_pressed: bool) -> bool:
-        """It begins with a press, and ends for good when it is let go, or in time."""
+        """Whether the key is held. It begins with a press, and ends for good when the key is let go, or in time."""
         if is_pressed:
             self._key_s = now_s
             self._begun_s = now_s if self._begun_s is None else self._begun_s
@@ -78,7 +78,7 @@ class Trial:
 
 
 def runs(settings: config.Vehicle) -> bool:
-    """Whether the boat's program answers on its socket. Raises DelfimError where that cannot be told."""
+    """Whether the boat's program answers on its socket. Raises DelfimError where that cannot be found out."""
     with socket.socket(socket.AF_UNIX) as knock:
         number = knock.connect_ex(settings.console.socket)
     if number not in (0, errno.ENOENT, errno.ECONNREFUSED):
@@ -96,7 +96,7 @@ def actuate(
     for_s: float,
     boat: RunningBoat | None,
 ) -> None:
-    """`delfim actuate`. `boat` None: its program does not run. Raises DelfimError."""
+    """Run `delfim actuate`. `boat` None: its program does not run. Raises DelfimError."""
     rows = {row.name: index for index, row in enumerate(settings.thrusters)}
     if name not in rows:
         raise DelfimError(f"{file}: there is no thruster {name!r}{did_you_mean(name, rows)}; there are {', '.join(rows)}")
@@ -125,7 +125,7 @@ def actuate(
 
 
 def _armed(row: config.ThrusterTable, part: float, for_s: float) -> None:
-    """Raises DelfimError for another word than the thruster's name."""
+    """Ask for the thruster's name. Raises DelfimError for another word."""
     print(f"{row.name}: {row.driver} {row.address}, {part:.0%} for {for_s:g} s at most. Are the propellers off, and all hands?")
     if input(f"Type {row.name} to arm it: ").strip() != row.name:
         raise DelfimError("not armed: that is not its name")
@@ -133,7 +133,8 @@ def _armed(row: config.ThrusterTable, part: float, for_s: float) -> None:
 
 
 def _ask(boat: RunningBoat, name: str, part: float, for_s: float, key: DeadMan) -> None:
-    """Through the boat's program. That it refuses is the end, without a word more: somebody else may have the boat now."""
+    """Turn the thruster through the boat's program. A refusal is the end, without another order: somebody else may have the
+    boat now."""
     said_s = shown_s = 0.0
     try:
         while not key.ended:
@@ -153,7 +154,7 @@ def _ask(boat: RunningBoat, name: str, part: float, for_s: float, key: DeadMan) 
 
 
 def _words(report: Mapping[str, object]) -> str:
-    """The values that are known."""
+    """The values of a report that are known, in words."""
     known = {
         what: round(each, 2) if isinstance(each, float) else each for what, each in report.items() if each not in (None, [], ())
     }
@@ -183,7 +184,7 @@ def _turn(driver: Actuator, trial: Trial, key: DeadMan, name: str) -> None:
 
 
 def _stopped(driver: Actuator) -> None:
-    """Raises DelfimError where no stop was taken."""
+    """Stop the driver. Raises DelfimError where no stop was taken."""
     taken = 0
     for _ in range(STOPS):
         with contextlib.suppress(OSError):
@@ -195,7 +196,7 @@ def _stopped(driver: Actuator) -> None:
 
 @contextlib.contextmanager
 def _keys() -> Iterator[None]:
-    """Keys come one by one, and are not shown."""
+    """Read keys one by one, without showing them."""
     before = termios.tcgetattr(sys.stdin)
     tty.setcbreak(sys.stdin)
     try:
@@ -206,7 +207,7 @@ def _keys() -> Iterator[None]:
 
 @contextlib.contextmanager
 def _outlet(file: str, overrides: Sequence[str]) -> Iterator[None]:
-    """The process that writes pulses, as the supervisor starts it."""
+    """Start the process that writes pulses, as the supervisor does."""
     words = [word for each in overrides for word in ("--set", each)]
     beats, beat = os.pipe()
     program = subprocess.Popen(

@@ -54,7 +54,7 @@ class ComputerLook:
         self._free: deque[tuple[float, int]] = deque()
 
     def look(self, now_s: float, time_ns: int) -> Computer:
-        """One sample, `now_s` by the monotonic clock. A value that cannot be read has its default."""
+        """Take one sample, `now_s` by the monotonic clock. A value that cannot be read has its default."""
         elapsed_s = max(now_s - self._at_s, 1e-3)
         self._at_s = now_s
         processes = self._processes(elapsed_s)
@@ -139,7 +139,7 @@ class ComputerLook:
         return found
 
     def _processes(self, elapsed_s: float) -> list[Process]:
-        """All of them, the busiest first."""
+        """All processes, the busiest first."""
         found, now = [], {}
         for entry in os.listdir(self._root / "proc"):
             if entry.isdecimal() and (line := _read(self._root / "proc" / entry / "stat")):
@@ -160,7 +160,7 @@ def processors(stat: str) -> list[tuple[int, int]]:
 
 
 def memory(meminfo: str) -> Memory:
-    """From /proc/meminfo."""
+    """The use of the memory, from /proc/meminfo."""
     rows = {name: int(value.split()[0]) * 1024 for name, _, value in (line.partition(":") for line in meminfo.splitlines())}
     return Memory(total_bytes=rows.get("MemTotal", 0), available_bytes=rows.get("MemAvailable", 0))
 
@@ -180,8 +180,8 @@ def process(stat: str) -> tuple[int, str, int, int, int, int]:
 
 
 def program(name: str, words: list[str]) -> str:
-    """A process' name; of a Python program its own, not the interpreter's: its module or file, of delfim also the command and
-    the service. Other arguments, and a program that stands in the command itself, may be long and secret."""
+    """The name of a process; of a Python program its own, not the interpreter's: its module or file, of delfim also the command
+    and the service. Other arguments, and a program that stands in the command itself, may be long and secret."""
     if not name.startswith("python"):
         return name
     what = next((number for number, word in enumerate(words[1:], 1) if word in ("-c", "-m") or word[:1] != "-"), len(words))
@@ -196,7 +196,7 @@ def program(name: str, words: list[str]) -> str:
 
 
 def temperature_c(root: Path) -> float | None:
-    """Of the hottest thermal zone; None where there is none."""
+    """The temperature of the hottest thermal zone, degrees Celsius; None where there is none."""
     texts = (_read(zone / "temp").strip() for zone in (root / "sys/class/thermal").glob("thermal_zone*"))
     return max((int(text) / 1000 for text in texts if text.lstrip("-").isdecimal()), default=None)
 
@@ -247,7 +247,7 @@ def programs(state: str, now_s: float) -> tuple[dict[str, Service], str]:
 
 
 def service(process: Service, told: str) -> Service:
-    """The supervisor's data of a process, and its service's own report if it comes from that process."""
+    """The supervisor's data of a process, with its service's own report if that comes from the process."""
     try:
         own = msgspec.json.decode(told, type=Service)
     except msgspec.DecodeError:
@@ -271,7 +271,7 @@ def clock(time_ns: int) -> Time:
 
 
 def _is_up(link: Path) -> bool:
-    """Loopback and tunnels have no other word for "up" than "unknown"."""
+    """Whether an interface is up. Loopback and tunnels have no other word for it than "unknown"."""
     flags = _read(link / "flags").strip()
     return bool(flags) and bool(int(flags, 16) & 1) and _read(link / "operstate").strip() in ("up", "unknown")
 
@@ -298,7 +298,7 @@ def _links(root: Path) -> list[dict[str, Any]]:
 
 
 def _read(path: Path) -> str:
-    """A small file's text; empty where there is none: processes and interfaces come and go."""
+    """Read a small file; empty where there is none: processes and interfaces come and go."""
     try:
         return path.read_text(errors="replace")
     except OSError:

@@ -1,4 +1,4 @@
-"""powerd: learns that the power will be cut, and has everything ended in order (thesis 3.3).
+"""powerd: notices that the power will be cut, and has everything ended in order (thesis 3.3).
 
 It listens for the shutdown frame, looks at a button and at the batteries, and hands each order to the supervisor, which ends
 the programs, the vehicle first, unmounts the log partition and acknowledges: docs/powerd.md. All it knows comes from the
@@ -83,7 +83,7 @@ class Button:
         return self.is_pressed
 
     def _keys(self) -> bool:
-        """The state at the end of the device's queue."""
+        """The state of the button at the end of the device's queue."""
         state = self.is_pressed
         with contextlib.suppress(BlockingIOError):
             while data := os.read(self._fd, EVENTS_BYTES):
@@ -99,8 +99,8 @@ class Button:
 
 
 class Powerd:
-    """The state of the inputs. `order` and `reason` are set when the power is to be cut. `watches`: the vehicle is asked, too,
-    and while it is silent its motors count as driven, because nobody knows."""
+    """The state of the inputs. `order` and `reason` are set when the power is to be cut. `watches`: the vehicle's report is
+    used, too, and while it is silent its motors count as driven, because nobody knows."""
 
     def __init__(self, settings: PowerdTable, clock: Clock, watches: bool = False) -> None:
         self._settings, self._clock, self._watches = settings, clock, watches
@@ -116,7 +116,7 @@ class Powerd:
         self._driven_s = self._enough_s = clock.monotonic_s()  # when a propeller last was to run, the batteries had enough
 
     def on_frame(self, frame: Frame) -> None:
-        """A frame of the bus. Malformed ones are counted."""
+        """Take a frame of the bus. Malformed ones are counted."""
         now_s = self._clock.monotonic_s()
         try:
             if frame.arb == SHUTDOWN:
@@ -152,11 +152,11 @@ class Powerd:
             self._voltages[name] = voltage_v, now_s - age_s
 
     def on_silence(self, why: str) -> None:
-        """The vehicle does not answer, in words."""
+        """Note, in words, why the vehicle does not answer."""
         self._silence = why
 
     def look(self) -> None:
-        """At the button and the batteries; due every LOOK_S."""
+        """Check the button and the batteries; due every LOOK_S."""
         now_s, settings = self._clock.monotonic_s(), self._settings
         self._pressed_s = min(self._pressed_s, now_s) if self.button.pressed() else inf
         if now_s - self._pressed_s >= settings.button_s:
@@ -169,7 +169,7 @@ class Powerd:
             self._ask("off", empty)
 
     def _empty(self, now_s: float) -> str:
-        """Why the batteries have no more to give, in words; empty while they have, or nobody tells."""
+        """The reason, in words, why the batteries are empty; empty while they are not, or nobody reports."""
         charge, voltage_v, settings = _least(self._charges, now_s), _least(self._voltages, now_s), self._settings
         if settings.battery_charge and charge <= settings.battery_charge:
             return f"batteries at {charge:.0%}"
@@ -180,7 +180,7 @@ class Powerd:
             self.order, self.reason = word, reason
 
     def report(self) -> dict[str, object]:
-        """JSON-ready."""
+        """The report, JSON-ready."""
         now_s = self._clock.monotonic_s()
         charge, voltage_v = _least(self._charges, now_s), _least(self._voltages, now_s)
         return {
@@ -194,7 +194,7 @@ class Powerd:
 
 
 def _least(told: Mapping[str, tuple[float, float]], now_s: float) -> float:
-    """The least value that was told lately; infinite where none was."""
+    """The least value that was reported lately; infinite where none was."""
     return min((value for value, at_s in told.values() if now_s - at_s < FRESH_S), default=inf)
 
 
@@ -205,7 +205,7 @@ def is_told_by_vehicle(settings: config.Vehicle) -> bool:
 
 
 async def serve(runtime: Runtime) -> None:
-    """The service."""
+    """Run the service until it is cancelled."""
     settings = runtime.config
     watches = is_told_by_vehicle(settings)
     heard = Powerd(settings.of(PowerdTable), runtime.clock, watches)
@@ -249,7 +249,7 @@ async def serve(runtime: Runtime) -> None:
 
 
 def ask(runtime: Runtime, word: shutdown.Word, reason: str) -> None:
-    """Have everything ended in order. Without a supervisor that is this process: the boat is stopped in any case."""
+    """Have everything ended in order. Without a supervisor this process does it: the boat is stopped in any case."""
     try:
         shutdown.request(shutdown.socket_path(runtime.config.runtime.run_directory), word, reason)
     except OSError as error:

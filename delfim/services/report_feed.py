@@ -1,4 +1,4 @@
-"""The vehicle's state for services in processes of their own, over the local command socket, as a console watches it."""
+"""Feeds the vehicle's report to services in processes of their own, over the local command socket, as to a console."""
 
 import asyncio
 import contextlib

@@ -105,7 +105,7 @@ class Runtime:
             self._first.remove_navigation(fd)
 
     def rehearsal(self, rehearsal: Practice | None) -> None:
-        """Sets the rehearsal that keeps the caches warm for navigation: the critical path without effect."""
+        """Set the rehearsal that keeps the caches warm for navigation: the critical path without effect."""
         self._first.set_rehearsal(rehearsal)
 
     def reader(self, fd: int, handler: Callable[[], object], pause_s: float = 0.0) -> None:
@@ -137,7 +137,7 @@ class Runtime:
 
     @contextmanager
     def reading(self, fd: int, handler: Callable[[], object], pause_s: float = 0.0) -> Iterator[None]:
-        """As `reader`, until the end of the block."""
+        """Call `handler` as `reader` does, until the end of the block."""
         self.reader(fd, handler, pause_s)
         try:
             yield
@@ -168,7 +168,7 @@ class Runtime:
 
     @contextmanager
     def publishing(self, name: str, report: Callable[[], dict[str, object]]) -> Iterator[None]:
-        """A service's figures, JSON-ready, are on the board until the end of the block."""
+        """Publish a service's figures, JSON-ready, on the board until the end of the block."""
         self.board[name] = report
         try:
             yield
@@ -176,7 +176,7 @@ class Runtime:
             del self.board[name]
 
     def load(self, module: str) -> asyncio.Future[ModuleType]:
-        """A large library, read beside the loop while the boat comes up: it costs the path some milliseconds, once. Its objects
+        """Load a large library beside the loop while the boat comes up: it costs the path some milliseconds, once. Its objects
         stay for good, so that no collection looks at them. A service's libraries for its first step are read before the first
         beat: a slow computer may take its time for it. Raises ImportError."""
         loading = asyncio.get_running_loop().run_in_executor(None, importlib.import_module, module)
@@ -185,7 +185,7 @@ class Runtime:
         return loading
 
     def is_starting(self) -> bool:
-        """Whether there is a dead-man and it waits for the first beat, patiently: nothing may turn a propeller yet."""
+        """Whether a dead-man still waits for the first beat: nothing may turn a propeller yet."""
         return self._beat_fd >= 0 and not self._is_up
 
     def _loaded(self, _: object) -> None:
@@ -194,7 +194,8 @@ class Runtime:
             gc.freeze()
 
     def report(self) -> dict[str, object]:
-        """JSON-ready: services, navigation window, the loop's own callbacks, the dead-man's last event, the time since boot."""
+        """The report, JSON-ready: services, navigation window, the loop's own callbacks, the dead-man's last event, the time
+        since boot."""
         now_s = self.clock.monotonic_s()
         return {
             "figures_s": round(now_s, 3),
@@ -220,7 +221,7 @@ class Runtime:
             self._stopping.set()
 
     def ends_in_order(self) -> bool:
-        """Whether somebody told the program to end, and the supervisor lives to do so: whoever ends all that a dead supervisor
+        """Whether the program was asked to end, and the supervisor lives to do so: whoever ends all that a dead supervisor
         started sends the same signal."""
         try:
             return self._stop_reason in SIGNALS and (self._beat_fd < 0 or os.write(self._beat_fd, self._word) > 0)
@@ -230,7 +231,8 @@ class Runtime:
             return False
 
     def leaves(self) -> None:
-        """At the end of the program: the boat is stopped, and nothing here commands it any more. Logs may take their time."""
+        """Note that the boat is stopped at the end of the program, and nothing here commands it any more. Logs may take their
+        time."""
         if self._stop_reason:
             self._word = LEAVES
             self._say(LEAVES)
@@ -286,7 +288,7 @@ class Runtime:
         return self._loop
 
     async def _serve(self, row: LoadedService) -> None:
-        """One service: started, and restarted when it fails, until it is stopped."""
+        """Run one service, restarted when it fails, until it is stopped."""
         status, limits = self.status[row.name], self.config.supervisor
         pause_s = limits.backoff_s
         began_s = self.clock.monotonic_s()
@@ -302,7 +304,7 @@ class Runtime:
             began_s = self.clock.monotonic_s()
 
     async def _attempt(self, row: LoadedService, status: ServiceStatus) -> bool:
-        """One run of a service. Returns whether there is to be another one."""
+        """Run a service once. Returns whether there is to be another run."""
         status.failure = None
         self._change(status, "starting", status.reason)
         settled = self._loop.call_later(SETTLE_S, self._settled, status)
@@ -366,13 +368,15 @@ class Runtime:
     # The loop's own work.
 
     def _be_real_time(self) -> None:
-        """Not earlier: on a slow computer with one processor the threads that read the libraries would never get it."""
+        """Become real time, not earlier: on a slow computer with one processor the threads that read the libraries would never
+        get it."""
         priority = self.config.runtime.fifo_priority
         if priority and self._place == "runtime":
             asked(f"fifo_priority = {priority}", lambda: real_time(priority))
 
     def _beat(self) -> None:
-        """Tell the supervisor that the loop turns. Before the first time it is patient, and that is when libraries are read."""
+        """Send the supervisor a beat: the loop turns. Before the first one the supervisor is patient, and that is when
+        libraries are read."""
         self._loop.call_later(self._beat_s, self._beat)
         if not self._is_up:
             if self._loads:

@@ -30,7 +30,7 @@ class ServiceStatus:
     failure: Exception | None = None  # raised by a callback and not yet acted upon
 
     def report(self, now_s: float) -> dict[str, object]:
-        """JSON-ready."""
+        """The report, JSON-ready."""
         return {
             "place": self.place,
             "state": self.state,
@@ -45,7 +45,7 @@ class ServiceStatus:
 
 
 def status_file(path: Path) -> int:
-    """A descriptor, -1 if it cannot be opened."""
+    """Open the file of the status; -1 if it cannot be opened."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         return os.open(path, os.O_WRONLY | os.O_CREAT | os.O_CLOEXEC, 0o644)

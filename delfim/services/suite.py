@@ -49,7 +49,8 @@ class Service(NamedTuple):
     is_part: bool = False  # of a laboratory
 
     def loaded(self) -> Start:
-        """The coroutine for the runtime. If a package is missing, one that reports it: the other services go on."""
+        """Load the coroutine for the runtime. If a package is missing, it is one that reports this: the other services go
+        on."""
         module, _, name = self.entry.partition(":")
         try:
             start: Start = getattr(importlib.import_module(module), name)
@@ -66,7 +67,7 @@ class Service(NamedTuple):
         return start
 
     def loading(self) -> Start:
-        """The same for a loop that must not wait: the service is loaded when it starts."""
+        """A coroutine for a loop that must not wait: it loads the service when it starts."""
 
         async def start(runtime: Any) -> None:
             with contextlib.suppress(ModuleNotFoundError):  # the next line says so
@@ -164,7 +165,7 @@ def services(settings: config.Vehicle) -> list[Service]:
 
 
 def run(file: str, overrides: Sequence[str], *, service: str | None, beat_fd: int) -> int:
-    """`delfim run`: the vehicle and its cooperative services in this process; or one service alone."""
+    """Run `delfim run`: the vehicle and its cooperative services in this process; or one service alone."""
     if beat_fd >= 0:  # before anything that may take long; chained, so that it dies where it stood and commands nothing more
         faulthandler.register(STACKS_SIGNAL, beat_fd, chain=True)
     import asyncio
@@ -188,7 +189,7 @@ def run(file: str, overrides: Sequence[str], *, service: str | None, beat_fd: in
 
 
 def outlet(file: str, overrides: Sequence[str], *, beat_fd: int) -> int:
-    """`delfim outlet`: the pulses of motors that would turn for ever, and nothing else. Raises DelfimError, OSError."""
+    """Run `delfim outlet`: the pulses of motors that keep their last command, and nothing else. Raises DelfimError, OSError."""
     if beat_fd >= 0:
         faulthandler.register(STACKS_SIGNAL, beat_fd, chain=True)
     settings = config.load(file, overrides)
@@ -203,7 +204,7 @@ def outlet(file: str, overrides: Sequence[str], *, beat_fd: int) -> int:
 def supervise(
     file: str, overrides: Sequence[str], program: Sequence[str] = (sys.executable, "-m", "delfim"), *, init: bool = False
 ) -> int:
-    """`delfim supervise`: the runtime and the services in processes of their own, restarted when they die; the dead-man.
+    """Run `delfim supervise`: the runtime and the services in processes of their own, restarted when they die; the dead-man.
     `program` is started with `run FILE`. init: as the machine's first process, which ends with the machine."""
     settings = config.load(file, overrides)
     if init:
@@ -257,7 +258,7 @@ def supervise(
 
 
 def _levels(settings: config.Vehicle) -> dict[str, str]:
-    """The least level of each service whose words the system log keeps."""
+    """The least level of each service whose records the system log keeps."""
     return {name: table.log for name, table in settings.services.items()}
 
 
@@ -273,14 +274,14 @@ def _started(file: str, overrides: Sequence[str]) -> tuple[str, str, str, str]:
 
 
 def _above(fifo_priority: int) -> None:
-    """A runtime that loops for ever in real time must not keep the processor from the supervisor, which would end it."""
+    """Put the supervisor above the runtime: one that loops for ever in real time must not keep the processor from it."""
     if fifo_priority:
         with contextlib.suppress(OSError):  # not permitted: the runtime is not either, and logs it
             real_time(fifo_priority + 1)
 
 
 def _limits(settings: config.Vehicle, row: Service) -> cgroup.Limits:
-    """Those of the vehicle's file; at sea also the memory of a service that nobody limited."""
+    """The limits of the vehicle's file; at sea also the memory of a service that nobody limited."""
     asked = settings.services.get(row.name, config.ServiceTable())
     usual_mb = 0 if settings.of(Simulation).faults else row.memory_max_mb
     is_asked = bool(asked.memory_max_mb or asked.cpu_max)
@@ -288,7 +289,7 @@ def _limits(settings: config.Vehicle, row: Service) -> cgroup.Limits:
 
 
 def _last_act(settings: config.Vehicle, reason: str, tell: Callable[[bool, Sequence[str]], None]) -> bool:
-    """After the programs: the log partition unmounted, the bus told. Returns whether the power may be cut."""
+    """Unmount the log partition after the programs, and report on the bus. Returns whether the power may be cut."""
     limits = settings.of(PowerdTable)
     inside = Path(limits.partition) in (Path(settings.log.directory), *Path(settings.log.directory).parents)
     return shutdown.last_act(
@@ -303,7 +304,7 @@ def _last_act(settings: config.Vehicle, reason: str, tell: Callable[[bool, Seque
 
 
 def shut_down(file: str, overrides: Sequence[str], word: shutdown.Word) -> int:
-    """`delfim shutdown`: has the supervisor end everything, and prints the outcome. Returns 0 when the power may be cut.
+    """Run `delfim shutdown`: have the supervisor end everything, and print the outcome. Returns 0 when the power may be cut.
     Raises DelfimError where no supervisor runs."""
     settings = config.load(file, overrides)
     place, record = settings.runtime.run_directory, shutdown.record_path(settings.runtime.run_directory)
@@ -319,7 +320,7 @@ def shut_down(file: str, overrides: Sequence[str], word: shutdown.Word) -> int:
 
 
 def _told(record: Path, since_s: float, last: str) -> str:
-    """The outcome so far, printed when it is new; empty while there is none."""
+    """Print the outcome so far when it is new; returns it, empty while there is none."""
     try:
         found = parse_json(read_file(record))
         outcome = "safe" if found["stage"] == "safe" else "held: " + "; ".join(found["holders"])
@@ -334,6 +335,6 @@ def _told(record: Path, since_s: float, last: str) -> str:
 
 
 def rescue(error: Exception) -> None:
-    """The machine's first process must not end: it prints the error and gives whoever is at its console a shell."""
+    """Print the error and give whoever is at its console a shell: the machine's first process must not end."""
     print(f"delfim: {error}\ndelfim: the boat cannot start; this is a shell to repair it", file=sys.stderr)
     os.execv("/bin/sh", ("/bin/sh",))

@@ -1,4 +1,4 @@
-"""syslogd: writes the words of all programs of the suite to the disk (docs/log-format.md).
+"""syslogd: writes the records of all programs of the suite to the disk (docs/log-format.md).
 
 It has a process of its own: a slow disk holds up nobody else. The others write into its pipe and do not wait for it
 (delfim.logging.systemlog). It is the first to start beside the runtime and the last to end, so that it hears the others.
@@ -23,8 +23,9 @@ log = logging.getLogger(__name__)
 
 
 async def serve(runtime: Runtime) -> None:
-    """Until it is cancelled; then it writes what is left in the pipe. It does little, but not only when the processor is idle,
-    as other services beside the runtime: on a busy one it would be seconds late, and a power cut would cost them."""
+    """Run the service until it is cancelled; then write what is left in the pipe. It does little, but not only when the
+    processor is idle, as other services beside the runtime: on a busy one it would be seconds late, and a power cut would cost
+    them."""
     step_back(0)
     settings = runtime.config
     directory = settings.runtime.run_directory

@@ -114,7 +114,8 @@ async def serve(runtime: Runtime) -> None:
 
 
 async def _sail(runtime: Runtime, last: contextlib.AsyncExitStack) -> None:
-    """`last`: what takes its time at the end, when the boat has stopped and all links are closed."""
+    """Sail until the service ends. `last`: what takes its time at the end, when the boat has stopped and all links are
+    closed."""
     settings, clock = runtime.config, runtime.clock
     with contextlib.ExitStack() as links:
         last_shutdown = _last_shutdown(Path(settings.log.directory), links)
@@ -191,7 +192,7 @@ async def _attend(
     links: contextlib.ExitStack,
     broken: Breakable | None,
 ) -> None:
-    """Console and guest served, the watchdog stroked, until the service is cancelled."""
+    """Serve console and guest and the watchdog, until the service is cancelled."""
     settings, reporting = runtime.config, BoatReporting(runtime, boat, log)
 
     def obeyed(command: Commands, operator: str = LOCAL) -> str | None:
@@ -244,7 +245,7 @@ def _attended(
     obey: Callable[[Commands, str], object],
     links: contextlib.ExitStack,
 ) -> Callable[[], None]:
-    """Operators aboard are heard when they speak; call this ten times a second, for their silence is an order, too."""
+    """Listen to operators aboard; call this ten times a second, for their silence is an order, too."""
 
     def attend(hand: Hand) -> None:
         boat.on_sensor(hand)
@@ -261,7 +262,7 @@ def _attended(
 
 
 def _clock_keeping(runtime: Runtime, opened: BoatLinks, log: Logbook) -> ClockKeeping:
-    """The look at other programs takes milliseconds, which the service has while it starts."""
+    """Make the clock's keeper. The look at other programs takes milliseconds, which the service has while it starts."""
     settings = runtime.config
     why_not = kernel.left_alone(settings.clock.set, settings.buses)
     arb = time_frame(settings.can.vehicle)
@@ -275,7 +276,7 @@ def _clock_keeping(runtime: Runtime, opened: BoatLinks, log: Logbook) -> ClockKe
 
 
 def _stamps(settings: config.Vehicle) -> Path:
-    """The file of the time stamps of signed messages."""
+    """The path of the file with the time stamps of signed messages."""
     return Path(settings.log.directory) / "mavlink-stamps"
 
 
@@ -313,7 +314,7 @@ async def _serve_console(commands: CommandServer, path: str, links: contextlib.E
 
 
 async def _serve_guest(boat: VehicleLoop, table: GuestTable, links: contextlib.ExitStack) -> None:
-    """A boat without its guest sails: if it cannot listen or has no key, the log says so."""
+    """Listen for the guest. A boat without its guest sails: if it cannot listen or has no key, the log says so."""
     if not table.enabled:
         return
     try:

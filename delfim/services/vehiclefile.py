@@ -1,4 +1,4 @@
-"""A vehicle's file with other values, as text: comments and order stay."""
+"""Writes a vehicle's file with other values, as text: comments and order stay."""
 
 import json
 import re
@@ -35,7 +35,7 @@ def changed(file: str, changes: Mapping[str, Any]) -> str:
 
 
 def _replaced(text: str, changes: Mapping[str, Any]) -> tuple[list[str], dict[str, Any]]:
-    """The lines with those keys replaced that they have, and the changes that are left."""
+    """Replace those keys that the lines have; returns the lines, and the changes that are left."""
     lines, left, table = list[str](), dict(changes), ""
     for line in text.splitlines():
         if head := re.fullmatch(r"\[([A-Za-z0-9_.-]+)\]\s*(#.*)?", line):
@@ -48,7 +48,7 @@ def _replaced(text: str, changes: Mapping[str, Any]) -> tuple[list[str], dict[st
 
 
 def _end(lines: list[str], head: int) -> int:
-    """Where the table whose head is on this line ends: behind its last line that is not empty or a comment."""
+    """The line where the table whose head is on this line ends: behind its last line that is not empty or a comment."""
     last = head
     for number in range(head + 1, len(lines)):
         if lines[number].startswith("["):

@@ -32,7 +32,8 @@ log = logging.getLogger(__name__)
 
 
 class VoyageKeeping:
-    """`bring_back` once, before navigation is heard; then `look` ten times a second; `end` and `close` at the end."""
+    """The kept voyage: `bring_back` once, before navigation is heard; then `look` ten times a second; `end` and `close` at the
+    end."""
 
     def __init__(self, settings: config.Vehicle, clock: Clock, boat: VehicleLoop) -> None:
         self._settings, self._clock, self._boat = settings, clock, boat
@@ -51,7 +52,7 @@ class VoyageKeeping:
         self._plan_line: bytes | None = b""  # of the record; None: it is being written
 
     def bring_back(self, obey: Callable[[console.Commands, str], str | None], reviews: Reviews) -> None:
-        """Tell the boat what it was doing, and send what the operator had sent: checked as when it came, in slices."""
+        """Give the boat back what it was doing, and what the operator had sent: checked as when it came, in slices."""
         found = self._read()
         if found is None:
             return
@@ -93,7 +94,7 @@ class VoyageKeeping:
             self._keep(now)
 
     def _write_plan(self) -> None:
-        """The plan's line, which is long, in slices."""
+        """Write the plan's line, which is long, in slices."""
         plans, self._plan_line = self._boat.helm.plans, None
         self._plan_of = plans.mission, plans.zones
         command = voyage.plan_command(self._boat.helm)
@@ -111,7 +112,7 @@ class VoyageKeeping:
             asyncio.get_running_loop().call_soon(self._write_on, plan_of, work)
 
     def end(self, in_order: bool) -> None:
-        """Keep the end of the voyage. `in_order`: the program was told to end, and the boat was stopped for that."""
+        """Keep the end of the voyage. `in_order`: the program was asked to end, and the boat was stopped for that."""
         if in_order and self._plan_line is not None:
             self._keep((), in_order=True)
 
@@ -131,14 +132,14 @@ class VoyageKeeping:
 
 
 def _boot() -> str:
-    """Identifies the run of this computer's kernel; empty: it does not tell."""
+    """The id of this run of the computer's kernel; empty: it is not known."""
     with contextlib.suppress(OSError):
         return Path(BOOT_ID).read_text().strip()
     return ""
 
 
 def _key(settings: config.Vehicle) -> bytes:
-    """The consoles' key proves, too, that a record is the boat's own; without it, who writes to the disk can make one."""
+    """The consoles' key, which also proves that a record is the boat's own; without it, who writes to the disk can make one."""
     with contextlib.suppress(ConfigError):  # the link to the consoles reports it
         return read_key(settings.table("mavlink").key) if settings.table("mavlink").key else b""
     return b""

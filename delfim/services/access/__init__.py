@@ -1,1 +1,1 @@
-"""Who is let in: doors, passwords, keys, and the papers that `delfim commission` makes."""
+"""Admission to the boat: listeners, passwords, keys, and the files that `delfim commission` makes."""

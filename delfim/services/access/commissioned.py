@@ -1,4 +1,4 @@
-"""What a person does with the files that `delfim commission` made: what is carried where, and what is typed ashore.
+"""The instructions for a person with the files that `delfim commission` made: what to carry where, and what to type ashore.
 
 A command is told for each door that somebody ashore can open; tests/commands/test_opened_doors.py types them.
 """
@@ -22,7 +22,8 @@ def bus(settings: config.Vehicle) -> str:
 
 
 def carried(output: Path, settings: config.Vehicle, kind: str, network: IPv4Interface, interface: str) -> str:
-    """Where the files go; `kind` is what the boat's computer runs, image or debian. An image has no system to log in to."""
+    """The places where the files go; `kind` is what the boat's computer runs, image or debian. An image has no system to log in
+    to."""
     if kind == "debian":
         login = f"USER@{network.ip}"
         lines = [
@@ -58,7 +59,7 @@ Before it goes into the water: delfim check --sea {output}/boat/boat.toml, and d
 
 
 def _commands(shore: Path, settings: config.Vehicle, own: str, user: str, running: Collection[str]) -> Iterator[str]:
-    """One for each door that is open beyond the boat's computer."""
+    """The commands, one for each listener that is open beyond the boat's computer."""
     from delfim.canproxy.cantcp.access import bus_name
 
     line, mavlink = settings.of(Slipd), settings.table("mavlink")

@@ -1,4 +1,4 @@
-"""Access control: connections counted by address, delays after wrong passwords, passwords kept as hashes.
+"""Connection limits: connections counted by address, delays after wrong passwords, passwords kept as hashes.
 
 httpd, ftpd and sshd share this. All tables are bounded.
 """
@@ -45,7 +45,7 @@ class Door:
 
 
 class Patience:
-    """How long an address must wait before its next word is looked at. Times are monotonic."""
+    """The delay of an address until its next password is checked. Times are monotonic."""
 
     def __init__(self) -> None:
         self._failures: OrderedDict[str, tuple[int, float]] = OrderedDict()
@@ -69,14 +69,15 @@ class Patience:
 
 
 def hashed(password: str, salt: bytes | None = None) -> str:
-    """A password's hash, for a vehicle's file. Takes some 50 ms."""
+    """Hash a password for a vehicle's file. Takes some 50 ms."""
     salt = os.urandom(16) if salt is None else salt
     digest = hashlib.scrypt(password.encode("utf-8", "surrogateescape"), salt=salt, **SCRYPT)
     return f"scrypt:{base64.b64encode(salt).decode()}:{base64.b64encode(digest).decode()}"
 
 
 def matches(password: str, kept: str) -> bool:
-    """Takes some 50 ms, whether it is right or wrong. Raises FormatError where `kept` was not made by `hashed`."""
+    """Whether a password matches its hash. Takes some 50 ms, right or wrong. Raises FormatError where `kept` was not made by
+    `hashed`."""
     try:
         method, salt, _ = kept.split(":")
         if method != "scrypt":
@@ -87,7 +88,7 @@ def matches(password: str, kept: str) -> bool:
 
 
 def bulk(link: socket.socket, stall_s: float) -> None:
-    """Options of a connection that carries much: behind the console, little in the kernel, closed if nobody reads."""
+    """Set the options of a connection that carries much: behind the console, little in the kernel, closed if nobody reads."""
     link.setsockopt(socket.IPPROTO_IP, socket.IP_TOS, IPTOS_THROUGHPUT)
     link.setsockopt(socket.IPPROTO_TCP, socket.TCP_NOTSENT_LOWAT, UNSENT_BYTES)
     link.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, round(1000 * stall_s))

@@ -46,7 +46,7 @@ class Certificate(NamedTuple):
 
 
 def certificate(name: str, addresses: Sequence[str], now: datetime.datetime) -> Certificate:
-    """Valid from a day before now, for clocks that differ, for these IP addresses."""
+    """Make a certificate for these IP addresses, valid from a day before now, for clocks that differ."""
     key = ec.generate_private_key(ec.SECP256R1())
     subject = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, name)])
     names = [x509.DNSName(name.replace("_", "-")), *(x509.IPAddress(ip_address(each)) for each in addresses)]
@@ -64,5 +64,5 @@ def certificate(name: str, addresses: Sequence[str], now: datetime.datetime) -> 
 
 
 def password() -> str:
-    """96 bits, in 16 letters and digits."""
+    """Draw a password of 96 bits, in 16 letters and digits."""
     return secrets.token_urlsafe(12)

@@ -1,4 +1,4 @@
-"""The doors of a boat, as its vehicle's file opens them: what listens where, who is let in, and what one can do there.
+"""The exposure of a boat by its vehicle's file: what listens where, who is admitted, and what one can do there.
 
 `delfim check --sea` prints them. A door has a fault where somebody beyond this computer could move the boat or write to it
 without a key or a password.
@@ -19,7 +19,7 @@ EVERY: Final = "every program of this computer"
 
 
 class Entrance(NamedTuple):
-    """One door. `reach`: open to anyone who gets there, to those who are known, or to this computer alone."""
+    """One listener. `reach`: open to anyone who gets there, to those who are known, or to this computer alone."""
 
     service: str
     place: str  # ADDRESS:PORT, a serial line, a file
@@ -30,7 +30,7 @@ class Entrance(NamedTuple):
 
 
 def doors(settings: config.Vehicle, running: Collection[str]) -> list[Entrance]:
-    """All doors of a boat, those that anyone may use first. `running`: the services that its file enables."""
+    """List all listeners of a boat, those that anyone may use first. `running`: the services that its file enables."""
     found = [*_console(settings)]
     for part in parts.OWN.values():
         if part.exposure:
@@ -50,7 +50,7 @@ def _console(settings: config.Vehicle) -> Iterator[Entrance]:
 
 
 def unheard(settings: config.Vehicle) -> str:
-    """Why no console on another computer can reach the boat; "": one can."""
+    """The reason why no console on another computer can reach the boat; "": one can."""
     reasons = settings.facts("unheard")
     return "" if "" in reasons else next(iter(reasons), "nothing aboard listens to consoles")
 

@@ -1,4 +1,4 @@
-"""The guest computer's door (docs/guest.md): who may connect, and the proof of a key.
+"""The listener for the guest computer (docs/guest.md): who may connect, and the proof of a key.
 
 A connection becomes the guest's, and replaces the one before, when its network may connect and, where the vehicle's file names
 a key, when it has answered a challenge. Until then it hears nothing of the boat. The proof says who opened the connection;
@@ -41,7 +41,7 @@ _decode = msgspec.json.Decoder(GuestAnswer).decode
 
 
 class GuestDoor:
-    """Lets the guest in. Raises ConfigError for a key that cannot be read."""
+    """Admits the guest. Raises ConfigError for a key that cannot be read."""
 
     def __init__(self, table: GuestTable, guest: Guest, state: State, clock: Clock) -> None:
         self.key = read_key(table.key) if table.key else None
@@ -70,7 +70,7 @@ class GuestDoor:
 
 
 class GuestVisitor(asyncio.Protocol):
-    """A connection that is not the guest's yet."""
+    """A connection that is not yet the guest's."""
 
     def __init__(self, door: GuestDoor) -> None:
         self._door, self._challenge, self._said, self._is_inside = door, secrets.token_hex(16), b"", False
@@ -137,7 +137,7 @@ class GuestVisitor(asyncio.Protocol):
         self.hang_up()
 
     def _leave(self) -> None:
-        """It no longer waits."""
+        """Stop waiting for its answer."""
         if self._timer is not None:
             self._timer.cancel()
         if self._is_inside:

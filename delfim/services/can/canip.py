@@ -11,7 +11,7 @@ from delfim.services.runtime import Runtime
 
 
 async def serve(runtime: Runtime) -> None:
-    """Until it is cancelled."""
+    """Run the service until it is cancelled."""
     settings, bus = runtime.config.of(Canip), runtime.config.can
     tun = open_tun(settings.device, settings.address, settings.mtu)
     with contextlib.ExitStack() as links:

@@ -11,7 +11,7 @@ from delfim.services.runtime import Runtime
 
 
 async def serve(runtime: Runtime) -> None:
-    """Until it is cancelled. Raises OSError if it cannot listen on an address."""
+    """Run the service until it is cancelled. Raises OSError if it cannot listen on an address."""
     settings, loop = runtime.config, asyncio.get_running_loop()
     interfaces = settings.of(Cantcpd).buses or settings.buses
     with contextlib.ExitStack() as links:

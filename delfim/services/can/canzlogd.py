@@ -13,7 +13,7 @@ GATHER_S = 0.005  # frames wait this long for others before they go into the bla
 
 
 async def serve(runtime: Runtime) -> None:
-    """Until it is cancelled."""
+    """Run the service until it is cancelled."""
     settings = runtime.config
     room = settings.can.receive_buffer_bytes
     with contextlib.ExitStack() as links:

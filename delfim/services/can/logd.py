@@ -14,7 +14,7 @@ from delfim.services.tables import Logd
 
 
 async def serve(runtime: Runtime) -> None:
-    """Until it is cancelled."""
+    """Run the service until it is cancelled."""
     settings = runtime.config
     names = {node: Node(node).name.lower() if node in list(Node) else f"node-{node}" for node in settings.of(Logd).nodes}
     filters = tuple(CanAddress(*message_filter(source=node)) for node in names)

@@ -13,7 +13,7 @@ POLL_S = 1.0
 
 
 async def serve(runtime: Runtime) -> None:
-    """Until it is cancelled."""
+    """Run the service until it is cancelled."""
     settings = runtime.config
     interfaces = (settings.can.interface, *(bus.interface for bus in settings.of(Routing).buses.values()))
     room = settings.can.receive_buffer_bytes

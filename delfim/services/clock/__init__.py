@@ -1,1 +1,1 @@
-"""The computer's clock: kept by the sources of time of the boat, and told on the bus by timed."""
+"""The computer's clock: set by the boat's sources of time, and sent on the bus by timed."""

@@ -51,7 +51,8 @@ class _Times:
 
 
 class ClockKeeper:
-    """One step in a run at most, in idle, and only while the clock was not yet right in this run; later it slews.
+    """Disciplines the clock: one step in a run at most, in idle, and only while the clock was not yet right in this run; later
+    it slews.
 
     kept: who keeps the clock, in words. fault: the kind of `status.fault`.
     """
@@ -64,7 +65,7 @@ class ClockKeeper:
         self._slewed_s = -SLEW_EVERY_S
 
     def tell(self, source: str, offset_ns: int, at_s: float) -> None:
-        """A source's UTC minus monotonic time, and when it was told (monotonic). The names of sources are few."""
+        """Take a source's UTC minus monotonic time, and when it was received (monotonic). The names of sources are few."""
         times = self._times.setdefault(source, _Times())
         if at_s - times.at_s > HEARD_S:
             times.offsets_ns.clear()
@@ -106,7 +107,7 @@ class ClockKeeper:
         return Correction("slew", -off_s, source)
 
     def _believed(self, now_s: float) -> list[tuple[str, int]]:
-        """Sources that tell a steady, possible time now, the one to take first."""
+        """The sources that give a steady, possible time now, the best first."""
         found = []
         for name in sorted(self._times, key=lambda name: (name != TIME_FRAME, -self._times[name].at_s)):
             times = self._times[name]
@@ -131,7 +132,7 @@ def _seconds(seconds: float) -> str:
 
 
 def _date(utc_s: float) -> str:
-    """Any time that 64 bits of nanoseconds can say."""
+    """Format any time that 64 bits of nanoseconds can hold."""
     try:
         return f"{datetime.fromtimestamp(utc_s, UTC):%Y-%m-%d}"
     except (ValueError, OverflowError, OSError):

@@ -47,7 +47,7 @@ class Timex(ctypes.Structure):
 
 
 class KernelClock:
-    """CLOCK_REALTIME. Each call takes microseconds."""
+    """CLOCK_REALTIME of the kernel. Each call takes microseconds."""
 
     def __init__(self) -> None:
         self._libc = ctypes.CDLL(None, use_errno=True)
@@ -57,7 +57,7 @@ class KernelClock:
         return self._adjtimex(Timex())
 
     def disciplined(self) -> bool:
-        """Whether a program has tuned the kernel's clock since the start of the computer: nothing here does that."""
+        """Whether a program has tuned the kernel's clock since the start of the computer; Delfim never does."""
         try:
             found = self.read()
         except OSError:
@@ -65,11 +65,11 @@ class KernelClock:
         return found.synchronised or found.freq != 0 or bool(found.status & _DISCIPLINED)
 
     def step(self, by_s: float) -> None:
-        """Raises OSError."""
+        """Step the clock. Raises OSError."""
         time.clock_settime_ns(time.CLOCK_REALTIME, time.time_ns() + round(by_s * 1e9))
 
     def slew(self, by_s: float) -> None:
-        """Instead of what was left of the slew before. Raises OSError."""
+        """Slew the clock, in place of what was left of the slew before. Raises OSError."""
         self._adjtimex(Timex(modes=_SINGLESHOT, offset=round(by_s * 1e6)))
 
     def _adjtimex(self, timex: Timex) -> Timex:
@@ -80,7 +80,8 @@ class KernelClock:
 
 
 def left_alone(mode: str, buses: Sequence[str], proc: Path = Path("/proc")) -> str:
-    """Why this program must not set the clock, in words; empty: it may. `mode` is `clock.set` of the vehicle's file."""
+    """The reason, in words, why this program must not set the clock; empty: it may. `mode` is `clock.set` of the vehicle's
+    file."""
     if mode == "never":
         return 'not set: clock.set = "never"'
     if any(bus.startswith(("vcan", "canloop:")) for bus in buses):
@@ -111,7 +112,7 @@ def battery_ns(sysfs: Path = Path("/sys")) -> int | None:
 
 
 def set_from_battery(mode: str, buses: Sequence[str]) -> None:
-    """Before anything else runs: a clock that was never set takes the battery clock's time, if that can be."""
+    """Set a clock that was never set from the battery clock, before anything else runs, if that can be."""
     if time.time_ns() >= MADE_NS or left_alone(mode, buses):
         return
     found_ns = battery_ns()
@@ -125,7 +126,7 @@ def set_from_battery(mode: str, buses: Sequence[str]) -> None:
 
 
 def write_battery(mode: str, buses: Sequence[str], rtc: Path = RTC) -> None:
-    """At the end: the clock's time to the battery clock, unless the clock was never set or another program keeps both."""
+    """Write the clock's time to the battery clock, at the end, unless the clock was never set or another program keeps both."""
     now_ns = time.time_ns()
     if now_ns < MADE_NS or not rtc.exists() or left_alone(mode, buses) or KernelClock().disciplined():
         return
@@ -147,7 +148,8 @@ def _date(utc_ns: int) -> str:
 
 
 def _read(path: Path) -> str:
-    """Empty where there is none: processes come and go, and a battery clock without a time has an error to read."""
+    """Read a small file; empty where there is none: processes come and go, and a battery clock without a time has an error to
+    read."""
     try:
         return path.read_text(errors="replace")
     except OSError:

@@ -1,4 +1,4 @@
-"""The computer's clock kept from the vehicle: reads the sources of time once a second, and sets the clock (docs/clock.md).
+"""Keeps the computer's clock from the vehicle: reads the sources of time once a second, and sets the clock (docs/clock.md).
 
 All of it takes a few tens of microseconds a second, beside the critical path, which hands nothing over: its newest navigation
 message is in the state anyway, and time frames wait in their socket.
@@ -37,7 +37,7 @@ class Settable(Protocol):
 
 
 class ClockKeeping:
-    """Call `look` about once a second.
+    """The sources of time and the clock together. Call `look` about once a second.
 
     why_not: why this program must not set the clock, in words; empty: it may. time_frames: a socket bound to the boat's time
     frame, `arb`, which never blocks. stepped: gets the seconds and the source of a step, once it is done. battery_ns: the time
@@ -65,7 +65,7 @@ class ClockKeeping:
             self._keeper.status = replace(self._keeper.status, source=BATTERY)
 
     def look(self, state: State) -> ClockStatus:
-        """Takes the sources' times, corrects the clock, and returns what there is to say of it."""
+        """Read the sources' times, correct the clock, and return what there is to log."""
         keeper = self._keeper
         if not self._why_not and self._kernel.disciplined():
             self._leave("kept by another program, which tunes the kernel's clock")
@@ -93,7 +93,7 @@ class ClockKeeping:
         self._stepped(correction.by_s, correction.source)
 
     def _hear_time_frames(self) -> None:
-        """Those of other computers: this one's own would say that its clock is right."""
+        """Read the time frames of other computers: this one's own would only confirm its clock."""
         for _ in range(FRAMES_A_LOOK):
             try:
                 frame = self._time_frames.receive()
@@ -109,7 +109,7 @@ class ClockKeeping:
                 self._keeper.tell(discipline.TIME_FRAME, TIME.unpack(frame.data)[0] - round(at_s * 1e9), at_s)
 
     def _hear_navigation(self, state: State) -> None:
-        """A receiver without a fix may tell the time of a clock of its own."""
+        """Read the time of navigation. A receiver without a fix may send that of a clock of its own."""
         n = state.navigation
         if n is not None and n is not self._navigation and n.utc_ns and n.fix:
             name = f"navigation ({state.source})"
@@ -122,7 +122,7 @@ class ClockKeeping:
         log.warning("clock: %s", why_not)
 
     def _tell(self) -> None:
-        """A source that is new, and a kind of fault that is new: not the same words each second."""
+        """Log a source that is new, and a kind of fault that is new: not the same words each second."""
         status, fault = self._keeper.status, self._keeper.fault
         if status.source != self._told_source and status.off_s is not None:
             log.info("clock: compared with %s from now on, %+.3f s off it", status.source, status.off_s)

@@ -12,7 +12,7 @@ from delfim.services.tables import Timed
 
 
 async def serve(runtime: Runtime) -> None:
-    """Until it is cancelled."""
+    """Run the service until it is cancelled."""
     settings, clock, can_settings = runtime.config.of(Timed), runtime.clock, runtime.config.can
     assert settings.mode != "off"
     frame = time_frame(can_settings.vehicle)

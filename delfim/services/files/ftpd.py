@@ -43,7 +43,7 @@ Words = Callable[[Any, str], Awaitable[bool]]
 
 
 class Users(aioftp.AbstractUserManager):
-    """The users of the vehicle's file. An unknown name is refused as late as a wrong password."""
+    """The users of the vehicle's file. The refusal of an unknown name takes as long as that of a wrong password."""
 
     def __init__(self, users: dict[str, FtpUser], work: Callable[..., Awaitable[Any]]) -> None:
         super().__init__()
@@ -61,7 +61,7 @@ class Users(aioftp.AbstractUserManager):
 
 
 class FtpServer(aioftp.Server):
-    """One instance, all connections. The first words of a method are those of the RFC; each answers with a reply code."""
+    """The server of all connections. The first words of a method are those of the RFC; each answers with a reply code."""
 
     def __init__(self, settings: config.Vehicle, clock: Clock) -> None:
         table = settings.of(Ftpd)
@@ -140,7 +140,7 @@ class FtpServer(aioftp.Server):
         return await super().greeting(connection, rest)
 
     async def parse_command(self, stream: Any, censor_commands: Any = ("pass",)) -> tuple[str, str]:
-        """The next command, "" at the end. All but ABOR wait until the one before is done."""
+        """Read the next command, "" at the end. All but ABOR wait until the one before is done."""
         connection = self.connections[stream]
         if not connection.future.logged.done():
             await connection.idle.wait()
@@ -157,7 +157,7 @@ class FtpServer(aioftp.Server):
         return name, rest
 
     async def _line(self, connection: Any, stream: Any) -> bytes:
-        """Empty if there is none: the client left, was silent for too long, or talks nonsense."""
+        """Read a line; empty if there is none: the client left, was silent for too long, or sends nonsense."""
         while True:
             is_in = connection.future.logged.done()
             left_s = IDLE_S if is_in else connection.since_s + LOGIN_S - self._clock.monotonic_s()
@@ -189,7 +189,7 @@ class FtpServer(aioftp.Server):
         return False
 
     def _in_turn(self, name: str, command: Words) -> Words:
-        """A command that waits for its turn and answers its failures in words."""
+        """Carry out a command in its turn, and answer its failures in words."""
 
         async def carried_out(connection: Any, rest: Any) -> bool:
             try:
@@ -258,7 +258,7 @@ class FtpServer(aioftp.Server):
         return True
 
     async def auth(self, connection: Any, rest: str) -> bool:
-        """From here on it is TLS. Commands that came before must not be taken for commands within it."""
+        """Begin TLS. Commands that came before must not be taken for commands within it."""
         if self._tls is None or connection.is_secret or rest.upper() not in ("TLS", "TLS-C", "SSL"):
             connection.response(*("502", "TLS is not set up") if self._tls is None else ("503", "AUTH TLS, only once"))
             return True
@@ -294,7 +294,7 @@ class FtpServer(aioftp.Server):
         return await super().epsv(connection, "")
 
     async def _start_passive_server(self, connection: Any, handler_callback: Any) -> asyncio.Server:
-        """Only the client of the control connection may connect."""
+        """Listen for the data connection; only the client of the control connection may connect."""
 
         async def connected(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
             if _address(writer) != connection.client_host:
@@ -313,7 +313,7 @@ class FtpServer(aioftp.Server):
 
 
 async def serve(runtime: Runtime) -> None:
-    """The service."""
+    """Run the service until it is cancelled."""
     server = FtpServer(runtime.config, runtime.clock)
     address = await server.open()
     log.warning("ftpd: %s", address)
@@ -329,7 +329,7 @@ def _address(writer: asyncio.StreamWriter) -> str:
 
 
 def _tls(certificate: str) -> ssl.SSLContext | None:
-    """Raises PermanentFailure if the file is missing or not a certificate with its key."""
+    """Load the certificate. Raises PermanentFailure if the file is missing or not a certificate with its key."""
     if not certificate:
         return None
     context = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH)

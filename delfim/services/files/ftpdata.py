@@ -14,12 +14,12 @@ BLOCK_BYTES: Final = 64 << 10
 
 
 class Answered(DelfimError):
-    """The client has had its answer."""
+    """Signals that the client has had its answer."""
 
 
 @contextlib.asynccontextmanager
 async def carried(connection: Any) -> AsyncIterator[Any]:
-    """A transfer: announced, carried by the data connection, and its end answered."""
+    """Carry a transfer: announce it, move its data, answer its end."""
     if not connection.is_data_secret:
         connection.response("521", "send PROT P first")
         raise Answered
@@ -54,7 +54,7 @@ async def carried(connection: Any) -> AsyncIterator[Any]:
 
 def cut(transport: asyncio.WriteTransport) -> None:
     """End a data connection at once, if it has not ended: asyncio's is not to be aborted once it has sent its last bytes after
-    it was closed, and says so by the lack of its loop."""
+    it was closed, and shows that by having no loop."""
     with contextlib.suppress(AttributeError):
         transport.abort()
 

@@ -27,7 +27,8 @@ log = logging.getLogger(__name__)
 
 
 class FtpFiles:
-    """Inside of a jail, for all connections. `work` runs blocking calls in a worker. Raises DelfimError, OSError."""
+    """The commands for files inside of a jail, for all connections. `work` runs blocking calls in a worker. Raises DelfimError,
+    OSError."""
 
     def __init__(self, settings: config.Vehicle, clock: Clock, work: Callable[..., Awaitable[Any]]) -> None:
         self.uploads = Uploads(settings.of(Ftpd).root, settings.log)
@@ -114,7 +115,7 @@ class FtpFiles:
         return True
 
     async def stor(self, connection: Any, rest: Any, append: bool = False) -> bool:
-        """Into a part file, renamed when all of it is on the disk. A broken upload leaves its part, to be resumed."""
+        """Store into a part file, renamed when all of it is on the disk. A broken upload leaves its part, to be resumed."""
         path, offset = self._writable(connection, rest), self._offset(connection)
         with contextlib.ExitStack() as closing:
             fd, began = await self._work(_part, closing, self.uploads, path, offset, append)
@@ -193,12 +194,12 @@ class FtpFiles:
         return fd
 
     def _folder(self, path: str) -> str:
-        """As clients see it, links followed."""
+        """The path of a folder as clients see it, links followed."""
         with self._jail.folder(path):
             return self._jail.shown(self._jail.real(path))
 
     def _status(self, path: str) -> os.stat_result:
-        """Of a file, or of its part that is here until the rest comes."""
+        """The status of a file, or of its part until the rest comes."""
         try:
             return self._jail.status(path)
         except FileNotFoundError:
@@ -207,7 +208,7 @@ class FtpFiles:
             raise
 
     def _listed(self, path: str, line: Callable[[str, os.stat_result], str], pattern: str = "*") -> list[str]:
-        """A line for each entry, or for the file itself. Links that lead out are left out."""
+        """List a line for each entry, or for the file itself. Links that lead out are left out."""
         status = self._jail.status(path)
         if not stat.S_ISDIR(status.st_mode):
             return [line(os.path.basename(path), status)]
@@ -222,7 +223,7 @@ class FtpFiles:
         return found
 
     def _list_line(self, name: str, status: os.stat_result) -> str:
-        """As `ls -l` writes it, for programs that parse it: the time of day for half a year, then the year."""
+        """Format an entry as `ls -l` does, for programs that parse it: the time of day for half a year, then the year."""
         at = datetime.fromtimestamp(status.st_mtime, UTC)
         is_new = abs(self._clock.time_ns() / 1e9 - status.st_mtime) < HALF_A_YEAR_S
         when = f"{at:%H:%M}" if is_new else f" {at:%Y}"
@@ -231,8 +232,8 @@ class FtpFiles:
 
 
 def _part(closing: contextlib.ExitStack, uploads: Uploads, path: str, offset: int, append: bool) -> tuple[int, int]:
-    """The part of an upload, open, this client's alone, and closed by `closing`; and where to go on writing. A file of that
-    name stays until all of the new one is there. Raises DelfimError, OSError."""
+    """Open the part of an upload for this client alone, closed by `closing`; returns it and where to go on writing. A file of
+    that name stays until all of the new one is there. Raises DelfimError, OSError."""
     fd = uploads.open(path + PART, os.O_RDWR | os.O_CREAT, alone=True)
     closing.callback(os.close, fd)
     if (append or offset) and not os.fstat(fd).st_size:
@@ -247,7 +248,7 @@ def _part(closing: contextlib.ExitStack, uploads: Uploads, path: str, offset: in
 
 
 def _without_options(rest: str) -> str:
-    """`LIST -la folder`: clients speak to servers as if they were `ls`."""
+    """Strip options, as of `LIST -la folder`: clients speak to servers as if they were `ls`."""
     words = rest.split(" ")
     while words and words[0].startswith("-"):
         words.pop(0)
@@ -255,11 +256,11 @@ def _without_options(rest: str) -> str:
 
 
 def _facts_line(name: str, status: os.stat_result) -> str:
-    """RFC 3659, 7.2."""
+    """Format the facts of an entry (RFC 3659, 7.2)."""
     kind = "dir" if stat.S_ISDIR(status.st_mode) else "file"
     return f"type={kind};size={status.st_size};modify={_stamp(status.st_mtime)}; {name}"
 
 
 def _stamp(time_s: float) -> str:
-    """RFC 3659, 2.3."""
+    """Format a time (RFC 3659, 2.3)."""
     return f"{datetime.fromtimestamp(time_s, UTC):%Y%m%d%H%M%S}"

@@ -16,7 +16,7 @@ from delfim.base.errors import DelfimError
 
 
 class Jail:
-    """Paths as clients name them, "/" being the directory itself, made real ones. Raises DelfimError at the door."""
+    """Turns paths of clients, "/" being the directory itself, into real ones. Raises DelfimError for those that lead out."""
 
     def __init__(self, root: str | os.PathLike[str]) -> None:
         self.root = os.path.realpath(root)
@@ -36,7 +36,7 @@ class Jail:
         return real
 
     def open(self, path: str, flags: int = os.O_RDONLY, mode: int = 0o644) -> int:
-        """A descriptor of a plain file. Raises OSError as os.open does."""
+        """Open a plain file. Raises OSError as os.open does."""
         with self.at(path) as (folder, name):
             fd = os.open(name, flags | os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK, mode, dir_fd=folder)
         try:
@@ -49,13 +49,13 @@ class Jail:
         return fd
 
     def status(self, path: str) -> os.stat_result:
-        """Of a file or folder. Raises OSError."""
+        """The status of a file or folder. Raises OSError."""
         with self.at(path) as (folder, name):
             return os.stat(name, dir_fd=folder, follow_symlinks=False)
 
     @contextlib.contextmanager
     def at(self, path: str) -> Iterator[tuple[int, str]]:
-        """The folder of a path, open, and the name in it. Raises OSError."""
+        """Open the folder of a path; returns it and the name in it. Raises OSError."""
         real = self.real(path)
         folder, name = (real, ".") if real == self.root else os.path.split(real)
         with self._opened(folder) as fd:
@@ -63,7 +63,7 @@ class Jail:
 
     @contextlib.contextmanager
     def folder(self, path: str) -> Iterator[int]:
-        """A folder, open. Raises OSError."""
+        """Open a folder. Raises OSError."""
         with self._opened(self.real(path)) as fd:
             yield fd
 

@@ -65,7 +65,7 @@ class Daemon:
         }
 
     async def listen(self) -> asyncssh.SSHAcceptor:
-        """Raises OSError, PermanentFailure."""
+        """Listen for connections. Raises OSError, PermanentFailure."""
         loop, table = asyncio.get_running_loop(), self.table
         host_key = await loop.run_in_executor(self.workers, _host_key, table.host_key)
         await loop.run_in_executor(self.workers, self.uploads.prepare)
@@ -172,7 +172,7 @@ class Visitor(asyncssh.SSHServer):
 
 
 async def serve(runtime: Runtime) -> None:
-    """The service."""
+    """Run the service until it is cancelled."""
     settings = runtime.config
     status = runtime.status.get("sshd")
     if settings.of(Sshd).user and status is not None and status.place == "runtime":
@@ -190,7 +190,7 @@ async def serve(runtime: Runtime) -> None:
 
 
 def _public(name: str, lines: tuple[str, ...]) -> frozenset[bytes]:
-    """Raises PermanentFailure for a line that is not a public key."""
+    """Parse public keys. Raises PermanentFailure for a line that is not one."""
     try:
         return frozenset(asyncssh.import_public_key(line).public_data for line in lines)
     except asyncssh.KeyImportError as error:
@@ -198,7 +198,7 @@ def _public(name: str, lines: tuple[str, ...]) -> frozenset[bytes]:
 
 
 def _host_key(path: str) -> asyncssh.SSHKey:
-    """The boat's key; made if there is none. Raises OSError, PermanentFailure for a file that is not a key."""
+    """Read the boat's key, or make one. Raises OSError, PermanentFailure for a file that is not a key."""
     try:
         return asyncssh.read_private_key(path)
     except FileNotFoundError:
@@ -218,8 +218,8 @@ def _host_key(path: str) -> asyncssh.SSHKey:
 
 
 def _become(name: str, folder: str, *, can: bool) -> None:
-    """And give this user the folder of uploads, but CAN sockets only where the vehicle's file says so. Raises PermanentFailure
-    where there is no such user or this one may not."""
+    """Become this user, and give him the folder of uploads, but CAN sockets only where the vehicle's file says so. Raises
+    PermanentFailure where there is no such user or this one may not."""
     try:
         account = pwd.getpwnam(name)
         if account.pw_uid != os.getuid():

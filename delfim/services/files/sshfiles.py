@@ -23,7 +23,7 @@ log = logging.getLogger(__name__)
 
 
 def _in_worker(name: str) -> Any:
-    """asyncssh's own method, which blocks, in a worker."""
+    """Run asyncssh's own method, which blocks, in a worker."""
     do = getattr(asyncssh.SFTPServer, name)
 
     async def method(files: "SftpFiles", *arguments: Any) -> Any:
@@ -34,7 +34,7 @@ def _in_worker(name: str) -> Any:
 
 @contextlib.contextmanager
 def _told() -> Iterator[None]:
-    """A refusal in SFTP's form: an OSError."""
+    """Turn a refusal into SFTP's form: an OSError."""
     try:
         yield
     except DelfimError as error:
@@ -42,7 +42,7 @@ def _told() -> Iterator[None]:
 
 
 def _apply(fd: int, attrs: asyncssh.SFTPAttrs) -> None:
-    """Size, rights and times of a file. Raises OSError."""
+    """Set size, rights and times of a file. Raises OSError."""
     if attrs.uid is not None or attrs.gid is not None:
         raise PermissionError(errno.EACCES, "the owner of a file cannot be changed")
     if attrs.size is not None:
@@ -71,14 +71,14 @@ class SftpFiles(asyncssh.SFTPServer):
         log.warning("sshd: %s: %s %s", self._visitor, did, " ".join(repr(_normal(w)) for w in what if isinstance(w, bytes)))
 
     def exit(self) -> None:
-        """At the end of a session, with the exit status that scp waits for."""
+        """End a session, with the exit status that scp waits for."""
         self.channel.exit(0)
 
     async def work(self, do: Callable[..., Any], *arguments: Any) -> Any:
         return await worked(self._workers, do, *arguments)
 
     def map_path(self, path: bytes) -> bytes:
-        """In a worker. Raises OSError."""
+        """Map a client's path to a real one, in a worker. Raises OSError."""
         with _told():
             return os.fsencode(self._jail.real(_normal(path)))
 
@@ -141,7 +141,7 @@ class SftpFiles(asyncssh.SFTPServer):
         return len(data)
 
     async def _change(self, did: str, do: Callable[..., None], *paths: bytes) -> None:
-        """In the folder of uploads. Raises OSError."""
+        """Change something in the folder of uploads. Raises OSError."""
         with _told():
             await self.work(do, *map(_normal, paths))
         self.note(did, *paths)
@@ -159,7 +159,7 @@ class SftpFiles(asyncssh.SFTPServer):
         await self._change("rename", self._uploads.rename, oldpath, newpath)
 
     async def rename(self, oldpath: bytes, newpath: bytes) -> None:
-        """As `posix_rename`, but nothing is replaced."""
+        """Rename as `posix_rename` does, but replace nothing."""
         if await self.work(lambda: os.path.lexists(self.map_path(newpath))):
             raise asyncssh.SFTPFileAlreadyExists("a file of this name exists")
         await self.posix_rename(oldpath, newpath)

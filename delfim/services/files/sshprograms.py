@@ -1,4 +1,4 @@
-"""Programs and shells over SSH: on pipes or on a terminal, and none stays behind when its client has gone."""
+"""Programs and shells over SSH: on pipes or on a terminal; each ends when its client has gone."""
 
 import asyncio
 import contextlib
@@ -32,8 +32,8 @@ log = logging.getLogger(__name__)
 
 
 class SshProcess(asyncssh.SSHServerProcess[bytes]):
-    """A session. The window's size and signals are heeded at once: asyncssh would keep each until what was typed before it is
-    read, however many they are."""
+    """The session of a program. The window's size and signals are passed on at once: asyncssh would keep each until what was
+    typed before it is read, however many they are."""
 
     on_resize: Callable[[tuple[int, int, int, int]], None] = staticmethod(lambda size: None)
     on_signal: Callable[[int], None] = staticmethod(lambda number: None)
@@ -68,7 +68,7 @@ class _Pipe:
             self.fd = -1
 
     async def read(self) -> bytes:
-        """Empty when all writers have closed it."""
+        """Read; empty when all writers have closed it."""
         while True:
             try:
                 return os.read(self.fd, BLOCK_BYTES)
@@ -79,7 +79,7 @@ class _Pipe:
                 return b""
 
     async def write(self, data: bytes) -> None:
-        """Raises OSError when nobody reads any more."""
+        """Write. Raises OSError when nobody reads any more."""
         while data:
             try:
                 data = data[os.write(self.fd, data) :]
@@ -97,13 +97,13 @@ class Programs:
         self._children: set[asyncio.subprocess.Process] = set()
 
     async def close(self) -> None:
-        """See to it that none stays behind."""
+        """End all programs, so that none stays behind."""
         for child in self._children:
             processes.end(child.pid, signal.SIGKILL)
         await asyncio.gather(*(child.wait() for child in self._children))
 
     async def run(self, process: "asyncssh.SSHServerProcess[bytes]") -> None:
-        """A program, or the shell, from its start to its exit status."""
+        """Run a program, or the shell, from its start to its exit status."""
         assert isinstance(process, SshProcess)
         visitor = process.channel.get_connection().get_owner()
         name = (
@@ -165,8 +165,8 @@ class Programs:
         sinks: dict[_Pipe, "asyncssh.SSHWriter[bytes]"],
         theirs: contextlib.ExitStack,
     ) -> int:
-        """Carries input and output between client and program, until the program has ended and all its output is sent,
-        or the client has gone. Returns the exit status, or the negative number of the signal that ended the program."""
+        """Carry input and output between client and program, until the program has ended and all its output is sent, or the
+        client has gone. Returns the exit status, or the negative number of the signal that ended the program."""
         self._children.add(child)
         process.on_signal = functools.partial(_signal, child)
         try:
@@ -205,7 +205,7 @@ def _pipe(ours: contextlib.ExitStack, theirs: contextlib.ExitStack, *, reads: bo
 
 
 async def _once(add: Callable[..., Any], remove: Callable[[int], object], fd: int) -> None:
-    """Until the descriptor is ready."""
+    """Wait until the descriptor is ready."""
     ready = asyncio.Event()
     add(fd, ready.set)
     try:
@@ -217,7 +217,7 @@ async def _once(add: Callable[..., Any], remove: Callable[[int], object], fd: in
 async def _over(
     child: asyncio.subprocess.Process, sinks: dict[_Pipe, "asyncssh.SSHWriter[bytes]"], theirs: contextlib.ExitStack
 ) -> None:
-    """The program has ended, and all that it and its children wrote is sent."""
+    """Wait until the program has ended, and all that it and its children wrote is sent."""
     async with asyncio.TaskGroup() as group:
         for pipe, sink in sinks.items():
             group.create_task(_pour(pipe, sink))
@@ -233,7 +233,7 @@ async def _pour(pipe: _Pipe, sink: "asyncssh.SSHWriter[bytes]") -> None:
 
 
 async def _feed(process: SshProcess, child: asyncio.subprocess.Process, pipe: _Pipe, *, is_terminal: bool) -> None:
-    """The client's input. Input that the program does not read is dropped."""
+    """Feed the client's input. Input that the program does not read is dropped."""
     while True:
         try:
             data = await process.stdin.read(BLOCK_BYTES)
@@ -252,14 +252,14 @@ async def _feed(process: SshProcess, child: asyncio.subprocess.Process, pipe: _P
 
 
 def _resize(terminal: _Pipe, size: tuple[int, int, int, int]) -> None:
-    """`size` as SSH has it: columns, rows, width, height."""
+    """Set the window's size. `size` as SSH has it: columns, rows, width, height."""
     columns, rows, width, height = (min(each, 0xFFFF) for each in size)
     if terminal.fd >= 0:
         fcntl.ioctl(terminal.fd, termios.TIOCSWINSZ, struct.pack("HHHH", rows, columns, width, height))
 
 
 def _signal(child: asyncio.subprocess.Process, number: int) -> None:
-    """To a program and its foreground children."""
+    """Send a signal to a program and its foreground children."""
     if child.returncode is None:
         with contextlib.suppress(ProcessLookupError):
             os.killpg(child.pid, number)

@@ -9,8 +9,9 @@ T = TypeVar("T")
 
 
 async def worked(workers: ThreadPoolExecutor, do: Callable[..., T], *arguments: object) -> T:
-    """The result of a call in a worker. A caller that is cancelled goes on when the call has ended, or was taken back before it
-    began: what he then closes is not in use any more, and what was opened for him, into an ExitStack of his, he closes, too."""
+    """Run a call in a worker, and return its result. A caller that is cancelled goes on when the call has ended, or was taken
+    back before it began: what he then closes is not in use any more, and what was opened for him, into an ExitStack of his, he
+    closes, too."""
     call = workers.submit(do, *arguments)
     doing = asyncio.wrap_future(call)
     try:

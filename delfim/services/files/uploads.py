@@ -52,7 +52,7 @@ class Uploads:
             log.warning("no uploads: %s: %s", self.folder, error.strerror)
 
     def open(self, path: str, flags: int, mode: int = 0o644, *, alone: bool = False) -> int:
-        """A descriptor of a plain file, locked: `alone` or beside others who are not. Raises OSError as os.open does."""
+        """Open a plain file, locked: `alone` or beside others who are not. Raises OSError as os.open does."""
         inner = self._inner(path)
         if flags & os.O_CREAT:
             self._name(inner)
@@ -83,7 +83,7 @@ class Uploads:
             os.rmdir(name, dir_fd=folder)
 
     def rename(self, source: str, target: str) -> None:
-        """The new name is on the disk when this returns, and replaces a file of that name."""
+        """Rename a file; the new name is on the disk when this returns, and replaces a file of that name."""
         with (
             self._jail.at(self._inner(source)) as (old, name),
             self._jail.at(self._inner(target)) as (new, new_name),
@@ -94,7 +94,7 @@ class Uploads:
             os.fsync(new)
 
     def finish(self, fd: int, path: str) -> None:
-        """The part of a file, all of it on the disk and open, gets the file's name. Raises OSError."""
+        """Give the part of a file, all of it on the disk and open, the file's name. Raises OSError."""
         with self._jail.at(self._inner(path)) as (folder, name), _idle(folder, name):
             if not os.path.samestat(os.fstat(fd), os.stat(name + PART, dir_fd=folder, follow_symlinks=False)):
                 raise DelfimError("its part is another file now")  # its folder was renamed, and another one put there
@@ -112,7 +112,7 @@ class Uploads:
                 os.close(fd)
 
     def write(self, fd: int, data: bytes, offset: int) -> None:
-        """All of it. Raises NoRoom."""
+        """Write all of the data. Raises NoRoom."""
         size = len(data)
         self._take(size)
         try:
@@ -126,7 +126,7 @@ class Uploads:
                 self._pending_bytes -= size
 
     def copy(self, path: str, fd: int) -> None:
-        """A file's content into a new one. Raises NoRoom, OSError."""
+        """Copy a file's content into a new one. Raises NoRoom, OSError."""
         source = self._jail.open(self._inner(path))
         try:
             at = 0
@@ -150,7 +150,7 @@ class Uploads:
         return path.removeprefix(f"/{self._limits.upload_folder}/")
 
     def _name(self, inner: str) -> None:
-        """Room for a name. Raises NoRoom."""
+        """Take room for a name. Raises NoRoom."""
         if os.path.lexists(self._jail.real(inner)):
             return
         disk = os.statvfs(self.folder)
@@ -160,7 +160,7 @@ class Uploads:
             raise NoRoom("the disk has no room for more files")
 
     def _take(self, size: int) -> None:
-        """Room for so many bytes; with 0, for anything. Raises NoRoom."""
+        """Take room for so many bytes; with 0, for anything. Raises NoRoom."""
         with self._lock:
             if not 0 < size <= self._left_bytes:
                 self._look(max(size, 1))
@@ -168,7 +168,7 @@ class Uploads:
             self._pending_bytes += size
 
     def _look(self, size: int) -> None:
-        """At the disk itself."""
+        """Measure the disk itself."""
         self._left_bytes = 0
         free = free_bytes(self.folder) - self._limits.free_bytes_min
         room = upload_room(self.folder, self._limits.upload_bytes_max)
@@ -180,7 +180,7 @@ class Uploads:
 
 @contextlib.contextmanager
 def _idle(folder: int, name: str) -> Iterator[None]:
-    """A name that nobody writes, until the end of the block. Raises DelfimError."""
+    """Hold a name that nobody writes until the end of the block. Raises DelfimError."""
     try:
         fd = os.open(name, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC, dir_fd=folder)
     except OSError:  # none, a link, or a file of somebody else: whoever changes it will be told
@@ -194,7 +194,7 @@ def _idle(folder: int, name: str) -> Iterator[None]:
 
 
 def _lock(fd: int, kind: int) -> None:
-    """Until the descriptor is closed. Raises DelfimError."""
+    """Lock a file until the descriptor is closed. Raises DelfimError."""
     try:
         fcntl.flock(fd, kind | fcntl.LOCK_NB)
     except BlockingIOError:

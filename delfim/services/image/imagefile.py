@@ -44,7 +44,7 @@ class Manifest(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class SignedImage:
-    """A verified manifest, and who signed it."""
+    """A verified manifest, and its signer."""
 
     def __init__(self, manifest: bytes, signature: bytes, signers: tuple[str, ...]) -> None:
         self.paper, self.signature = manifest, signature
@@ -53,7 +53,7 @@ class SignedImage:
 
 
 def parse_manifest(text: bytes) -> Manifest:
-    """Raises FormatError."""
+    """Parse a manifest. Raises FormatError."""
     try:
         manifest = msgspec.json.decode(text, type=Manifest)
     except UNREADABLE as error:
@@ -64,7 +64,8 @@ def parse_manifest(text: bytes) -> Manifest:
 
 
 def verify_signature(message: bytes, armoured: bytes, signers: tuple[str, ...]) -> str:
-    """Returns the signer (of these public keys, as ssh-keygen writes them). Format: PROTOCOL.sshsig of OpenSSH.
+    """Verify a signature; returns the signer (of these public keys, as ssh-keygen writes them). Format: PROTOCOL.sshsig of
+    OpenSSH.
 
     Raises FormatError if it is not a signature, Refused if it is not one of theirs or not of this message.
     """
@@ -84,7 +85,7 @@ def verify_signature(message: bytes, armoured: bytes, signers: tuple[str, ...]) 
 
 
 def _parse_signature(armoured: bytes, message: bytes) -> tuple[bytes, bytes, bytes]:
-    """The public key, the data signed in place of the message, the signature. Raises FormatError."""
+    """Parse a signature: the public key, the data signed in place of the message, the signature. Raises FormatError."""
     begin, end = b"-----BEGIN SSH SIGNATURE-----", b"-----END SSH SIGNATURE-----"
     text = armoured.strip()
     if not text.startswith(begin) or not text.endswith(end):
@@ -112,7 +113,7 @@ def _decoded(text: bytes) -> bytes:
 
 
 def _strings(blob: bytes, count: int) -> list[bytes]:
-    """As SSH packs them: each with its length (RFC 4251, 5)."""
+    """Unpack strings as SSH packs them: each with its length (RFC 4251, 5)."""
     found, at = list[bytes](), 0
     for _ in range(count):
         length = int.from_bytes(blob[at : at + 4], "big")
@@ -166,7 +167,7 @@ def verify(bundle: Path, signers: tuple[str, ...], into: Path | None = None) -> 
 
 
 def _members(file: IO[bytes]) -> dict[str, tuple[int, int]]:
-    """Offset and size of each. They fill the whole file: nothing travels with an image that nobody has signed.
+    """The offset and size of each member. They fill the whole file: an image carries nothing unsigned.
 
     Raises FormatError, tarfile.TarError, UnicodeError.
     """
@@ -197,7 +198,7 @@ def _paper(file: IO[bytes], name: str, offset: int, size: int) -> bytes:
 
 
 def _copied(source: IO[bytes], size: int, path: Path | None) -> str:
-    """Read so much, and write it into a file where one is named. Returns the digest."""
+    """Read so many bytes, and write them into a file where one is named. Returns the digest."""
     digest = hashlib.sha256()
     with contextlib.ExitStack() as files:
         target = files.enter_context(path.open("wb")) if path else None

@@ -42,7 +42,7 @@ Slot = Literal["a", "b"]
 
 
 class Environment(msgspec.Struct, frozen=True):
-    """The words that boot loader and boat share: slots, "" for none."""
+    """The variables that boot loader and boat share: slots, "" for none."""
 
     slot: str = "a"
     trial: str = ""
@@ -54,7 +54,7 @@ class Environment(msgspec.Struct, frozen=True):
 
 @contextlib.contextmanager
 def boot_partition(table: Image, *, write: bool) -> Iterator["Slots"]:
-    """The slots, while the partition is mounted and nobody else writes. Raises Refused in words, OSError."""
+    """Hold the slots while the partition is mounted and nobody else writes. Raises Refused in words, OSError."""
     directory = Path(table.directory)
     if table.partition:
         _mounted("mount", "-o", "rw,noatime" if write else "ro", table.partition, str(directory))
@@ -85,7 +85,7 @@ class Slots:
         self._directory, self._environment = directory, directory / "grub" / "grubenv"
 
     def environment(self) -> Environment:
-        """Raises Refused where there is none, FormatError where it is damaged."""
+        """Read the environment. Raises Refused where there is none, FormatError where it is damaged."""
         try:
             return parse_environment(read_file(self._environment, PAPER_BYTES))
         except FileNotFoundError:
@@ -110,7 +110,8 @@ class Slots:
         return "" if manifest else "empty"
 
     def install(self, bundle: Path, signers: tuple[str, ...]) -> tuple[str, SignedImage]:
-        """Into the slot that is not confirmed, to be tried at the next start. Returns that slot. Raises as `verify`.
+        """Install an image into the slot that is not confirmed, to be tried at the next start. Returns that slot. Raises as
+        `verify`.
 
         At no instant is there a word that points to files that are not whole.
         """
@@ -131,7 +132,7 @@ class Slots:
         return slot, image
 
     def confirm(self, running: str) -> None:
-        """The slot that runs is the one to start from now on; where that is the old one, the other's failure is forgotten.
+        """Make the slot that runs the one to start from now on; where that is the old one, the other's failure is forgotten.
 
         Raises Refused where there is nothing to confirm.
         """
@@ -149,7 +150,7 @@ class Slots:
 
 
 def parse_environment(text: bytes) -> Environment:
-    """GRUB's environment block. Raises FormatError."""
+    """Parse GRUB's environment block. Raises FormatError."""
     lines = text.decode("ascii", "replace").split("\n")
     words = dict(line.split("=", 1) for line in lines if "=" in line and not line.startswith("#"))
     environment = Environment(*(words.get(key, "") for key in KEYS))
@@ -166,7 +167,7 @@ def write_environment(environment: Environment) -> bytes:
 
 
 def _replace(path: Path, text: bytes) -> None:
-    """The old text or the new one, whenever the power fails."""
+    """Replace a file's text, so that a power cut leaves the old text or the new one."""
     new = path.with_name(path.name + ".new")
     with new.open("wb") as file:
         file.write(text)
@@ -177,7 +178,7 @@ def _replace(path: Path, text: bytes) -> None:
 
 
 def _digest_of_disk(path: Path) -> str:
-    """From the disk, not from the kernel's cache, as far as the kernel drops it."""
+    """Digest a file from the disk, not from the kernel's cache, as far as the kernel drops it."""
     with path.open("rb") as file:
         os.posix_fadvise(file.fileno(), 0, 0, os.POSIX_FADV_DONTNEED)
         return hashlib.file_digest(file, "sha256").hexdigest()
@@ -187,7 +188,7 @@ def _digest_of_disk(path: Path) -> str:
 
 
 def started(command_line: str) -> tuple[str, str]:
-    """The slot that runs and the one that was tried last, as the boot loader told the kernel; "" for none."""
+    """The slot that runs and the one that was tried last, from the kernel's command line; "" for none."""
     words = dict(word.split("=", 1) for word in command_line.split() if "=" in word)
     slot, tried = (words.get(f"delfim.{key}", "") for key in ("slot", "tried"))
     return (slot if slot in SLOTS else ""), (tried if tried in SLOTS else "")
@@ -213,5 +214,5 @@ def present_notice(run_directory: str) -> str:
 
 
 def confirmed(run_directory: str) -> None:
-    """From now on there is nothing to tell."""
+    """Drop the present notice."""
     Path(run_directory, CONFIRMED).touch()

@@ -1,1 +1,1 @@
-"""The pages of httpd: the words of its interface, sections, figures, metrics, as pure functions; and the page's own files."""
+"""The pages of httpd: the report's types, sections, figures, metrics, as pure functions; and the page's own files."""

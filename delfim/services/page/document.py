@@ -38,8 +38,8 @@ POLICY: Final = (
 
 
 def live(sections: Mapping[str, str], every_s: float, console: str = "") -> str:
-    """The page of the boat. `sections`: HTML by id, "head" among them; `console`: where the operator's console is. Without a
-    script it is read again every few seconds."""
+    """The live page of the boat. `sections`: HTML by id, "head" among them; `console`: where the operator's console is. Without
+    a script it is read again every few seconds."""
     columns = ["", "", ""]
     for each in SECTIONS:
         columns[each.column] += f'<section><h2>{each.title}</h2><div id="{each.id}">{sections[each.id]}</div></section>'
@@ -51,7 +51,7 @@ def live(sections: Mapping[str, str], every_s: float, console: str = "") -> str:
 
 
 def plain(title: str, content: str, head: str = "") -> str:
-    """A page that stands still."""
+    """A page without updates."""
     top = head or f'<div class="band calm"><p>{escape(title)}</p></div>'
     return document(title, f'<header>{top}</header><nav>{_links()}</nav><main class="page"><section>{content}</section></main>')
 

@@ -1,4 +1,5 @@
-"""/logs: a directory as rows, a file as ranges of bytes. All but `byte_range` blocks on the disk: call it in a worker."""
+"""The content of /logs: a directory as rows, a file as ranges of bytes. All but `byte_range` blocks on the disk: call it in a
+worker."""
 
 import os
 import re
@@ -61,7 +62,7 @@ class OpenFile(NamedTuple):
 
 
 def opened(closing: ExitStack, jail: Jail, path: str) -> OpenFile:
-    """A plain file, which `closing` closes. Raises DelfimError, OSError."""
+    """Open a plain file, which `closing` closes. Raises DelfimError, OSError."""
     fd = jail.open(path)
     closing.callback(os.close, fd)
     status = os.fstat(fd)
@@ -69,7 +70,7 @@ def opened(closing: ExitStack, jail: Jail, path: str) -> OpenFile:
 
 
 def is_directory(jail: Jail, path: str) -> bool:
-    """False where there is nothing. Raises DelfimError for a path that leads out."""
+    """Whether there is a directory. Raises DelfimError for a path that leads out."""
     try:
         return stat.S_ISDIR(jail.status(path).st_mode)
     except OSError:

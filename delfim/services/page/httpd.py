@@ -58,7 +58,7 @@ _encode: Final = msgspec.json.Encoder().encode
 
 
 class HttpConnection(web.RequestHandler):
-    """aiohttp's connection behind our door."""
+    """aiohttp's connection with our connection limits."""
 
     __slots__ = ("_address", "_door")
 
@@ -101,7 +101,7 @@ class HttpConnection(web.RequestHandler):
     def handle_error(
         self, request: web.BaseRequest, status: int = 500, exc: BaseException | None = None, message: str | None = None
     ) -> web.StreamResponse:
-        """A visitor's own mistakes are not logged: he could fill the log with them."""
+        """Answer a visitor's mistake without logging it: he could fill the log with them."""
         if status >= 500:
             return super().handle_error(request, status, exc, message)
         refused = web.Response(status=status, text=message)
@@ -110,7 +110,7 @@ class HttpConnection(web.RequestHandler):
 
 
 class Site:
-    """The answers. One method a place."""
+    """The answers of the site, one method for each path."""
 
     def __init__(self, settings: config.Vehicle, board: Board) -> None:
         self._board, self._console = board, settings.of(Httpd).console
@@ -155,7 +155,7 @@ class Site:
         return _html(document.live(await self._board.sections(), _every_s(request), self._console))
 
     async def _events(self, request: web.BaseRequest) -> web.StreamResponse:
-        """Server-sent events: the sections that have changed. A client that is behind misses some; there is no queue."""
+        """Send server-sent events: the sections that have changed. A client that is behind misses some; there is no queue."""
         every_s = _every_s(request)
         response = web.StreamResponse(headers={**HEADERS, "Content-Type": "text/event-stream"})
         await response.prepare(request)
@@ -213,7 +213,7 @@ class Site:
         return _json(json.dumps(await self._work(api.schema)).encode())
 
     async def _logs(self, request: web.BaseRequest, path: str) -> web.StreamResponse:
-        """A directory as a page, a file in the ranges that were asked for."""
+        """Send a directory as a page, or a file in the requested ranges."""
         if path.endswith("/"):
             found, is_all = await self._work(files.entries, self._jail, path)
             return _html(listing(path, found, is_all))
@@ -258,7 +258,7 @@ class Site:
 
 
 async def serve(runtime: Runtime) -> None:
-    """The service."""
+    """Run the service until it is cancelled."""
     settings, loop = runtime.config, asyncio.get_running_loop()
     door = Door(settings.of(Httpd).connections, settings.of(Httpd).connections_per_address)
     look = Lookout(settings, runtime.clock.monotonic_s)
@@ -299,7 +299,7 @@ def _is_ours(host: str) -> bool:
 
 
 def _every_s(request: web.BaseRequest) -> float:
-    """/?every=10: for a thin radio."""
+    """The period of `/?every=10`, s, for a thin radio."""
     try:
         asked_s = float(request.rel_url.query.get("every", ""))
     except ValueError:

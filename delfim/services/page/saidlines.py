@@ -1,4 +1,4 @@
-"""The last lines of the system log, as they are asked for."""
+"""The last lines of the system log, as a visitor selects them."""
 
 from collections.abc import Iterable, Iterator
 from typing import Final, NamedTuple
@@ -29,12 +29,12 @@ class WantedLines(NamedTuple):
 
 
 def wanted(level: str, text: str) -> WantedLines:
-    """From the words of a visitor: those that mean nothing have their default."""
+    """Parse a visitor's selection: words that mean nothing have their default."""
     return WantedLines(level if level in LEVELS else WantedLines().level, text[:TEXT_MAX])
 
 
 def parsed(lines: Iterable[bytes]) -> Iterator[LogLine | None]:
-    """One for each line; None for one that is no line of the log. Text that steers a terminal is made readable."""
+    """Parse lines; None for one that is no line of the log. Text that steers a terminal is made readable."""
     for line in lines:
         try:
             told = _LINE.decode(line)
@@ -45,7 +45,7 @@ def parsed(lines: Iterable[bytes]) -> Iterator[LogLine | None]:
 
 
 def last_lines(directory: str, count: int) -> tuple[LogLine, ...]:
-    """The last lines from the level info on, newest first. Reads files."""
+    """Read the last lines from the level info on, newest first."""
     found = []
     for line in parsed(recent(directory)):
         if line is not None and WantedLines().has(line):

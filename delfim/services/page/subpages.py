@@ -34,7 +34,7 @@ def checks_page(report: Report) -> str:
 
 
 def system_page(asked: WantedLines, found: list[LogLine]) -> str:
-    """The last words of the programs, newest first, and what to choose them by."""
+    """The page of the system log: the last lines, newest first, and a form to select them."""
     levels = "".join(f"<option{' selected' if level == asked.level else ''}>{level}</option>" for level in LEVELS)
     form = (
         f'<form class="keys"><label>Level <select name="level">{levels}</select></label>'

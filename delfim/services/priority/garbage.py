@@ -14,7 +14,7 @@ OVERDUE: Final = 10  # ... or when there is this many times more than the interp
 
 
 class Collector:
-    """Begins with `tick`, which comes again by itself."""
+    """Collects garbage; it begins with `tick`, which comes again by itself."""
 
     def __init__(self, window: NavigationWindow, clock: Clock) -> None:
         self._window, self._clock = window, clock
@@ -25,7 +25,7 @@ class Collector:
         asyncio.get_running_loop().call_later(self._look(), self.tick)
 
     def _look(self) -> float:
-        """Collects if it is time for it. Returns how long until the next look, s."""
+        """Collect if it is time for it. Returns how long until the next look, s."""
         counts, thresholds = gc.get_count(), gc.get_threshold()
         if gc.isenabled() or counts[0] <= thresholds[0]:
             return COLLECT_EVERY_S
@@ -41,5 +41,5 @@ class Collector:
         return COLLECT_EVERY_S
 
     def report(self) -> dict[str, object]:
-        """JSON-ready."""
+        """The report, JSON-ready."""
         return {"collections": self._collections, "longest_collection_s": round(self._longest_s, 6)}

@@ -56,7 +56,7 @@ ACCOUNT: Final[ContextVar[Account]] = ContextVar("ACCOUNT")
 
 
 def speaker() -> str:
-    """The service whose callback this is; empty for none."""
+    """The name of the service whose callback this is; empty for none."""
     account = ACCOUNT.get(None)
     return account.name if account else ""
 
@@ -110,7 +110,7 @@ class NavigationFirst:
         self._practised_s = self._since_s  # when the last practice was over, which is the window's time and no service's
 
     def fileno(self) -> int:
-        """Readable while a navigation socket is."""
+        """The descriptor that is readable while a navigation socket is."""
         return self._epoll.fileno()
 
     def add(self, fd: int, handler: Callable[[], bool], failed: Callable[[Exception], None]) -> None:
@@ -128,7 +128,7 @@ class NavigationFirst:
         self._epoll.close()
 
     def between(self, context: Context) -> None:
-        """Before a callback of this context. The hot path of the loop: a few hundred nanoseconds."""
+        """Do the work before a callback of this context. The hot path of the loop: a few hundred nanoseconds."""
         now_s = self._clock_s()
         self._payer.charge(now_s - self._since_s)
         if self._is_fresh:
@@ -141,13 +141,13 @@ class NavigationFirst:
         self._since_s = now_s
 
     def rest(self) -> float:
-        """Before the loop looks for work. Returns the time."""
+        """Do the work before the loop polls. Returns the time."""
         now_s = self._clock_s()
         self._payer.charge(now_s - self._since_s)
         return now_s
 
     def resume(self) -> None:
-        """After the loop has looked for work. Handling the results goes to its own account."""
+        """Do the work after the loop has polled. Handling the results goes to its own account."""
         now_s = self._clock_s()
         ready = self._poll(0.0, 4)
         if ready or now_s >= self.window.opens_s:
@@ -175,9 +175,9 @@ class NavigationFirst:
         return now_s
 
     def _rehearse(self, until_s: float, now_s: float) -> float:
-        """The whole way once, unless it may not be over in time or the message is there. Returns when that was last known not
-        to be so: a message that came meanwhile did not come later than it was due, and the next window must not open later
-        for it."""
+        """Rehearse the whole path once, unless it may not be over in time or the message is there. Returns when that was last
+        known not to be so: a message that came meanwhile did not come later than it was due, and the next window must not open
+        later for it."""
         if self.rehearsal is None or self._poll(0.0, 1):
             return now_s
         if now_s + self._rehearsal_s > until_s:
@@ -245,9 +245,9 @@ class NavigationLoop(asyncio.SelectorEventLoop):
         self._first.add(fd, handler, failed)
 
     def set_rehearsal(self, rehearsal: Practice | None) -> None:
-        """Sets the rehearsal that keeps the caches warm for navigation."""
+        """Set the rehearsal that keeps the caches warm for navigation."""
         self._first.rehearsal = rehearsal
 
     def remove_navigation(self, fd: int) -> None:
-        """Nothing happens where `fd` was not added."""
+        """Remove a navigation socket; nothing happens where `fd` was not added."""
         self._first.remove(fd)

@@ -28,7 +28,7 @@ class Rhythm:
         self.misses = 0  # windows in a row
 
     def arrived(self, at_s: float) -> None:
-        """A message came at this monotonic time."""
+        """Note that a message came at this monotonic time."""
         times_s = self._times_s
         if times_s and at_s - times_s[-1] > FORGET_PERIODS * self.period_s:
             times_s.clear()
@@ -39,7 +39,7 @@ class Rhythm:
             self._estimate()
 
     def missed(self) -> None:
-        """A window passed without its message."""
+        """Note that a window passed without its message."""
         self.misses += 1
         self.next_s = self.next_s + self.period_s if self.misses < MISSES_MAX else inf
 
@@ -70,7 +70,7 @@ class Rhythm:
 
 
 class NavigationWindow:
-    """When to hold the loop for navigation. Monotonic times in, next window out; it never looks at a clock itself.
+    """Computes when to hold the loop for navigation. Monotonic times in, next window out; it never looks at a clock itself.
 
     guard_s: a window opens so long before its message is due, and longer for a source that scatters, but never longer than
     HOLD_MAX_S / 2 nor than the share allows. A callback that begins before the window must end before the message comes, so
@@ -95,7 +95,7 @@ class NavigationWindow:
         self._credit_s, self._credit_at_s = HOLD_MAX_S, inf  # the budget left, and when it was computed
 
     def arrived(self, source: int, at_s: float) -> None:
-        """A navigation message was completed, at this time."""
+        """Note that a navigation message was complete at this time."""
         rhythm = self._rhythms.setdefault(source, Rhythm())
         if self._is_open and rhythm is self._due:
             self._is_open = False
@@ -105,7 +105,7 @@ class NavigationWindow:
             self._plan()
 
     def forget(self, source: int) -> None:
-        """The source exists no longer."""
+        """Forget a source that exists no longer."""
         rhythm = self._rhythms.pop(source, None)
         if rhythm is self._due:
             self._is_open = False
@@ -113,7 +113,7 @@ class NavigationWindow:
             self._plan()
 
     def open(self, now_s: float) -> float:
-        """The loop is held from now on. Returns until when, at most: while `is_open`."""
+        """Open the window: the loop is held from now on. Returns until when, at most: while `is_open`."""
         earned_s = max(0.0, now_s - self._credit_at_s) * self._share_max
         self._credit_s, self._credit_at_s = min(self._credit_s + earned_s, HOLD_MAX_S), now_s
         self._is_open = True
@@ -121,11 +121,11 @@ class NavigationWindow:
 
     @property
     def is_open(self) -> bool:
-        """Whether the message is still being waited for."""
+        """Whether the message is still awaited."""
         return self._is_open
 
     def close(self, opened_s: float, now_s: float) -> None:
-        """The loop is let go, now."""
+        """Close the window: the loop is let go."""
         self.spent_s += now_s - opened_s
         self._credit_s = max(self._credit_s - (now_s - opened_s), -HOLD_MAX_S)  # no windows are owed for time asleep
         if self._is_open and self._due:
@@ -138,7 +138,7 @@ class NavigationWindow:
         self._plan()
 
     def report(self) -> dict[str, object]:
-        """JSON-ready: periods and scatter of the sources, windows with and without their message, time held."""
+        """The report, JSON-ready: periods and scatter of the sources, windows with and without their message, time held."""
         steady = [rhythm for rhythm in self._rhythms.values() if rhythm.next_s < inf]
         return {
             "periods_s": [round(rhythm.period_s, 6) for rhythm in steady],

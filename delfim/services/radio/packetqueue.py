@@ -1,4 +1,4 @@
-"""The packets that wait for a serial line."""
+"""A queue of the packets for a serial line."""
 
 from collections import deque
 from typing import Final

@@ -60,7 +60,8 @@ class PolledLine:
                 self._talker.offer(self._ends.packet(), self._loop.time())
 
     def _speak(self) -> None:
-        """All that a turn sends fits in the port's buffer. If a port stalls, the rest is lost: later is another one's turn."""
+        """Send all of a turn, which fits in the port's buffer. If a port stalls, the rest is lost: later is another one's
+        turn."""
         ends = self._ends
         if ends.timer is not None:
             ends.timer.cancel()

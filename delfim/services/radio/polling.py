@@ -1,4 +1,4 @@
-"""Several boats and one shore on one frequency: the shore polls, a boat speaks only when it is asked (thesis 4.1, figure 4-1).
+"""Several boats and one shore on one frequency: the shore polls, a boat sends only when it is polled (thesis 4.1, figure 4-1).
 
 Bytes and time in, bytes out; no port and no clock. A turn: the shore sends packets to a boat, then POLL with a grant; the boat
 answers with packets of no more bytes than the grant, then DONE. The turn ends with DONE, or when grant and turnaround are over:
@@ -36,7 +36,7 @@ class Route:
         self._decompressor = Decompressor() if compresses else None
 
     def frames(self, kind: bytes, most: int) -> bytes:
-        """Packets that fit in so many bytes, framed. One that is alone too long would wait for ever: it is dropped."""
+        """Take packets that fit in so many bytes, framed. One that is alone too long would wait for ever: it is dropped."""
         data = b""
         while self.outbox:
             packet = self.outbox.first()
@@ -60,7 +60,7 @@ class Route:
 
 
 class PolledBoat:
-    """The end of a boat. `heard` and `speak` take the time in seconds; their bytes are of the line, packets of IP."""
+    """The end of a boat. `heard` and `speak` take the time in seconds; they exchange bytes of the line for packets of IP."""
 
     def __init__(self, station: int, compresses: bool, now_s: float) -> None:
         """station: 1 to 254, of no other boat on the frequency."""
@@ -73,14 +73,15 @@ class PolledBoat:
         return self._route.outbox.dropped
 
     def offer(self, packet: bytes, now_s: float) -> None:
-        """A packet for the shore. While nobody asks for it, it is dropped: it would be stale when it left."""
+        """Offer a packet for the shore. While nobody polls, it is dropped: it would be stale when it left."""
         if self._is_alone(now_s):
             self._route.outbox.dropped += 1
         else:
             self._route.outbox.put(packet)
 
     def heard(self, data: bytes, now_s: float) -> list[bytes]:
-        """The packets in these bytes. A poll counts only while nothing was heard after it: the shore waits no longer then."""
+        """Take bytes of the line; return their packets. A poll counts only while nothing was heard after it: the shore waits no
+        longer then."""
         packets = []
         for body in opened(self._deframer, data):
             self._grant = 0
@@ -105,11 +106,11 @@ class PolledBoat:
         return frames + sealed(DONE, self._route.station, bytes((bool(self._route.outbox),)))
 
     def due_s(self) -> float:
-        """When to call `speak` without having heard anything: never."""
+        """The time when to call `speak` without having heard anything: never."""
         return math.inf
 
     def silence(self, now_s: float) -> str:
-        """Why nothing is carried, in words; empty while the shore polls."""
+        """The reason, in words, why nothing is carried; empty while the shore polls."""
         if not self._is_alone(now_s) or now_s - self._began_s <= UNPOLLED_S:
             return ""
         station = self._route.station[0]
@@ -156,7 +157,7 @@ class _Peer:
         self._rests(now_s, AWAY_S if self.is_away else IDLE_S)
 
     def _rests(self, now_s: float, most_s: float) -> None:
-        """Each pause is longer than the last, up to the most."""
+        """Rest for a pause that is longer than the last, up to the most."""
         self.pause_s = min(max(2.0 * self.pause_s, SOON_S), most_s)
         self.due_s = now_s + self.pause_s
 
@@ -185,7 +186,8 @@ class PollingShore:
         return self._strangers + sum(peer.route.outbox.dropped for peer in self._peers.values())
 
     def offer(self, packet: bytes, now_s: float) -> None:
-        """A packet for a boat. If it is for none, or for one that does not answer, it is dropped: it would leave stale."""
+        """Offer a packet for a boat. If it is for none, or for one that does not answer, it is dropped: it would leave
+        stale."""
         peer = self._peers.get(packet[16:20]) if len(packet) >= 20 and packet[0] >> 4 == 4 else None
         if peer is None:
             self._strangers += 1
@@ -196,8 +198,8 @@ class PollingShore:
             peer.due_s = min(peer.due_s, now_s)
 
     def heard(self, data: bytes, now_s: float) -> list[bytes]:
-        """The packets in these bytes, which only the boat whose turn it is may send: in its own name, and not to another boat,
-        where a computer that forwards would send them on."""
+        """Take bytes of the line; return their packets, which only the boat whose turn it is may send: in its own name, and not
+        to another boat, where a computer that forwards would send them on."""
         packets = []
         for body in opened(self._deframer, data):
             turn = self._turn
@@ -234,11 +236,11 @@ class PollingShore:
         return data
 
     def due_s(self) -> float:
-        """When to call `speak`, if nothing is heard before."""
+        """The time when to call `speak`, if nothing is heard before."""
         return self._ends_s if self._turn is not None else min(peer.due_s for peer in self._peers.values())
 
     def silence(self, now_s: float) -> str:
-        """Which boats do not answer, in words; empty while all do."""
+        """The boats that do not answer, in words; empty while all do."""
         return "; ".join(
             f"only noise from {peer.name} (station {peer.route.station[0]}): out of reach, or another boat has this station"
             if peer.is_garbled
@@ -248,19 +250,19 @@ class PollingShore:
         )
 
     def _garbled(self) -> None:
-        """A frame was damaged; nobody knows whose."""
+        """Count a damaged frame; nobody knows whose."""
         self._is_garbled = True
         for peer in self._peers.values():
             peer.route.damaged()
 
 
 def sealed(kind: bytes, station: bytes, data: bytes) -> bytes:
-    """A frame on the line: kind, station, data, CRC-16/XMODEM."""
+    """Build a frame of the line: kind, station, data, CRC-16/XMODEM."""
     body = kind + station + data
     return framed(body + crc_hqx(body, 0).to_bytes(2, "big"))
 
 
 def opened(deframer: Deframer, data: bytes) -> Iterator[bytes | None]:
-    """Kind, station and data of each frame that ends in these bytes; None for one that is damaged."""
+    """Open the frames that end in these bytes: kind, station and data; None for one that is damaged."""
     for frame in deframer.feed(data):
         yield frame[:-2] if len(frame) >= 4 and crc_hqx(frame, 0) == 0 else None

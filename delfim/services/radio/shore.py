@@ -19,7 +19,8 @@ TURNAROUND_S, AIRTIME_S = (0.005, 5.0), (0.01, 5.0)  # ranges
 
 
 def stations(words: str, network: str) -> dict[IPv4Address, int]:
-    """The boats of `10.0.0.1=1,10.0.0.3=2`; of one address alone its station is 0: nobody polls it. Raises ConfigError."""
+    """Parse the boats of `10.0.0.1=1,10.0.0.3=2`; of one address alone the station is 0: nobody polls it. Raises
+    ConfigError."""
     boats = dict[IPv4Address, int]()
     reach = _interface(network)
     for word in words.split(","):
@@ -43,8 +44,8 @@ def stations(words: str, network: str) -> dict[IPv4Address, int]:
 def run(
     table: Mapping[str, object], network: str, boats: Mapping[IPv4Address, int], turnaround_s: float, airtime_s: float
 ) -> int:
-    """Until SIGTERM or SIGINT; the exit code. `table` is that of slipd in a vehicle's file, from the shore's point of view.
-    Raises ConfigError."""
+    """Run until SIGTERM or SIGINT; returns the exit code. `table` is that of slipd in a vehicle's file, from the shore's point
+    of view. Raises ConfigError."""
     for name, value, (least, most) in (("--turnaround", turnaround_s, TURNAROUND_S), ("--airtime", airtime_s, AIRTIME_S)):
         if not least <= value <= most:
             raise _refused(name, f"{value:g} is not from {least:g} to {most:g} s")

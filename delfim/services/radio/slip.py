@@ -8,12 +8,12 @@ PACKET_MAX: Final = 2048  # longer ones are noise
 
 
 def framed(packet: bytes) -> bytes:
-    """The packet between two ENDs: the first flushes noise on the line."""
+    """Frame a packet between two ENDs: the first flushes noise on the line."""
     return END + packet.replace(ESC, ESC_ESC).replace(END, ESC_END) + END
 
 
 class Deframer:
-    """Packets out of bytes as they come. `errors` counts packets that were too long or escaped wrongly."""
+    """Finds packets in bytes as they come. `errors` counts packets that were too long or escaped wrongly."""
 
     def __init__(self) -> None:
         self.errors = 0

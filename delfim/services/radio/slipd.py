@@ -61,7 +61,7 @@ Carrier = Callable[[int], bool]  # whether there is one, told the open port; rai
 
 
 def carrier_source(text: str) -> Carrier:
-    """ "none": always; "dcd": the modem's line; "file:PATH": a file that says 1."""
+    """Parse a source of carrier detect: "none" always; "dcd" the modem's line; "file:PATH" a file that holds 1."""
     if text == "dcd":
         return lambda port: bool(struct.unpack("i", fcntl.ioctl(port, termios.TIOCMGET, bytes(4)))[0] & termios.TIOCM_CAR)
     if text.startswith("file:"):
@@ -71,7 +71,7 @@ def carrier_source(text: str) -> Carrier:
 
 
 class SerialRadio:
-    """The link, reopened when it is lost. `open_line` attaches an interface to an open port."""
+    """The radio's link, reopened when it is lost. `open_line` attaches an interface to an open port."""
 
     def __init__(self, settings: Slipd, clock: Clock, open_line: Callable[[int], RadioLine]) -> None:
         self._settings, self._clock, self._open_line = settings, clock, open_line
@@ -83,7 +83,7 @@ class SerialRadio:
         self._due_s, self._retry_s = 0.0, LOOK_S
 
     def is_due(self) -> bool:
-        """Look whether the link is still there; True when it is not and `retry` is due. Called every LOOK_S."""
+        """Check whether the link is still there; True when it is not and `retry` is due. Called every LOOK_S."""
         now_s = self._clock.monotonic_s()
         if self._line is not None:
             trouble = self._line.trouble() or self._lost()
@@ -96,12 +96,12 @@ class SerialRadio:
         return self._line is None and now_s >= self._due_s
 
     def attend(self) -> None:
-        """After `retry`, in the service's own context."""
+        """Attend to the new link after `retry`, in the service's own context."""
         if self._line is not None:
             self._line.attend()
 
     def report(self) -> dict[str, object]:
-        """JSON-ready."""
+        """The report, JSON-ready."""
         line = self._line
         counts = _counters(line.name) if line is not None else {}
         state = {"state": "up" if line is not None else "down", "interface": line.name if line is not None else ""}
@@ -119,7 +119,7 @@ class SerialRadio:
             self._close_port()
 
     def retry(self) -> None:
-        """Try to have a link. May take as long as the kernel takes to attach a line: not for the loop's own thread."""
+        """Try to open a link. May take as long as the kernel takes to attach a line: not for the loop's own thread."""
         now_s = self._clock.monotonic_s()
         try:
             if self._port < 0:
@@ -178,7 +178,7 @@ class KernelLine:
         address_interface(self.name, settings)
 
     def attend(self) -> None:
-        """The kernel does."""
+        """Do nothing: the kernel serves the line."""
 
     def trouble(self) -> str:
         return "" if Path("/sys/class/net", self.name).exists() else "the line was hung up"
@@ -233,7 +233,7 @@ class TunLine:
             self._decompressor.damaged()
 
     def _send(self) -> None:
-        """As much as the line takes now: data in the port's or the modem's buffer cannot be overtaken."""
+        """Send as much as the line takes now: data in the port's or the modem's buffer cannot be overtaken."""
         ends, now_s = self._ends, self._loop.time()
         ends.timer = None
         while self._rest or self._is_free(now_s):
@@ -257,7 +257,7 @@ class TunLine:
 
 
 def address_interface(name: str, settings: Slipd) -> None:
-    """Address, peer, MTU, and up (netdevice(7)). Raises OSError."""
+    """Set address, peer and MTU of an interface, and set it up (netdevice(7)). Raises OSError."""
     device = name.encode()
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as inet:
         fcntl.ioctl(inet, _SIOCSIFMTU, struct.pack("16si20x", device, settings.mtu))
@@ -277,7 +277,7 @@ def _counters(name: str) -> dict[str, object]:
 
 
 async def serve(runtime: Runtime) -> None:
-    """The service: until it is cancelled. Raises PermanentFailure without a device."""
+    """Run the service until it is cancelled. Raises PermanentFailure without a device."""
     settings, loop = runtime.config.of(Slipd), asyncio.get_running_loop()
     if not settings.device:
         raise PermanentFailure("slipd.device is not set")
@@ -300,7 +300,8 @@ async def serve(runtime: Runtime) -> None:
 def polled(
     port: int, settings: Slipd, talker: Talker, runtime: Runtime, loop: asyncio.AbstractEventLoop, network: str = ""
 ) -> PolledLine:
-    """A line of several boats on an open port. `network`: address and prefix of the shore, for a boat has one peer only."""
+    """Open the line of several boats on an open port. `network`: address and prefix of the shore, for a boat has one peer
+    only."""
     tun = open_tun(settings.interface, network, settings.mtu)
     try:
         if not network:
@@ -312,7 +313,7 @@ def polled(
 
 
 async def keep_up(runtime: Runtime, settings: Slipd, open_line: Callable[[int], RadioLine]) -> None:
-    """The radio's interface, for as long as there is a radio, until it is cancelled."""
+    """Keep up the radio's interface, for as long as there is a radio, until it is cancelled."""
     if settings.encapsulation == "cslip":
         with contextlib.suppress(OSError):  # a header whose options change is not compressed (RFC 1144, 3.2.3)
             _TCP_TIMESTAMPS.write_text("0")

@@ -31,16 +31,16 @@ class TunPort:
         self._runtime.reader(self._port, self._on_bytes)
 
     def packet(self) -> bytes:
-        """The next packet of the network's for the line. Raises BlockingIOError when there is none."""
+        """Read the next packet from the network for the line. Raises BlockingIOError when there is none."""
         return os.read(self._tun, READ_BYTES)
 
     def deliver(self, packet: bytes) -> None:
-        """A packet of the line's to the network."""
+        """Write a packet from the line to the network."""
         with contextlib.suppress(OSError):  # the kernel refuses anything but a packet
             os.write(self._tun, packet)
 
     def write(self, data: bytes) -> int:
-        """Bytes for the line; returns how many it took: none when it stalls, or is lost."""
+        """Write bytes to the line; returns how many it took: none when it stalls, or is lost."""
         try:
             return os.write(self._port, data)
         except BlockingIOError:
@@ -50,7 +50,7 @@ class TunPort:
             return 0
 
     def unsent(self) -> int:
-        """Bytes in the port's buffer, which cannot be overtaken; none when it is lost."""
+        """The number of bytes in the port's buffer, which cannot be overtaken; none when it is lost."""
         try:
             return int(struct.unpack("i", fcntl.ioctl(self._port, termios.TIOCOUTQ, bytes(4)))[0])
         except OSError as error:

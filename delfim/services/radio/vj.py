@@ -37,7 +37,7 @@ class _TcpIpHeader:
 
 
 def _compressible(packet: bytes) -> bool:
-    """TCP under way, whole, and not one of the packets that open or close a connection."""
+    """Whether a packet is whole TCP under way, and not one that opens or closes a connection."""
     if len(packet) < 40 or packet[0] >> 4 != 4 or packet[9] != _TCP or struct.unpack_from("!H", packet, 6)[0] & 0x3FFF:
         return False
     tcp = (packet[0] & 15) * 4
@@ -88,7 +88,7 @@ class Compressor:
 
 
 def _changes(old: _TcpIpHeader, new: _TcpIpHeader) -> tuple[int, bytes] | None:
-    """(changed fields, by how much), None if there is no short form."""
+    """The changed fields and by how much; None if there is no short form."""
     if old.constant() != new.constant() or (old.flags ^ new.flags) & ~(_PSH | _URG):
         return None
     mask, said = 0, []
@@ -120,7 +120,7 @@ def _changes(old: _TcpIpHeader, new: _TcpIpHeader) -> tuple[int, bytes] | None:
 
 
 def _number(value: int, zero: bool = False) -> bytes:
-    """One byte for 1..255; three for larger values, and for 0 where that is possible."""
+    """Encode a number in one byte for 1..255; in three for larger values, and for 0 where that is possible."""
     return b"\0" + struct.pack("!H", value) if value >= 256 or (zero and value == 0) else bytes([value])
 
 
@@ -134,7 +134,7 @@ class Decompressor:
         self._is_tossing = True
 
     def decompress(self, data: bytes) -> bytes | None:
-        """The packet that this was, or None."""
+        """Restore the packet; None if it cannot be."""
         try:
             packet = self._packet(data)
         except (IndexError, struct.error):
@@ -145,7 +145,7 @@ class Decompressor:
         return packet
 
     def damaged(self) -> None:
-        """The line lost something: nothing that refers to the packet before is to be trusted."""
+        """Note that the line lost something: nothing that refers to the packet before is to be trusted."""
         self._is_tossing = True
 
     def _packet(self, data: bytes) -> bytes | None:
@@ -212,7 +212,7 @@ def _at(data: bytearray, offset: int) -> int:
 
 
 def _read(data: bytes, at: int) -> tuple[int, int]:
-    """(number, where the next one is). Raises IndexError."""
+    """Read a number; returns it and where the next one is. Raises IndexError."""
     if data[at]:
         return data[at], at + 1
     return data[at + 1] << 8 | data[at + 2], at + 3

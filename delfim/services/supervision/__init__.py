@@ -1,2 +1,2 @@
-"""The supervisor, which is the dead-man: programs started, watched, stopped and confined; the last act before the power is
-cut."""
+"""The supervisor, which is the dead-man: it starts, watches, stops and confines programs, and does the last act before the
+power is cut."""

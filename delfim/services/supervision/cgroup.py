@@ -55,7 +55,7 @@ class Limits(NamedTuple):
             (root / OURS / name / "cgroup.kill").write_text("1")
 
     def exceeded(self, name: str, root: Path = ROOT) -> str:
-        """Why the kernel ended the program since it was last asked, in words; empty if it did not."""
+        """The reason, in words, why the kernel ended the program since the last call; empty if it did not."""
         if not self.memory_bytes:
             return ""
         group = root / OURS / name

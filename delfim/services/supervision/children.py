@@ -23,10 +23,10 @@ log = logging.getLogger(__name__)
 
 
 class Supervised(NamedTuple):
-    """One program. The critical one has the dead-man; there is at most one. The others run on processors that nobody else wants
-    (SCHED_IDLE): being niced does not make the kernel take a processor from them at once when the critical one wakes. A guard,
-    which holds motors, is no less urgent than the critical one: it has the dead-man, too, starts at once, and ends last if it
-    is the first of them."""
+    """A program of the supervisor. The critical one has the dead-man; there is at most one. The others run on processors that
+    nobody else wants (SCHED_IDLE): being niced does not make the kernel take a processor from them at once when the critical
+    one wakes. A guard, which holds motors, is no less urgent than the critical one: it has the dead-man, too, starts at once,
+    and ends last if it is the first of them."""
 
     name: str
     argv: tuple[str, ...]
@@ -82,13 +82,13 @@ class Child:
                 log.warning("%s: SCHED_IDLE: %s; going on without it", program.name, error.strerror)
 
     def hurry(self) -> None:
-        """From now on it competes for the processor, if we may decide that: who has little time to end must get some of it."""
+        """Let it compete for the processor, if we may decide that: a program with little time to end must get some of it."""
         if not self.is_urgent:
             with contextlib.suppress(OSError):
                 os.sched_setscheduler(self.pid, os.SCHED_OTHER, os.sched_param(0))
 
     def stacks(self) -> str:
-        """Where its threads stand, as it wrote into its pipe; empty where it did not."""
+        """The calls where its threads stand, as it wrote into its pipe; empty where it did not."""
         try:
             return os.read(self.pipe, STACKS_BYTES).decode(errors="replace").lstrip(".") if self.pipe >= 0 else ""
         except BlockingIOError:
@@ -108,12 +108,12 @@ def stood(stacks: str) -> str:
 
 
 def ended(code: int) -> str:
-    """How a program ended, in words, from its exit code; negative: the signal."""
+    """Describe how a program ended, in words, from its exit code; negative: the signal."""
     return f"exit code {code}" if code >= 0 else f"killed by signal {-code} ({signal.strsignal(-code)})"
 
 
 def process_state(pid: int) -> str:
-    """As the kernel says it, such as "T (stopped)"."""
+    """The state of a process as the kernel has it, such as "T (stopped)"."""
     try:
         return next(line for line in Path(f"/proc/{pid}/status").read_text().splitlines() if line.startswith("State:"))[7:]
     except (OSError, StopIteration):

@@ -55,8 +55,8 @@ def confine(group: str, user: str, memory_bytes: int, cpu: float, processes_max:
 
 
 def _leave_networks() -> None:
-    """To a network namespace of its own, where there is nothing, not even the loopback. Whoever is not root needs a user
-    namespace for it, and is in it who he is. Raises PermanentFailure."""
+    """Move to a network namespace of its own, where there is nothing, not even the loopback. Without root this needs a user
+    namespace, in which the user stays the same. Raises PermanentFailure."""
     uid, gid = os.getuid(), os.getgid()
     try:
         _call("unshare", CLONE_NEWNET | (CLONE_NEWUSER if uid else 0))
@@ -70,7 +70,7 @@ def _leave_networks() -> None:
 
 
 def _become(name: str) -> pwd.struct_passwd:
-    """The user who runs the program. Raises PermanentFailure."""
+    """Become the user who runs the program. Raises PermanentFailure."""
     if os.getuid():
         return pwd.getpwuid(os.getuid())  # a simulation on somebody's desk
     try:
@@ -102,7 +102,7 @@ def _call(name: str, *numbers: int) -> None:
 
 
 def main(group: str, user: str, memory_mb: str, cpu: str, processes_max: str, network: str, *command: str) -> int:
-    """Returns only where the program cannot be run; standard error says why."""
+    """Confine this process and run the program. Returns only where that fails; standard error says why."""
     try:
         names = confine(group, user, int(memory_mb) << 20, float(cpu), int(processes_max), network == NETWORK)
         os.execve(command[0], command, names)

@@ -1,4 +1,4 @@
-"""No CAN sockets for this process and all that it starts, for good: a filter of system calls (seccomp).
+"""Forbids CAN sockets to this process and all that it starts, for good: a filter of system calls (seccomp).
 
 Linux lets every user send on every CAN bus, and there is no right to take away: so anyone with a shell could command the
 propellers. Here `socket(AF_CAN)` is answered with "permission denied". Standard library only.
@@ -33,7 +33,7 @@ class _Program(ctypes.Structure):
 
 
 def forbid_can() -> None:
-    """Needs CAP_SYS_ADMIN. Raises OSError."""
+    """Install the filter. Needs CAP_SYS_ADMIN. Raises OSError."""
     machine = os.uname().machine
     if machine not in MACHINES or (struct.calcsize("P") == 8) != machine.endswith("64"):
         raise OSError(errno.ENOSYS, f"not known for {machine}")

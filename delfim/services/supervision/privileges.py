@@ -26,7 +26,7 @@ def set_privileges(settings: config.RuntimeTable) -> None:
 
 
 def asked(name: str, do: Callable[[], object]) -> None:
-    """If permission is missing, warn and go on."""
+    """Make a request; if permission is missing, warn and go on."""
     try:
         do()
     except OSError as error:
@@ -41,5 +41,5 @@ def _mlockall() -> None:
 
 
 def real_time(priority: int) -> None:
-    """For this process; children and threads start with the ordinary scheduler. Raises OSError."""
+    """Make this process real time; children and threads start with the ordinary scheduler. Raises OSError."""
     os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(priority))

@@ -1,4 +1,4 @@
-"""The processes of a session, as /proc tells them: ended together, counted together."""
+"""The processes of a session, from /proc: ended together, counted together."""
 
 import contextlib
 import os
@@ -22,14 +22,14 @@ class Usage(NamedTuple):
 
 
 def end(session: int, number: int) -> None:
-    """Send a signal to all of a session, in the background too, and when the program that began it has ended."""
+    """Send a signal to all processes of a session, also in the background, and when the program that began it has ended."""
     for pid in members(session):
         with contextlib.suppress(ProcessLookupError, PermissionError):  # one that has become another user is not ours to end
             os.kill(pid, number)
 
 
 def kill(session: int) -> None:
-    """Kill all of a session. They are stopped before: programs that start others for ever would outrun us."""
+    """Kill all processes of a session. They are stopped before: programs that start others for ever would outrun us."""
     for _ in range(PASSES):
         end(session, signal.SIGSTOP)
         end(session, signal.SIGKILL)
@@ -48,7 +48,7 @@ async def empty(session: int, within_s: float) -> None:
 
 
 def members(session: int) -> list[int]:
-    """Processes that live in a session."""
+    """The processes that live in a session."""
     return [pid for pid, sid, _ in _all() if sid == session]
 
 
@@ -63,7 +63,7 @@ def usage() -> dict[int, Usage]:
 
 
 def threads(user: int) -> int:
-    """How many threads a user has, which is what the kernel's limit of processes counts."""
+    """The number of a user's threads, which is what the kernel's limit of processes counts."""
     count = 0
     for name in os.listdir("/proc"):
         with contextlib.suppress(OSError, ValueError):
@@ -73,7 +73,7 @@ def threads(user: int) -> int:
 
 
 def _all() -> Iterator[tuple[int, int, list[str]]]:
-    """(process, session, the fields of proc(5) from the third) of every process that lives."""
+    """List (process, session, the fields of proc(5) from the third) of every process that lives."""
     for name in os.listdir("/proc"):
         with contextlib.suppress(OSError, ValueError):  # gone meanwhile, or no process
             fields = Path("/proc", str(int(name)), "stat").read_text().rpartition(")")[2].split()

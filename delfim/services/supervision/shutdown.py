@@ -1,4 +1,4 @@
-"""The last act: programs that use the log partition are ended, it is unmounted, and then the power may be cut (thesis 3.3).
+"""The last act: ends the programs that use the log partition and unmounts it; then the power may be cut (thesis 3.3).
 
 The supervisor runs it, after all its programs have ended. Standard library only; Linux only. Why here: docs/powerd.md.
 """
@@ -51,7 +51,7 @@ def request(place: str | Path, word: Word, reason: str) -> None:
 
 
 def listening(path: Path) -> socket.socket | None:
-    """The supervisor's socket for requests; None if it cannot be opened: signals remain."""
+    """Open the supervisor's socket for requests; None if it cannot be opened: signals remain."""
     path.unlink(missing_ok=True)
     requests = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
     try:
@@ -65,19 +65,19 @@ def listening(path: Path) -> socket.socket | None:
 
 
 def is_listening(place: str | Path) -> bool:
-    """Whether a supervisor would hear a request."""
+    """Whether a supervisor would receive a request."""
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as asking:
         return asking.connect_ex(str(place)) == 0
 
 
 def socket_path(run_directory: str | Path) -> Path:
-    """Where the supervisor listens."""
+    """The path of the supervisor's socket."""
     return Path(run_directory) / "supervisor"
 
 
 def record_path(run_directory: str | Path) -> Path:
-    """The outcome of the last shutdown, as JSON: reason, at_s (since boot), stage "safe" or "held", holders. A restart of the
-    computer takes it away."""
+    """The path of the record of the last shutdown, JSON: reason, at_s (since boot), stage "safe" or "held", holders. A restart
+    of the computer takes it away."""
     return Path(run_directory) / "shutdown.json"
 
 
@@ -96,7 +96,7 @@ def users(mount: str, proc: Path = Path("/proc")) -> list[User]:
 
 
 def _used(process: Path, device: int) -> str:
-    """A path of this device that the process uses; empty: it uses none, or is gone."""
+    """The path of this device that the process uses; empty: it uses none, or is gone."""
     for link in _links(process):
         try:
             if os.stat(link).st_dev == device:
@@ -120,8 +120,8 @@ def _links(process: Path) -> Iterator[str]:
 
 
 def mounts(mount: str, proc: Path = Path("/proc")) -> list[str]:
-    """Where the file system of this mount point is mounted, and what is mounted below it; the last mounted first. Empty
-    where nothing is mounted, or only a part of the root file system: that is not ours to unmount."""
+    """The places where the file system of this mount point is mounted, and what is mounted below it; the last mounted first.
+    Empty where nothing is mounted, or only a part of the root file system: that is not ours to unmount."""
     rows = [line.split()[2:5] for line in _read(proc / "self/mountinfo").splitlines()]
     points = [(device, _unescaped(place)) for device, _, place in rows]
     own = next((device for device, place in reversed(points) if place == mount), None)
@@ -131,12 +131,12 @@ def mounts(mount: str, proc: Path = Path("/proc")) -> list[str]:
 
 
 def _unescaped(place: str) -> str:
-    """The kernel writes spaces and the like as three octal digits."""
+    """Undo the kernel's escapes: it writes spaces and the like as three octal digits."""
     return re.sub(r"\\([0-7]{3})", lambda match: chr(int(match[1], 8)), place)
 
 
 def devices(mount: str, root: Path = Path("/")) -> list[str]:
-    """Users of files below this place in the kernel itself: loop devices and swap files."""
+    """The users of files below this place in the kernel itself: loop devices and swap files."""
     files = [(path.parts[-3], _read(path).strip()) for path in (root / "sys/block").glob("loop*/loop/backing_file")]
     files += [("swap", line.split()[0]) for line in _read(root / "proc/swaps").splitlines()[1:] if line]
     return [f"{name} uses {path}" for name, path in files if path.startswith(mount + "/")]
@@ -196,14 +196,14 @@ def _ended(mount: str, number: signal.Signals, patience_s: float) -> list[User]:
 
 
 def _libc(name: str, *arguments: object) -> None:
-    """Raises OSError."""
+    """Call a function of the C library. Raises OSError."""
     if getattr(ctypes.CDLL(None, use_errno=True), name)(*arguments):
         number = ctypes.get_errno()
         raise OSError(number, os.strerror(number))
 
 
 def _bounded(mount: str, end_s: float) -> list[str]:
-    """`release`, given up where the disk does not answer. Its thread is left behind then; the computer ends anyway."""
+    """Call `release`, and give up where the disk does not answer. Its thread is left behind then; the computer ends anyway."""
     found = [f"{mount} does not answer"]
 
     def attempt() -> None:
@@ -228,7 +228,7 @@ def last_act(
     tell: Callable[[bool, Sequence[str]], None],
     record: Path,
 ) -> bool:
-    """Make it safe to cut the power, and tell so. Returns whether it is.
+    """Make it safe to cut the power, and report it. Returns whether it is.
 
     mount: the log partition's, "" for none. end_s: that its users have after SIGTERM. held_s: after that long in vain it is
     given up. told_s: the outcome is told for so long. tell: gets the outcome so far and the obstacles; never raises.

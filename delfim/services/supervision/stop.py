@@ -31,7 +31,7 @@ def _limit(settings: config.Vehicle) -> Callable[[], contextlib.AbstractContextM
 
 
 class PropellerStop:
-    """When called, stops all actuators. A link that failed is opened anew the next time."""
+    """Stops all actuators when called. A link that failed is opened anew the next time."""
 
     def __init__(self, settings: config.Vehicle) -> None:
         self._settings, self._names, self._limit = settings, settings.drivers, _limit(settings)
@@ -44,7 +44,7 @@ class PropellerStop:
         self._bus: CanSocket | None = None
 
     def __call__(self) -> None:
-        """Raises DelfimError if one of them could not be told; the others were told."""
+        """Stop all actuators. Raises DelfimError if one of them took no stop; the others did."""
         refused = list[str]()
         for name in self._names:
             limit = nullcontext() if find(self._settings.aboard, name) is None else self._limit()
@@ -61,7 +61,7 @@ class PropellerStop:
             raise DelfimError("; ".join(refused))
 
     def tell(self, is_safe: bool, holders: Sequence[str]) -> None:
-        """At the end of a shutdown: a stop once more, and whether the power may be cut."""
+        """Send a stop once more at the end of a shutdown, and whether the power may be cut."""
         stage = ShutdownStage.SAFE if is_safe else ShutdownStage.HELD
         with contextlib.suppress(OSError, DelfimError):  # motors that cannot be told any more keep the bus from nothing
             self()
@@ -73,7 +73,7 @@ class PropellerStop:
             self._bus.sendto(told, CanAddress(SHUTDOWN_ACKNOWLEDGE))
 
     def close(self) -> None:
-        """Close everything, until the next stop: a front seat whose words nobody reads would wait for us."""
+        """Close everything, until the next stop: a front seat whose output nobody reads would wait for us."""
         for _, links in self._opened.values():
             links.close()
         self._opened.clear()
@@ -83,15 +83,15 @@ class PropellerStop:
 
 
 def opened_driver(settings: config.Vehicle, name: str) -> tuple[Actuator, contextlib.ExitStack]:
-    """A driver with links of its own, and what closes them. Raises DelfimError."""
+    """Open a driver with links of its own; returns it with what closes them. Raises DelfimError."""
     with contextlib.ExitStack() as links:
         opened = OpenedLinks(settings, SystemClock(), links)
         return actuators.open_actuator(name, settings, Links(opened.bus, opened.line)), links.pop_all()
 
 
 class CutOff:
-    """The output of the computer that takes motors their pulses or their power, for when nobody else can stop them. When
-    called, sets it; returns what that came to, in words. It is held from the start."""
+    """The output of the computer that takes motors their pulses or their power, for when nobody else can stop them. A call sets
+    it and returns the outcome, in words. It is held from the start."""
 
     def __init__(self, chip: str, line: str, at_high: bool) -> None:
         """`chip`: empty, there is none."""

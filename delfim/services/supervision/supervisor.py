@@ -1,4 +1,4 @@
-"""The supervisor: the parent of all programs, and the dead-man. It fits for PID 1.
+"""The supervisor: the parent of all programs, and the dead-man. It can run as PID 1.
 
 It starts the programs, each in a session of its own, and restarts those that die. Every program gets `--beat-fd N`, the
 write end of a pipe, and beats on it. When the beat stops, whatever the reason, the supervisor has the program write into the
@@ -67,7 +67,7 @@ log = logging.getLogger(__name__)
 
 
 class Supervisor:
-    """`run_forever` does it all.
+    """The supervisor of a boat; `run_forever` does it all.
 
     stop: sends frames that stop the propellers; its exceptions are logged, and the rest goes on.
     calm: called when the runtime beats again after stops: what they opened can be closed.
@@ -112,8 +112,8 @@ class Supervisor:
         self._turn_s = time.monotonic()  # when the last wait was over
 
     def run_forever(self) -> int:
-        """Returns when a signal says so, the critical program ended in order, or nothing is left that could be started.
-        The exit code: EXIT_PERMANENT where a program must not be started again, otherwise 0."""
+        """Supervise until a signal asks for the end, the critical program ended in order, or nothing is left that could be
+        started. Returns the exit code: EXIT_PERMANENT where a program must not be started again, otherwise 0."""
         self._catch_signals()
         try:
             while not self._done():
@@ -136,7 +136,7 @@ class Supervisor:
             signal.signal(number, lambda number, _: self._asked(self._signals[number], signal.Signals(number).name))
 
     def _asked(self, word: Word, reason: str) -> None:
-        """The first one counts."""
+        """Take a request to end; the first one counts."""
         if not self.word:
             self.word, self.reason = word, reason
 
@@ -163,7 +163,7 @@ class Supervisor:
                 self._start(child)
 
     def _due_s(self, child: Child) -> float:
-        """When it is to be started: while the critical program comes up, the others wait."""
+        """The time when it is to be started: while the critical program comes up, the others wait."""
         first = self._critical
         if first is None or child is first or child.program.guard or first.state != "running" or first.beat_s is not None:
             return child.start_s
@@ -179,7 +179,7 @@ class Supervisor:
             self._change(child, "running")
 
     def _reap(self) -> None:
-        """Every process that ended, also those that PID 1 inherited."""
+        """Reap every process that ended, also those that PID 1 inherited."""
         while True:
             try:
                 pid, status = os.waitpid(-1, os.WNOHANG)
@@ -219,7 +219,7 @@ class Supervisor:
             self._change(child, "waiting")
 
     def _kill(self, child: Child, verdict: str) -> None:
-        """The whole group. Its log writers live in sessions of their own and finish what they were given."""
+        """Kill the whole group. Its log writers live in sessions of their own and finish what they were given."""
         child.verdict, child.dead_s = verdict, time.monotonic() + KILL_S
         log.critical("%s: %s", child.program.name, verdict)
         os.killpg(child.pid, signal.SIGKILL)
@@ -227,7 +227,7 @@ class Supervisor:
     # The dead-man.
 
     def _deadline_s(self, child: Child) -> float:
-        """When it has been silent for too long; after that, when it is killed, and when it should be dead."""
+        """The time when it has been silent for too long; after that, when it is killed, and when it should be dead."""
         if child.state != "running":
             return inf
         if child.verdict:
@@ -239,7 +239,7 @@ class Supervisor:
         return child.beat_s + (self._deadman_s if child.is_urgent else SILENT_S)
 
     def _watch_beat(self) -> None:
-        """Who took the processor from us since the wait was over, took the beats from us, too."""
+        """Check the beats, unless the processor was taken from us since the wait was over: that took the beats from us, too."""
         now_s = min(time.monotonic(), self._turn_s + TICK_S)
         for child in self._children:
             if now_s >= self._deadline_s(child):
@@ -250,7 +250,8 @@ class Supervisor:
                 self._noted(child, "does not answer", is_silent=True)
 
     def _overdue(self, child: Child, now_s: float) -> None:
-        """A silent program: the propellers of the critical one are stopped at once, it is asked where it stands, and killed."""
+        """Act on a silent program: the propellers of the critical one are stopped at once, it is asked where it stands, and
+        killed."""
         if child.kill_s < inf:
             self._finish(child, process_state(child.pid))
         elif child.verdict:
@@ -265,7 +266,7 @@ class Supervisor:
             os.kill(child.pid, STACKS_SIGNAL)
 
     def _outlives(self, child: Child) -> None:
-        """It waits in the kernel for hardware that does not answer, and is killed when that does."""
+        """Note that it waits in the kernel for hardware that does not answer, and is killed when that does."""
         child.dead_s = inf
         words = f"does not answer, and cannot be killed: {process_state(child.pid)}"
         if child.program.guard:
@@ -293,7 +294,7 @@ class Supervisor:
         self._tell()
 
     def _keep_stopped(self) -> None:
-        """Stop frames again and again, until a critical program beats."""
+        """Send stop frames again and again, until a critical program beats."""
         now_s = time.monotonic()
         if self._stop_due_s is not None and now_s >= self._stop_due_s:
             self._stop_now()
@@ -311,7 +312,7 @@ class Supervisor:
     # Time.
 
     def _wait(self) -> None:
-        """For a beat, a death, a signal, or the next deadline."""
+        """Wait for a beat, a death, a signal, or the next deadline."""
         now_s = time.monotonic()
         due_s = [self._due_s(child) for child in self._children if child.state == "waiting"]
         due_s += [now_s + TICK_S, *map(self._deadline_s, self._children), inf if self._stop_due_s is None else self._stop_due_s]
@@ -330,8 +331,8 @@ class Supervisor:
         self._watchdog.stroke(b"\0")
 
     def _excuse(self, wait_s: float) -> None:
-        """A turn that took longer than its wait: the computer stood still, or gave the processor to others. Programs that
-        could not beat then are not silent; beats that we could not hear are unknown."""
+        """Excuse the programs after a turn that took longer than its wait: the computer stood still, or gave the processor to
+        others. Programs that could not beat then are not silent; beats that we could not hear are unknown."""
         now_s = time.monotonic()
         lost_s, self._turn_s = max(0.0, now_s - self._turn_s - wait_s), now_s
         for child in self._children:
@@ -353,7 +354,8 @@ class Supervisor:
             self._calm()
 
     def _end(self) -> None:
-        """In order and bounded: the critical program first, which stops the propellers itself; then they are stopped again."""
+        """End in order and bounded: the critical program first, which stops the propellers itself; then they are stopped
+        again."""
         self._is_ending = True
         for child in self._children:
             if child.state == "waiting":  # no longer: who is due, and not started, would keep us from waiting
@@ -369,8 +371,8 @@ class Supervisor:
                 self._keep_stopped()
 
     def _end_guard(self, child: Child) -> None:
-        """It stops its motors as it ends, and takes no stop any more. One that died of anything else left them as they were: it
-        is started once more, and begins with neutral."""
+        """End the outlet. It stops its motors as it ends, and takes no stop any more. One that died of anything else left them
+        as they were: it is started once more, and begins with neutral."""
         self._stop_due_s = None
         self._end_child(child, END_S)
         if child.pid and child.dead_s < inf:

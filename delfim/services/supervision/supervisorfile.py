@@ -1,4 +1,4 @@
-"""supervisor.json in the run directory: what the supervisor tells of its programs, for the others."""
+"""supervisor.json in the run directory: the supervisor's report of its programs, for the others."""
 
 import json
 import os
@@ -11,7 +11,7 @@ from delfim.services.supervision.children import Child
 
 
 def write_state(path: Path, children: Sequence[Child], deadman: dict[str, object] | None) -> None:
-    """Replaces the file. Raises OSError."""
+    """Replace the file. Raises OSError."""
     programs = {
         each.program.name: {
             "state": each.state,

@@ -1,4 +1,4 @@
-"""The hardware watchdog: it restarts the machine when nobody feeds it any more."""
+"""The hardware watchdog: restarts the machine when it is not fed."""
 
 import logging
 import os
@@ -7,7 +7,7 @@ log = logging.getLogger(__name__)
 
 
 class Watchdog:
-    """A device, "" for none; if it does not exist there is none."""
+    """A watchdog device, "" for none; if it does not exist there is none."""
 
     def __init__(self, device: str) -> None:
         self._fd: int | None = None
