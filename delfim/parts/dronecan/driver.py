@@ -26,7 +26,7 @@ HEALTH: Final = ("", "warns", "reports an error", "reports a critical error")
 
 
 class DronecanMotors:
-    """The thrusters of this driver, and what turns them."""
+    """The thrusters of this driver, and the servos that turn them."""
 
     name = "dronecan"
 
@@ -100,13 +100,13 @@ class DronecanMotors:
         return self._say(frames)
 
     def stop(self) -> None:
-        """The zero goes out twice: a receiver may take the first one for a repetition, by its number."""
+        """Stop all motors. The zero goes out twice: a receiver may take the first one for a repetition, by its number."""
         still = self._pack(self._still)
         for arb, data in self._command.frames(still) + self._arming.frames(OFF) + self._command.frames(still):
             self._socket.sendto(data, CanAddress(arb))
 
     def disconnect(self, names: tuple[str, ...]) -> None:
-        """Nothing here cuts the power of a controller: its motor gets zero from now on."""
+        """Keep these motors at zero: nothing here cuts the power of a controller."""
         self._motors = {name: motor for name, motor in self._motors.items() if name not in names}
 
     def read(self, state: State, now_s: float) -> None:
@@ -143,7 +143,7 @@ class DronecanMotors:
         state.thrusters[row.name] = tuple.__new__(ThrusterReport, told)  # half the time of ThrusterReport(...)
 
     def report(self) -> dict[str, object]:
-        """This computer's number, the devices heard, and what was refused."""
+        """The report: this computer's number, the devices heard, and what was refused."""
         nodes = {str(node): {"uptime_s": told.uptime_s, "health": told.health} for node, told in sorted(self._nodes.items())}
         return {"node": self._node, "devices": nodes, "errors": dict(self._receiver.errors + self._errors)}
 

@@ -1,4 +1,4 @@
-"""numbering: numbers for the DroneCAN devices that come without one, and the answers to those who ask this node what it is
+"""numbering: gives numbers to the DroneCAN devices that come without one, and answers requests for this node's information
 (docs/dronecan.md).
 
 A process of its own: the numbers that were given away are kept on the disk, so that a device has the same one tomorrow, and no
@@ -73,7 +73,7 @@ class Numbering:
             self._answer(message, self._place)
 
     def _warn(self, now_s: float) -> None:
-        """Those who asked for a restart are named, once a minute."""
+        """Log, once a minute, the nodes that requested a restart."""
         nodes, self._node.restarts = self._node.restarts, []
         if nodes and now_s - self._warned_s >= WARN_S:
             self._warned_s = now_s
@@ -104,7 +104,7 @@ class Numbering:
 
 
 def identity(machine: Path = Path("/etc/machine-id")) -> Identity:
-    """Of this computer: its unique id is the same after each start, and tells nothing of the machine's own, which is secret."""
+    """The unique id of this computer: the same after each start; it does not reveal the machine's own, which is secret."""
     try:
         secret = read_file(machine)
     except OSError:
@@ -114,7 +114,7 @@ def identity(machine: Path = Path("/etc/machine-id")) -> Identity:
 
 
 def known_numbers(place: Path) -> dict[bytes, int]:
-    """The numbers that were given away; none where the file is missing or damaged, which is logged."""
+    """Read the numbers that were given away; none where the file is missing or damaged, which is logged."""
     try:
         told = parse_json(read_file(place))
         table = {bytes.fromhex(identity): int(node) for identity, node in told.items()}
@@ -139,7 +139,7 @@ def keep(place: Path, table: dict[bytes, int]) -> None:
 
 
 async def serve(runtime: Runtime) -> None:
-    """Until it is cancelled."""
+    """Run the service until it is cancelled."""
     settings = runtime.config
     receiver, node = TransferReceiver((ALLOCATION, NODE_STATUS)), NodeServices(settings.of(Dronecan).node, identity())
     with open_bound(settings.can, settings.of(Dronecan).interface, receiver.filters + node.filters) as bus:

@@ -1,4 +1,4 @@
-"""The messages that motors and batteries wait for: both read them alike, within a bound."""
+"""Receives the messages for motors and batteries: both read them alike, within a bound."""
 
 from collections.abc import Iterator
 
@@ -11,7 +11,7 @@ from delfim.vehicle.state import State
 
 
 def messages(socket: CanSocket, receiver: TransferReceiver, state: State, now_s: float) -> Iterator[tuple[int, Message]]:
-    """Those that the waiting frames make, with their nodes; malformed ones are counted."""
+    """The messages of the waiting frames, with their nodes; malformed ones are counted."""
     for frame in received(socket, state, "dronecan"):
         transfer = receiver.feed(frame, now_s)
         if transfer is None:

@@ -31,7 +31,7 @@ class DronecanBatteries:
         self._told = tuple(Newest[int, BatteryInfo](preferred, stale_s) for _ in SIDES)
 
     def read(self, state: State, now_s: float) -> None:
-        """Malformed reports, and those of a third battery, are counted."""
+        """Read the reports of batteries. Malformed ones, and those of a third battery, are counted."""
         for node, told in messages(self.input, self._receiver, state, now_s):
             if isinstance(told, BatteryInfo):
                 self._hear(state, node, told, now_s)
@@ -47,7 +47,7 @@ class DronecanBatteries:
 
 
 def status_of(told: BatteryInfo) -> BatteriesStatus:
-    """A report in the words of the boat's own nodes."""
+    """Convert a report to that of the boat's own nodes."""
     flags = told.flags
     faults = Fault.OVERHEATED if flags & HOT else Fault(0)
     faults |= Fault.OVERCURRENT if flags & OVERLOAD else Fault(0)

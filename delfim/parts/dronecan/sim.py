@@ -54,7 +54,7 @@ class Esc:
             self.stop()
 
     def turn(self, part: float, now_s: float) -> None:
-        """A command, -1 to 1 of full power."""
+        """Take a command, -1 to 1 of full power."""
         self.commanded_s = now_s
         self._seen_zero = self._seen_zero or (self._armed and not part)
         obeys = self._armed and self._seen_zero
@@ -103,7 +103,7 @@ class Escs:
         return min(self._reports.due_s, self._words.due_s)
 
     def feed(self, frame: Frame, now_s: float) -> None:
-        """A frame of the bus. One that makes no sense changes nothing."""
+        """Take a frame of the bus. One that makes no sense changes nothing."""
         transfer = self._receiver.feed(frame, now_s)
         if transfer is None:
             return
@@ -117,7 +117,7 @@ class Escs:
             return
 
     def _obey(self, kind: int, payload: bytes, now_s: float) -> None:
-        """Raises FormatError."""
+        """Obey a command. Raises FormatError."""
         if kind == ARRAY_COMMAND.id:
             _, items = unpack(ARRAY_COMMAND, payload)
             for number, what, value in zip(items[::3], items[1::3], items[2::3], strict=True):

@@ -70,7 +70,7 @@ class DronecanNavigation:
         self._fusion.hearer = hearer
 
     def read(self, now_s: float) -> Fix | None:
-        """As `DsorNavigation.read`: a fix for each message of the chosen receiver."""
+        """Read as `DsorNavigation.read` does: a fix for each message of the chosen receiver."""
         fix, left = None, MESSAGES_PER_READ
         for _ in range(FRAMES_PER_READ):
             if not left:
@@ -128,8 +128,8 @@ class DronecanNavigation:
         self._fusion.take("heading", node, heading, now_s, accuracy_rad or 0.0)
 
     def _magnetic(self, node: int, m: MagneticField, now_s: float) -> None:
-        """The heading of a compass: tilted as the gyro and the accelerometer of the same node say, flat where it has none. Two
-        antennas are better."""
+        """File the heading of a compass: corrected for the tilt that gyro and accelerometer of the same node give, flat where
+        it has none. Two antennas are better."""
         if self._sensors.setdefault(node, m.sensor) != m.sensor or now_s - self._antennas_s <= self._stale_s:
             return
         circle = self._circles.get(node)
@@ -177,7 +177,7 @@ class DronecanNavigation:
         return fusion.message(position, g.utc_ns or 0, now_s, fix, g.satellites, hdop, g.accuracy_m)
 
     def report(self, now_s: float) -> dict[str, object]:
-        """Which node is used for which kind of data, the devices heard, and what was refused."""
+        """The report: the node used for each kind of data, the devices heard, and what was refused."""
         kinds = {kind: {"node": node, "age_s": age_s} for kind, (node, age_s) in self._fusion.used(now_s).items()}
         devices = {str(node): {"health": health, "age_s": now_s - at_s} for node, (health, at_s) in sorted(self._nodes.items())}
         compasses = {

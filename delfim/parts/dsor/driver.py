@@ -53,7 +53,7 @@ class Propellers:
             self._socket.sendto(PROPELLER_COMMAND.pack(0, 0, 0), CanAddress(arb))
 
     def disconnect(self, names: tuple[str, ...]) -> None:
-        """The contactors open with the next command."""
+        """Open the contactors with the next command."""
         self._batteries = tuple((arb, closed and name not in names, name) for arb, closed, name in self._batteries)
 
     def report(self) -> dict[str, object]:

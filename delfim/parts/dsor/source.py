@@ -27,7 +27,7 @@ class DsorNavigation:
         self._receiver = Receiver(node, lambda message: message.id == NAVIGATION_ID)
 
     def read(self, now_s: float) -> Fix | None:
-        """The next complete message, None when there is none yet. Later frames stay readable. Malformed ones are
+        """Read the next complete message, None when there is none yet. Later frames stay readable. Malformed ones are
         counted."""
         feed, fix, looks = self._receiver.feed, None, 0
         for _ in range(FRAMES_PER_READ):
@@ -63,7 +63,8 @@ class DsorNavigation:
         return tuple.__new__(Fix, (navigation, message.t_ns, now_s))  # half the time of Fix(...)
 
     def _stepped_back(self, navigation: Navigation, now_s: float) -> None:
-        """A message that does not come after the one before, whoever of two sent which. A node that repeats itself is one."""
+        """Whether a message does not come after the one before, whichever of two nodes sent it. A node that repeats itself is
+        one."""
         if self._last is not None and navigation != self._last:
             self._state.count("navigation_twice")
             self._state.twice.append(now_s)

@@ -41,7 +41,7 @@ _BROKER: Final = re.compile(r"(mqtts?)://([A-Za-z0-9.-]+|\[[0-9A-Fa-f:]+\]):(\d{
 
 
 class BrokerPlace(NamedTuple):
-    """Where a broker is, and the first part of the topics of one fleet."""
+    """The address of a broker, and the first part of the topics of one fleet."""
 
     host: str
     port: int
@@ -50,7 +50,7 @@ class BrokerPlace(NamedTuple):
 
     @classmethod
     def of(cls, words: str) -> "BrokerPlace":
-        """Of `mqtts://HOST:PORT/FLEET`. Raises ConfigError."""
+        """Parse `mqtts://HOST:PORT/FLEET`. Raises ConfigError."""
         found = _BROKER(words)
         if found is None or int(found[3]) >= 1 << 16:
             raise ConfigError("broker", words, "no broker", "mqtts://HOST:PORT or mqtts://HOST:PORT/FLEET, or mqtt without TLS")
@@ -62,7 +62,7 @@ class BrokerPlace(NamedTuple):
 
 class BrokerLine:
     """One connection. `hear` gets topic and payload of what comes for `topic`; `held` frames wait at most. `boat`: its name is
-    this end's, and its link is told, by the last will too. `reason` says why there is no connection; empty: there is one.
+    this end's, and its link is published, also by the last will. `reason` says why there is no connection; empty: there is one.
     Raises ConfigError for files that cannot be read."""
 
     def __init__(
@@ -89,7 +89,7 @@ class BrokerLine:
         self._is_cancelled = False
 
     def put(self, topic: str, frame: bytes) -> None:
-        """Sends it soon or never: the oldest gives way."""
+        """Send a frame soon or never: the oldest gives way."""
         if self.reason or len(self._frames) == self._frames.maxlen:
             self.counts["dropped"] += 1
         if not self.reason:
@@ -97,18 +97,18 @@ class BrokerLine:
             self._news.set()
 
     def keep(self, topic: str, state: bytes) -> None:
-        """Sends it as soon as that is possible, in place of the one before; the broker retains it."""
+        """Send a state as soon as that is possible, in place of the one before; the broker retains it."""
         self._kept[topic] = state
         self._news.set()
 
     async def flush(self) -> None:
-        """Waits a moment for what was put last."""
+        """Wait a moment for what was put last."""
         for _ in range(FLUSH_LOOKS):
             if self._frames and not self.reason:
                 await asyncio.sleep(END_S / FLUSH_LOOKS)
 
     async def follow(self) -> None:
-        """Be connected, again and again, until cancelled. Raises ModuleNotFoundError without the package."""
+        """Keep connected until cancelled. Raises ModuleNotFoundError without the package."""
         import aiomqtt
 
         pause_s, longest_s = PAUSES_S
@@ -125,7 +125,7 @@ class BrokerLine:
             await asyncio.sleep(pause_s)
 
     async def _once(self, library: Any) -> None:
-        """One connection, until it ends."""
+        """Keep one connection until it ends."""
         place, link = self.place, self.place.topic(self._boat, LINK)
         client = library.Client(
             place.host,
@@ -166,12 +166,12 @@ class BrokerLine:
             group.create_task(self._listen(client))
 
     async def _tell_again(self, client: "aiomqtt.Client", link: str) -> None:
-        """The will of a connection that this boat lost without a word may be told after it is back."""
+        """Publish the link again: the will of a connection that this boat lost may be published after it is back."""
         await asyncio.sleep(2.0 * ALIVE_S)
         await client.publish(link, b"here", qos=1, retain=True)
 
     async def _send(self, client: "aiomqtt.Client") -> None:
-        """A slow broker slows this down, and frames are dropped."""
+        """Send the waiting frames. A slow broker slows this down, and frames are dropped."""
         task = asyncio.current_task()
         while task is None or not task.cancelling():  # asyncio.wait_for of Python 3.11 gives an answer that comes with the end
             await self._news.wait()
@@ -188,7 +188,7 @@ class BrokerLine:
                 self.counts["sent"] += 1
 
     async def _listen(self, client: "aiomqtt.Client") -> None:
-        """Until the connection ends."""
+        """Receive messages until the connection ends."""
         async for _ in client.messages:
             raise AssertionError("messages are handed over, none comes this way")
 
@@ -203,8 +203,8 @@ class BrokerLine:
 
 
 class _Handover(asyncio.Queue["aiomqtt.Message"]):
-    """In place of the client's queue: messages are taken as they come. If they come too fast they wait at the broker, which
-    drops them, and not here."""
+    """Replaces the client's queue: messages are taken as they come. If they come too fast they wait at the broker, which drops
+    them, and not here."""
 
     def __init__(self, take: "Callable[[aiomqtt.Message], None]") -> None:
         super().__init__()
@@ -215,8 +215,8 @@ class _Handover(asyncio.Queue["aiomqtt.Message"]):
 
 
 def _bound(client: "aiomqtt.Client") -> None:
-    """What is too long is refused as soon as its length is read, and so is what the broker wants to be asked about: the library
-    keeps each such message."""
+    """Bound the client: a message that is too long is refused as soon as its length is read, and so is one that needs an
+    acknowledgement: the library keeps each such message."""
     library: Any = client._client
     receive = library._sock_recv
 
@@ -238,7 +238,7 @@ def _context(authorities: str) -> ssl.SSLContext:
 
 
 def _why(errors: BaseException) -> str:
-    """The first of them, in words."""
+    """The first of these errors, in words."""
     while isinstance(errors, BaseExceptionGroup):
         errors = errors.exceptions[0]
     return str(errors) or type(errors).__name__

@@ -49,7 +49,7 @@ class FleetMember:
         self._unheard = 0
 
     def on_frames(self) -> None:
-        """Frames of the vehicle."""
+        """Forward frames of the vehicle."""
         with contextlib.suppress(BlockingIOError, ConnectionError):
             for _ in range(DATAGRAMS):
                 data, address = self._door.recvfrom(DATAGRAM_BYTES)
@@ -63,7 +63,7 @@ class FleetMember:
             self._unheard += 1
 
     def heard(self, state: BoatReport) -> None:
-        """A state of the vehicle, just published."""
+        """Take a state that the vehicle just published."""
         self._silence, now_s = "", self._clock.monotonic_s()
         if now_s >= self._due_s:
             self._due_s = max(self._due_s, now_s - self._period_s) + self._period_s
@@ -73,7 +73,7 @@ class FleetMember:
         self._silence = why
 
     def report(self) -> dict[str, object]:
-        """JSON-ready."""
+        """The report, JSON-ready."""
         troubles = {"broker": self.line.reason, "vehicle": self._silence}
         return {
             "troubles": {part: words for part, words in troubles.items() if words},
@@ -83,7 +83,7 @@ class FleetMember:
 
 
 def told(state: BoatReport, utc_ns: int) -> dict[str, Any]:
-    """The retained state. Null is unknown; `utc_s` is when it was said, by the boat's computer."""
+    """The retained state. Null is unknown; `utc_s` is when it was published, by the boat's computer."""
     navigation_s = state.age_s.get("navigation")
     return {
         "boat": state.boat,
@@ -106,7 +106,7 @@ def told(state: BoatReport, utc_ns: int) -> dict[str, Any]:
 
 
 async def serve(runtime: Runtime) -> None:
-    """The service."""
+    """Run the service until it is cancelled."""
     settings, status = runtime.config, runtime.status.get("fleetd")
     if status is not None and status.place == "runtime":
         raise PermanentFailure("fleetd: it reckons ciphers, for which the runtime has no time; write place = 'process'")

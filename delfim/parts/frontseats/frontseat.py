@@ -19,13 +19,13 @@ STOPS: Final = 10  # times that a stop is said and taken; then silence, so that 
 
 
 class SeatSide:
-    """A row of the vehicle's file: one side of the boat."""
+    """One side of the boat, a row of the vehicle's file."""
 
     def __init__(self, index: int, row: config.ThrusterTable) -> None:
         self.index, self.name, self.sign = index, row.name, -1.0 if row.reversed else 1.0
 
     def effort(self, sent: Actuation) -> float:
-        """Positive ahead, as its motor is mounted."""
+        """The effort of this side, positive ahead, as its motor is mounted."""
         return self.sign * sent.thrust[self.index]
 
 
@@ -35,16 +35,17 @@ class FrontSeatLine:
     def __init__(
         self, name: str, sides: tuple[SeatSide, SeatSide], line: ReadableLine, stop: bytes, *, stays: bool = False
     ) -> None:
-        """`sides` are starboard and port; `stop` is the sentence that stops the boat. `stays`: it is said before the first
-        command, too, and on and on."""
+        """`sides` are starboard and port; `stop` is the sentence that stops the boat. `stays`: it is sent before the first
+        command, too, and repeated."""
         self._line, self._name, self._stop = line, name, stop
         self._starboard, self._port = sides
         self._stops = math.inf if stays else STOPS
         self._reader, self._stops_left = FieldReader(), math.inf if stays else 0
 
     def send(self, sent: Actuation, words: Callable[[float, float], bytes]) -> int:
-        """A command, or a stop; returns how many rows' commands the line did not take. `words` makes a sentence of the efforts
-        of starboard and port. Before the first command nothing is said, unless it stays: somebody else may be driving."""
+        """Send a command, or a stop; returns how many rows' commands the line did not take. `words` makes a sentence of the
+        efforts of starboard and port. Before the first command nothing is sent, unless the stop stays: somebody else may be
+        driving."""
         if sent.run:
             self._stops_left = self._stops
             said = words(self._starboard.effort(sent), self._port.effort(sent))
@@ -59,12 +60,12 @@ class FrontSeatLine:
         return 0
 
     def stop(self) -> None:
-        """Raises OSError."""
+        """Send a stop. Raises OSError."""
         if not self._line.write(self._stop):
             raise OSError(errno.ENOTCONN, f"the {self._name} does not take the stop")
 
     def heard(self, state: State) -> list[list[str]]:
-        """The fields of the next sentences; malformed ones are counted. The rest stays readable."""
+        """Read the fields of the next sentences; malformed ones are counted. The rest stays readable."""
         before, found, taken = self._reader.malformed, list[list[str]](), 0
         while taken < PIECE_BYTES and (data := self._line.read()):
             taken += len(data)

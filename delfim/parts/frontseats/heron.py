@@ -1,5 +1,5 @@
-"""The Heron of Clearpath as front seat, and boats that speak as it does: the effort of each side in sentences, by TCP or
-a serial line (docs/front-seat.md).
+"""The Heron of Clearpath as front seat, and boats with the same sentences: the effort of each side in sentences, by TCP or a
+serial line (docs/front-seat.md).
 
 The formats are those that public programs for this boat use; the maker's manual was not at hand.
 """
@@ -18,7 +18,7 @@ STILL: Final = framed("PYDIR,0.0,0.0")
 
 
 class Heron:
-    """Its two motors."""
+    """The two motors of a Heron."""
 
     name = "heron"
     period_s: float | None = None
@@ -38,10 +38,10 @@ class Heron:
         self._seat.stop()
 
     def disconnect(self, names: tuple[str, ...]) -> None:
-        """It has no sentence for that."""
+        """Do nothing: it has no sentence for that."""
 
     def read(self, state: State, now_s: float) -> None:
-        """Its battery into the state, as the voltage of both motors. Malformed reports are counted."""
+        """Read its battery into the state, as the voltage of both motors. Malformed reports are counted."""
         for kind, *values in self._seat.heard(state):
             if kind == "CPRBS":
                 try:
@@ -61,12 +61,13 @@ def _sentence(starboard: float, port: float) -> bytes:
 
 
 def _voltage_v(values: list[str]) -> float | None:
-    """Time, number of the battery where it is told, voltage of all, of the weakest and the strongest cell, temperature."""
+    """The battery's voltage, V, from time, number of the battery where there is one, voltage of all, of the weakest and the
+    strongest cell, temperature."""
     if len(values) not in (5, 6):
         raise ValueError("a battery's report has five or six fields")
     return number(values[-4])
 
 
 def open_actuator(settings: config.Vehicle, links: Links) -> Heron:
-    """Raises DelfimError."""
+    """Open the driver. Raises DelfimError."""
     return Heron(*sides(settings, Heron.name), links.line(settings.of(HeronTable).device, settings.of(HeronTable).baud))

@@ -32,7 +32,7 @@ Sticks = tuple[int, int, int, int]  # x, y, z, r of MANUAL_CONTROL
 
 
 class Autopilot(NamedTuple):
-    """How a board is told, and what it says of itself."""
+    """The commands that a board takes, and the reports that it sends."""
 
     name: str
     number: int  # in its heartbeat
@@ -52,7 +52,7 @@ NUMBERS: Final = frozenset(kind.number for kind in KINDS.values())
 
 
 class MavlinkBoard:
-    """Its motors, as two sides."""
+    """The motors of a board, as two sides."""
 
     name = "mavlink_front_seat"
     period_s: float | None = 0.2
@@ -80,8 +80,8 @@ class MavlinkBoard:
         return self._seat.send(sent, lambda starboard, port: self._packed((starboard + port) / 2.0, (port - starboard) / 2.0))
 
     def repeat(self, now_s: float) -> int:
-        """Its heartbeat, as a ground station, whose loss is its own failsafe. A PX4 hears its command again: by default it
-        waits 0.5 s for one."""
+        """Send the heartbeat of a ground station, whose loss is the board's own failsafe. A PX4 gets its command again: by
+        default it waits 0.5 s for one."""
         self._ticks += 1
         if self._ticks % HEARTBEAT_TICKS == 0:
             kind, none, active = dialect.MAV_TYPE_GCS, dialect.MAV_AUTOPILOT_INVALID, dialect.MAV_STATE_ACTIVE
@@ -91,16 +91,16 @@ class MavlinkBoard:
         return self.send(self._sent, now_s) if self._is_px4 else 0
 
     def stop(self) -> None:
-        """A PX4 is disarmed first: whatever its version, its motors are off then."""
+        """Stop the motors. A PX4 is disarmed first: whatever its version, its motors are off then."""
         if self._is_px4:
             self._command(dialect.MAV_CMD_COMPONENT_ARM_DISARM, 0)
         self._seat.stop()
 
     def disconnect(self, names: tuple[str, ...]) -> None:
-        """Disarming it is its operator's."""
+        """Do nothing: disarming it is for its operator."""
 
     def read(self, state: State, now_s: float) -> None:
-        """Its heartbeat and its battery into the state. Other messages are its own affair; malformed ones are counted. What is
+        """Read its heartbeat and its battery into the state. Other messages are ignored; malformed ones are counted. What is
         left over stays readable."""
         taken = 0
         while taken < PIECE_BYTES and (data := self._line.read()):
@@ -157,7 +157,7 @@ class MavlinkBoard:
             )
 
     def _judged(self) -> str:
-        """Why it must not be told anything, in words; empty: it may."""
+        """The reason, in words, why it must not get any command; empty: it may."""
         if self._number is None:
             return "not heard yet"
         if self._number != self._kind.number:
@@ -170,7 +170,7 @@ class MavlinkBoard:
         return f"PX4 {major}.{minor} is older than {OLDEST[0]}.{OLDEST[1]}" if old else ""
 
     def _why_not(self, heartbeat: Any) -> tuple[str, ...]:
-        """Why it does not obey, in words."""
+        """The reason, in words, why it does not obey."""
         if not heartbeat.base_mode & dialect.MAV_MODE_FLAG_SAFETY_ARMED:
             return ("not armed",)
         mode = heartbeat.custom_mode >> self._kind.shift & 0xFF
@@ -178,6 +178,6 @@ class MavlinkBoard:
 
 
 def open_actuator(settings: config.Vehicle, links: Links) -> MavlinkBoard:
-    """Raises DelfimError."""
+    """Open the driver. Raises DelfimError."""
     table = settings.of(MavlinkFrontSeat)
     return MavlinkBoard(table, *sides(settings, MavlinkBoard.name), links.line(table.device, table.baud))

@@ -27,7 +27,7 @@ FIXES: Final = {2: 2, 3: 3, 4: 4, 5: 6, 6: 5, 7: 3, 8: 4}  # GPS_FIX_TYPE as in 
 
 
 class BoardNavigation:
-    """What the board says of itself. A value older than its limit is None in the message."""
+    """Navigation by a board's messages. A value older than its limit is None in the message."""
 
     name = "mavlink_front_seat"
 
@@ -51,11 +51,11 @@ class BoardNavigation:
         return self._second
 
     def hand_on_to(self, inputs: tuple[LoopInput, ...]) -> None:
-        """These read the line's second end."""
+        """Set the readers of the line's second end."""
         self._shares_with = inputs
 
     def read(self, now_s: float) -> Fix | None:
-        """The newest position of the board, None while there is none."""
+        """Read the newest position of the board, None while there is none."""
         fix, taken = None, 0
         while taken < PIECE_BYTES and (data := self._line.read()):
             taken += len(data)
@@ -72,7 +72,7 @@ class BoardNavigation:
         return fix
 
     def report(self, now_s: float) -> dict[str, object]:
-        """How many messages of each kind came, and how old the receiver's last word is."""
+        """The report: how many messages of each kind came, and the age of the receiver's last one."""
         receiver, at_s = self._receiver
         told = None if receiver is None else {"fix": receiver.fix_type, "age_s": round(now_s - at_s, 1)}
         return {"heard": dict(self._heard), "receiver": told}
@@ -100,7 +100,8 @@ class BoardNavigation:
         return self._message(m, now_s)
 
     def _message(self, m: Any, now_s: float) -> Navigation:
-        """Its position counts while its receiver has one: without it the board reckons on for a while."""
+        """The message of navigation. Its position counts while its receiver has one: without it the board reckons on for a
+        while."""
         receiver, at_s = self._receiver
         if receiver is None or now_s - at_s > max(self._stale_s, SLOW_S):
             receiver = None
@@ -130,7 +131,7 @@ class BoardNavigation:
         )
 
     def _ask(self, now_s: float) -> None:
-        """For the messages that are needed, so often: what its parameters say may be slower, or nothing."""
+        """Request the messages that are needed, at their rates: those of its parameters may be slower, or none."""
         if now_s - self._asked_s < ASK_S:
             return
         self._asked_s = now_s

@@ -18,7 +18,7 @@ TROUBLE_S: Final = 10.0  # an error is shown for so long
 
 
 class Otter:
-    """Its two motors."""
+    """The two motors of an Otter."""
 
     name = "otter"
     period_s: float | None = None
@@ -40,10 +40,10 @@ class Otter:
         self._seat.stop()
 
     def disconnect(self, names: tuple[str, ...]) -> None:
-        """It has no sentence for that."""
+        """Do nothing: it has no sentence for that."""
 
     def read(self, state: State, now_s: float) -> None:
-        """Its reports into the state. Malformed ones are counted."""
+        """Read its reports into the state. Malformed ones are counted."""
         for kind, *values in self._seat.heard(state):
             try:
                 if kind == "PMAROTR":
@@ -59,7 +59,7 @@ class Otter:
         return {"mode": self._mode, "fuel": self._fuel, "power_w": self._power_w, "error": self._error}
 
     def _motors(self, values: list[str], state: State, now_s: float) -> None:
-        """Revolutions, temperature and power of port and starboard, power of all, batteries."""
+        """Take revolutions, temperature and power of port and starboard, power of all, batteries."""
         port_rpm, starboard_rpm, port_c, starboard_c, _, _, power_w = (number(each) for each in values[:7])
         faults = (self._error,) if self._error and now_s - self._error_s < TROUBLE_S else None
         self._power_w = power_w
@@ -74,5 +74,5 @@ def _sentence(starboard: float, port: float) -> bytes:
 
 
 def open_actuator(settings: config.Vehicle, links: Links) -> Otter:
-    """Raises DelfimError."""
+    """Open the driver. Raises DelfimError."""
     return Otter(*sides(settings, Otter.name), links.line(settings.of(OtterTable).device, settings.of(OtterTable).baud))

@@ -1,4 +1,4 @@
-"""corrections: RTCM 3 from an NTRIP caster, or from the consoles' link, to the receiver (docs/rtk.md).
+"""corrections: forwards RTCM 3 from an NTRIP caster, or from the consoles' link, to the receiver (docs/rtk.md).
 
 A process of its own: it looks up names, waits for a network that comes and goes, and may have a cipher to reckon. It writes to
 the receiver's port itself, so that the vehicle has nothing to do with corrections but to hear how old they are.
@@ -46,7 +46,7 @@ log = logging.getLogger(__name__)
 
 
 class CorrectionFeed:
-    """The ways by which corrections come, and the receiver to which they go."""
+    """Forwards corrections from their sources to the receiver."""
 
     def __init__(self, settings: config.Vehicle, port: ReceiverPort, clock: Clock) -> None:
         table = settings.of(Corrections)
@@ -62,7 +62,7 @@ class CorrectionFeed:
         self._trouble = "" if self._caster is None else "not connected yet"
 
     def take(self, way: Way, data: bytes) -> bool:
-        """Bytes that came. Returns whether a frame was among them."""
+        """Take bytes of a source. Returns whether a frame was among them."""
         found, now_s = self._frames[way].feed(data), self._clock.monotonic_s()
         if not found:
             return False
@@ -75,7 +75,7 @@ class CorrectionFeed:
         return True
 
     async def follow(self) -> None:
-        """Be connected to the caster, again and again, with growing pauses while it sends nothing."""
+        """Keep connected to the caster, with growing pauses while it sends nothing."""
         assert self._caster is not None
         limits = self._pauses
         pause_s = limits.backoff_s
@@ -103,7 +103,7 @@ class CorrectionFeed:
             pause_s = min(2.0 * pause_s, limits.backoff_max_s)
 
     async def _once(self, caster: Caster) -> None:
-        """One connection, until it ends. Raises CasterRefusal, OSError, TimeoutError."""
+        """Keep one connection until it ends. Raises CasterRefusal, OSError, TimeoutError."""
         async with asyncio.timeout(ANSWER_S):
             stream = await open_stream(caster)
         try:
@@ -127,7 +127,7 @@ class CorrectionFeed:
         self._frames["caster"].reset()
 
     async def tell_place(self) -> None:
-        """The caster of a network of bases reckons corrections for where the boat is."""
+        """Send the caster the boat's position: that of a network of bases computes corrections for it."""
         while True:
             try:
                 async with asyncio.timeout(ANSWER_S):
@@ -158,7 +158,7 @@ class CorrectionFeed:
             await asyncio.sleep(LOOK_S)
 
     def figures(self) -> dict[str, object]:
-        """JSON-ready."""
+        """Figures, JSON-ready."""
         now_s, troubles = self._clock.monotonic_s(), dict[str, str]()
         if self._trouble:
             troubles["caster"] = self._trouble
@@ -178,7 +178,7 @@ class CorrectionFeed:
 
 
 def _why(error: OSError) -> str:
-    """asyncio's words for a connection that failed are its own; the system's are known to everybody."""
+    """The reason of an error: asyncio's words for a failed connection are its own; the system's are known to everybody."""
     if isinstance(error, ssl.SSLCertVerificationError):
         return f"its certificate is not to be trusted: {error.verify_message}"
     return os.strerror(error.errno) if isinstance(error, ConnectionError) and error.errno else in_words(error)
@@ -186,7 +186,7 @@ def _why(error: OSError) -> str:
 
 @contextlib.contextmanager
 def listening(place: Path) -> Iterator[socket.socket]:
-    """The socket at which the vehicle hands over what came by radio."""
+    """Open the socket at which the vehicle hands over what came by radio."""
     place.unlink(missing_ok=True)
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_NONBLOCK) as door:
         door.bind(str(place))
@@ -198,7 +198,7 @@ def listening(place: Path) -> Iterator[socket.socket]:
 
 
 def receiver_port(settings: config.Vehicle) -> ReceiverPort:
-    """The port of the vehicle's file. One of its lines that the vehicle does not read is set up as a port of its own."""
+    """Open the port of the vehicle's file. One of its lines that the vehicle does not read is set up as a port of its own."""
     table = settings.of(Corrections)
     named = settings.of(Nmea0183).ports.get(table.to)
     if named is None:
@@ -208,7 +208,7 @@ def receiver_port(settings: config.Vehicle) -> ReceiverPort:
 
 
 async def serve(runtime: Runtime) -> None:
-    """The service."""
+    """Run the service until it is cancelled."""
     settings = runtime.config
     status = runtime.status.get("corrections")
     if status is not None and status.place == "runtime":

@@ -23,7 +23,7 @@ _CASTER: Final = re.compile(r"(ntrips?)://([^/:]+|\[[0-9A-Fa-f:]+\]):(\d+)/(.+)"
 
 
 class CasterRefusal(DelfimError):
-    """The caster does not send corrections, and says why."""
+    """The refusal of a caster to send corrections, with its reason."""
 
 
 class Caster(NamedTuple):
@@ -34,7 +34,7 @@ class Caster(NamedTuple):
 
     @classmethod
     def of(cls, place: str) -> "Caster":
-        """Of the vehicle's file, which has checked its form."""
+        """The caster of the vehicle's file, which has checked its form."""
         found = _CASTER(place)
         assert found is not None
         kind, host, port, mountpoint = found.groups()
@@ -42,7 +42,8 @@ class Caster(NamedTuple):
 
 
 def request(caster: Caster, credentials: str, gga: bytes) -> bytes:
-    """The rover's words. `credentials` as USER:PASSWORD, or empty; `gga`: the sentence of the present position, or empty."""
+    """The request of the rover. `credentials` as USER:PASSWORD, or empty; `gga`: the sentence of the present position, or
+    empty."""
     host = f"[{caster.host}]" if ":" in caster.host else caster.host
     lines = [
         f"GET /{caster.mountpoint} HTTP/1.1",
@@ -63,7 +64,7 @@ class CasterStream:
         self._reader, self.writer, self._is_chunked = reader, writer, False
 
     async def begin(self, caster: Caster, credentials: str, gga: bytes) -> None:
-        """Ask, and read the head of the answer. Raises CasterRefusal, OSError."""
+        """Send the request, and read the head of the answer. Raises CasterRefusal, OSError."""
         self.writer.write(request(caster, credentials, gga))
         first = await self._line()
         if first.startswith("ICY 200"):
@@ -101,7 +102,7 @@ class CasterStream:
             await self._line()
 
     async def _line(self) -> str:
-        """Without its end; empty at the end of the stream. Raises CasterRefusal."""
+        """Read a line without its end; empty at the end of the stream. Raises CasterRefusal."""
         try:
             return (await self._reader.readline()).decode("latin-1").rstrip("\r\n")
         except ValueError:
@@ -109,7 +110,7 @@ class CasterStream:
 
 
 async def open_stream(caster: Caster) -> CasterStream:
-    """A connection. Raises OSError, also where the certificate is not that of this caster."""
+    """Connect to a caster. Raises OSError, also where the certificate is not that of this caster."""
     context = ssl.create_default_context() if caster.tls else None
     reader, writer = await asyncio.open_connection(caster.host, caster.port, ssl=context, limit=LINE_BYTES)
     return CasterStream(reader, writer)

@@ -1,4 +1,4 @@
-"""The port of a receiver as corrections reach it: written, and never waited for."""
+"""The port of a receiver, for corrections: it is written without waiting."""
 
 import asyncio
 import os
@@ -14,8 +14,8 @@ READS: Final = 16  # in one look
 
 
 class ReceiverPort(SerialLine):
-    """A line with an outbox. `shared`: the vehicle reads this port. It is then opened for writing alone, and its speed and form
-    are left as the vehicle sets them, so that nothing that comes from the receiver is lost."""
+    """A line with an outbox. The port of a receiver. `shared`: the vehicle reads this port. It is then opened for writing
+    alone, and its speed and form are left as the vehicle sets them, so that nothing that comes from the receiver is lost."""
 
     def __init__(self, device: str, baud: int, shared: bool) -> None:
         self.written = self.dropped = 0  # whole pieces
@@ -38,7 +38,7 @@ class ReceiverPort(SerialLine):
         self._flush()
 
     def look(self) -> None:
-        """Call about once a second: opens what is not open, and closes what hung up."""
+        """Open what is not open, and close what hung up; call it about once a second."""
         if self._port < 0:
             self.rebind()
         elif any(events & ~select.EPOLLIN for _, events in self._ready.poll(0)):

@@ -29,7 +29,7 @@ _encode = msgspec.json.Encoder().encode
 
 
 class PilotLine:
-    """Sentences in, set points out: line-of-sight guidance on the line that they tell."""
+    """Turns sentences into set points: line-of-sight guidance on their line."""
 
     def __init__(self, settings: config.Vehicle, line: ReadableLine, guest: Guest) -> None:
         (self._table,), self._guest = settings.facts("guest"), guest
@@ -40,7 +40,7 @@ class PilotLine:
         self._memory, self._heard_s = LineOfSight(), -math.inf
 
     def read(self, state: State, now_s: float) -> None:
-        """The next sentences; the newest set point counts. Malformed sentences, warnings and magnetic bearings without a
+        """Read the next sentences; the newest set point counts. Malformed sentences, warnings and magnetic bearings without a
         known variation are counted, and give none: the guest is silent then."""
         asked, taken, malformed = None, 0, self._fields.malformed
         while taken < PIECE_BYTES and (data := self._line.read()):
@@ -89,7 +89,7 @@ class PilotLine:
 
 
 def opened(boat: OpenedWith) -> Added:
-    """Raises DelfimError."""
+    """Open the guest's line. Raises DelfimError."""
     (table,) = boat.settings.facts("guest")
     line = boat.links.line(table.device, table.baud)
     return Added(inputs=(PilotLine(boat.settings, line, boat.guest),))

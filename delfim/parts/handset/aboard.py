@@ -6,7 +6,7 @@ from delfim.vehicle.aboard import Added, Hand, OpenedWith
 
 
 def opened(boat: OpenedWith) -> Added:
-    """Raises DelfimError."""
+    """Open the operators aboard. Raises DelfimError."""
     hands, settings, links = list[Hand](), boat.settings, boat.links
     if settings.handset.device:
         hands.append(open_handset(settings.handset, links))

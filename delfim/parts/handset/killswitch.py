@@ -13,13 +13,14 @@ NAME: Final = "kill switch"
 
 
 def change(name: str, reason: str, state: State) -> Iterator[console.Kill]:
-    """The order of a switch that says kill for this reason, or does not (empty), if that is new."""
+    """The order of a switch that demands a kill for this reason, or does not (empty), if that is new."""
     if bool(reason) != (name in state.killed.held):
         yield console.Kill(name, reason, "on") if reason else console.Kill(name, switch="off")
 
 
 class KillSwitch:
-    """A `Hand`. The level counts at each look, not only its changes: one may have come before anybody listened."""
+    """A kill switch as a `Hand`. The level counts at each look, not only its changes: one may have come before anybody
+    listened."""
 
     name = NAME
 

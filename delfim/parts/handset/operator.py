@@ -33,7 +33,7 @@ class Debounced:
         self.forget()
 
     def forget(self) -> None:
-        """Its position is unknown."""
+        """Forget the position."""
         self.on, self._seen, self._alike = False, False, 0
         self.is_known = not self._settings.channel
 
@@ -52,7 +52,7 @@ class Debounced:
 
 
 def fraction(stick: config.Stick, pulses: Pulses, neutral: float) -> float:
-    """Of a stick's way, -1 to 1; 0 around the middle."""
+    """The part of a stick's way, -1 to 1; 0 around the middle."""
     off_us = pulses[stick.channel - 1] - stick.middle_us
     part = off_us / (stick.high_us - stick.middle_us if off_us > 0.0 else stick.middle_us - stick.low_us)
     part = 0.0 if abs(part) <= neutral else max(-1.0, min(1.0, part))
@@ -60,7 +60,7 @@ def fraction(stick: config.Stick, pulses: Pulses, neutral: float) -> float:
 
 
 class Handset:
-    """A `Hand`."""
+    """A hand-set as a `Hand`."""
 
     name = HANDSET
 
@@ -89,7 +89,7 @@ class Handset:
             state.handset = HandsetReport(*told)
 
     def _waiting(self) -> Iterator[Pulses]:
-        """All that came, unless the line floods: it is read fifty times a second."""
+        """All data that came, unless the line floods: it is read fifty times a second."""
         for _ in range(PIECES):
             if not (data := self._line.read()):
                 return
@@ -122,7 +122,7 @@ class Handset:
         return math.isfinite(self._heard_s)
 
     def _lost(self, now_s: float) -> str:
-        """Why the hand-set is lost, in words; empty: it is not."""
+        """The reason, in words, why the hand-set is lost; empty: it is not."""
         if self._decoder.lost:
             return f"lost: {self._decoder.lost}"
         if now_s - self._heard_s > self._settings.silent_s:
@@ -162,13 +162,13 @@ class Handset:
             self._ready = self._drove = state.mode is Mode.MANUAL
 
     def _thrust(self) -> tuple[float, float]:
-        """Starboard and port, in hundredths."""
+        """The thrust of starboard and port, in hundredths."""
         starboard, port = (self._throttle + side * self._steer for side in (-1.0, 1.0))
         return round(max(-1.0, min(1.0, starboard)), 2), round(max(-1.0, min(1.0, port)), 2)
 
 
 def open_handset(settings: config.HandsetTable, links: Links) -> Handset:
-    """Raises DelfimError where its port cannot be opened."""
+    """Open the hand-set. Raises DelfimError where its port cannot be opened."""
     if settings.protocol == "sbus":
         return Handset(settings, links.line(settings.device, settings.baud or sbus.BAUD, "8E2"), sbus.Sbus())
     return Handset(settings, links.line(settings.device, settings.baud or crsf.BAUD), crsf.Crsf())

@@ -84,7 +84,7 @@ class Instants:
 
 
 class Combined:
-    """Files what all lines of NMEA 0183 say as readings of PORT:TALKER. Talkers of satellite systems on one port are one
+    """Files the values of all lines of NMEA 0183 as readings of PORT:TALKER. Talkers of satellite systems on one port are one
     receiver, GN."""
 
     def __init__(self, settings: Nmea0183, stale_s: float, measured: dict[str, tuple[float, float]]) -> None:
@@ -97,7 +97,8 @@ class Combined:
         self.strangers = self.repeated = 0
 
     def take(self, port: str, sentence: Sentence, now_s: float) -> Navigation | None:
-        """A message for the vehicle when this sentence completes a position of the chosen talker. Never raises."""
+        """Take a sentence; returns a message for the vehicle when it completes a position of the chosen talker. Never
+        raises."""
         talker = f"{port}:{'GN' if sentence.talker in _GNSS else sentence.talker}"
         if talker not in self._heard_s:
             if len(self._heard_s) == TALKERS_MAX and not self._has_room(talker, port, now_s):
@@ -113,8 +114,8 @@ class Combined:
         return None
 
     def _has_room(self, talker: str, port: str, now_s: float) -> bool:
-        """Forgets the talker that was silent for longest, if it gives no values any more or the new one is preferred: noise
-        makes up talkers, and the receiver must be heard after it."""
+        """Whether there is room for a talker. It drops the one that was silent for longest, if it gives no values any more or
+        the new one is preferred: noise makes up talkers, and the receiver must be heard after it."""
         oldest = min(self._heard_s, key=self._heard_s.__getitem__)
         is_fresh = now_s - self._heard_s[oldest] <= max(SLOW_S, self._stale_s)
         if is_fresh and not {talker, port}.intersection(self._settings.preferred):
@@ -127,7 +128,7 @@ class Combined:
         return True
 
     def _file(self, talker: str, message: object, now_s: float) -> None:
-        """A value that is no position, under its kind."""
+        """File a value that is no position under its kind."""
         match message:
             case Bearing():
                 self._heading(talker, message, now_s)
@@ -174,7 +175,7 @@ class Combined:
         return False
 
     def _heading(self, talker: str, b: Bearing, now_s: float) -> None:
-        """True as it is; else magnetic + variation."""
+        """File a heading: true as it is; else magnetic + variation."""
         if b.variation_rad is not None:
             self.fusion.put("variation", talker, b.variation_rad, now_s)
         rank = 0 if b.magnetic_rad is None else 1 if b.true_rad is not None else 2
@@ -187,7 +188,7 @@ class Combined:
         self.fusion.take("heading", talker, heading, now_s, b.deviation_rad)
 
     def _attitude(self, talker: str, measurements: tuple[Measurement, ...], now_s: float) -> None:
-        """(roll_rad, pitch_rad) of the transducers that the file names."""
+        """File (roll_rad, pitch_rad) of the transducers that the file names."""
         found = []
         for wanted in (self._settings.roll, self._settings.pitch):
             sign = -1.0 if wanted.startswith("-") else 1.0
@@ -199,7 +200,7 @@ class Combined:
             self.fusion.put("attitude", talker, tuple(found), now_s)
 
     def _moving(self, talker: str, formatter: str, said: Located | Movement, now_s: float) -> Navigation | None:
-        """Position and velocity; the message, when an instant of the chosen receiver is complete."""
+        """File position and velocity; returns the message when an instant of the chosen receiver is complete."""
         movement = said if isinstance(said, Movement) else said.movement
         if movement is not None:
             course_rad = movement.course_rad
@@ -219,7 +220,7 @@ class Combined:
         return self._placed(talker, receiver, now_s) if receiver.hear(formatter, located) else None
 
     def _quality(self, talker: str, formatter: str, said: Located, now_s: float) -> None:
-        """Fix, satellites and HDOP, of GGA or GNS where there is one; and what else such a sentence says."""
+        """File fix, satellites and HDOP, of GGA or GNS where there is one; and what else such a sentence has."""
         is_full = formatter in ("GGA", "GNS")
         if said.fix is not None and not self._outranked("quality", talker, 0 if is_full else 1, now_s, True):
             quality = Quality(said.fix, said.satellites or 0, said.hdop, said.corrections_s)

@@ -1,5 +1,4 @@
-"""A line on which UBX frames and NMEA 0183 sentences come as they like: both as the sentences that delfim.lines.nmea0183
-combines.
+"""A line with UBX frames and NMEA 0183 sentences in any order: both become the sentences that delfim.lines.nmea0183 combines.
 
 What UBX tells has the talker UB. A receiver that sends both is believed in UBX, which has the accuracy, and in NMEA 0183 when
 UBX ends.
@@ -31,23 +30,23 @@ NO_ANTENNAS: Final = Antennas(0.0, 0.0)
 
 
 class MixedLine:
-    """As delfim.lines.nmea0183.framing.Sentences, with UBX."""
+    """Reads a line as delfim.lines.nmea0183.framing.Sentences does, and UBX."""
 
     def __init__(self, needs_checksum: bool = True, antennas: Antennas = NO_ANTENNAS) -> None:
-        """needs_checksum: of sentences; a UBX frame always has one."""
+        """needs_checksum: a sentence without a checksum is refused; a UBX frame always has one."""
         self._sentences, self._frames, self._antennas = Sentences(needs_checksum), UbxFrames(), antennas
         self.heard = self._sentences.heard
         self.refused = self._sentences.refused = self._frames.refused
 
     def feed(self, data: bytes) -> list[Sentence]:
-        """The sentences that end in these bytes, in their order. Never raises."""
+        """Parse the sentences that end in these bytes, in their order. Never raises."""
         found: list[Sentence] = []
         for piece in self._frames.feed(data):
             found += self._sentences.feed(piece) if isinstance(piece, bytes) else self._read(piece)
         return found
 
     def _read(self, frame: UbxFrame) -> list[Sentence]:
-        """A sound frame, counted by its name, in sentences; none if it is not read here."""
+        """Convert a sound frame, counted by its name, to sentences; none if it is not used here."""
         name = NAMES.get(frame.kind) or f"UBX {frame.kind >> 8:02X}-{frame.kind & 0xFF:02X}"
         name = name if name in self.heard or len(self.heard) < NAMES_MAX else OTHERS
         self.heard[name] = self.heard.get(name, 0) + 1
@@ -68,7 +67,8 @@ class MixedLine:
         return [Sentence(UBX, "DOP", ActiveSatellites(3, message.hdop))]
 
     def _heading(self, b: Baseline) -> list[Sentence]:
-        """Of two antennas aboard. One that is not to be believed ends the heading at once, and is counted under its reason."""
+        """Take the heading of two antennas aboard. One that is not to be believed ends it at once, and is counted by its
+        reason."""
         length_m, angle_rad = self._antennas
         if not length_m or not b.is_moving:  # the vector to a base ashore is no heading
             return []
@@ -88,7 +88,7 @@ class MixedLine:
 
 
 def _solution(s: Solution) -> list[Sentence]:
-    """Its accuracy, then its position and velocity, which are complete with it."""
+    """The sentences of a solution: its accuracy, then position and velocity, which are complete with it."""
     movement = Movement(None, None, None)
     if s.north_mps is not None and s.east_mps is not None:
         course_rad = math.atan2(s.east_mps, s.north_mps) % math.tau

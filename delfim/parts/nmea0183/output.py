@@ -1,4 +1,4 @@
-"""Navigation told to other instruments, as NMEA 0183 sentences on serial lines and by UDP (docs/nmea0183.md).
+"""Sends navigation to other instruments, as NMEA 0183 sentences on serial lines and by UDP (docs/nmea0183.md).
 
 A few tens of microseconds each time, between navigation and in its turn; nothing here waits.
 """
@@ -18,7 +18,7 @@ from delfim.vehicle.state import State
 
 
 class Outgoing(Protocol):
-    """Where sentences go: a serial line, or `Datagrams`."""
+    """The output of sentences: a serial line, or `Datagrams`."""
 
     def write(self, data: bytes) -> bool: ...  # False when not all was taken
 
@@ -40,7 +40,7 @@ class Datagrams:
 
 
 class Teller:
-    """One table [nmea0183.out.NAME]. Call `tell` every `period_s`."""
+    """The output of one table [nmea0183.out.NAME]. Call `tell` every `period_s`."""
 
     def __init__(self, table: Nmea0183Out, to: Outgoing, stale_s: float, state: State, clock: Clock) -> None:
         self.period_s = 1.0 / table.rate_hz
@@ -49,7 +49,7 @@ class Teller:
         self._told = self._silent = self._lost = 0
 
     def tell(self) -> None:
-        """Nothing while navigation is silent or knows nothing."""
+        """Send the sentences; nothing while navigation is silent or knows nothing."""
         n, age_s = self._state.navigation, self._clock.monotonic_s() - self._state.navigation_s
         data = b"" if n is None or age_s > self._stale_s else b"".join(speak(n) for speak in self._speakers)
         if not data:
@@ -60,7 +60,7 @@ class Teller:
             self._lost += 1
 
     def report(self) -> dict[str, object]:
-        """JSON-ready: how often it told something, knew nothing, and was not heard."""
+        """The report, JSON-ready: how often sentences were sent, navigation was unknown, and the output took nothing."""
         return {"told": self._told, "unknown": self._silent, "lost": self._lost}
 
 
@@ -71,7 +71,7 @@ def tellers(
     state: State,
     clock: Clock,
 ) -> Iterator[tuple[str, Teller]]:
-    """Those of the vehicle's file, by name. `links` closes what is opened here. Raises DelfimError."""
+    """The outputs of the vehicle's file, by name. `links` closes what is opened here. Raises DelfimError."""
     for name, table in settings.of(Nmea0183).out.items():
         to: Outgoing
         if table.to.startswith("udp:"):

@@ -21,7 +21,7 @@ VALUES = (
 
 
 class Instruments:
-    """Lines that carry no navigation."""
+    """The lines that carry no navigation."""
 
     name = "nmea0183"
 
@@ -40,7 +40,7 @@ class Instruments:
 
 
 class ReadByTheSource:
-    """The lines have their one reader."""
+    """Stands for lines that the source reads."""
 
     name = "nmea0183"
 

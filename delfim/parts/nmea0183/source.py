@@ -51,7 +51,7 @@ def _when(piece: LineData) -> int:
 
 
 class AnyPort:
-    """Readable when one of the lines is."""
+    """A descriptor that is readable when one of the lines is."""
 
     def __init__(self, ports: tuple[Port, ...]) -> None:
         self._ready = select.epoll()
@@ -81,7 +81,7 @@ class Nmea0183Navigation:
         self._combined.fusion.hearer = hearer
 
     def read(self, now_s: float) -> Fix | None:
-        """The newest position that is complete, None while there is none. Unreadable sentences are counted."""
+        """Read the newest complete position, None while there is none. Unreadable sentences are counted."""
         fix = None
         for t_ns, port, data in sorted(self._waiting(), key=_when):
             self.t_ns = t_ns
@@ -105,7 +105,7 @@ class Nmea0183Navigation:
             self._hear(f"AIS sentence: {error}", port.name, now_s)
 
     def _waiting(self) -> Iterator[LineData]:
-        """The next piece of one line, of each in its turn: others stay readable, and navigation, which may come by another
+        """Read the next piece of one line, each in its turn: others stay readable, and navigation, which may come by another
         input, comes first. In lock step and in a replay, where nothing waits for a line, all pieces of all lines."""
         ports, self._next = (*self._ports[self._next :], *self._ports[: self._next]), (self._next + 1) % len(self._ports)
         for port in ports:
@@ -117,7 +117,8 @@ class Nmea0183Navigation:
                     return
 
     def report(self, now_s: float) -> dict[str, object]:
-        """The device used for each kind of data, all that talk, and the sentences of each port, taken and refused."""
+        """The report: the device used for each kind of data, all that talk, and the sentences of each port, taken and
+        refused."""
         ports = {
             port.name: {"heard": port.sentences.heard, "refused": port.sentences.refused, "garbled": self._garbled(port, now_s)}
             for port in self._ports
@@ -125,7 +126,7 @@ class Nmea0183Navigation:
         return {**self._combined.status(now_s), "ports": ports}
 
     def _garbled(self, port: Port, now_s: float) -> str:
-        """In words: only nonsense came since a while; empty: not so. A device that was reset speaks at another rate."""
+        """Report in words that only nonsense came for a while; empty: not so. A device that was reset sends at another rate."""
         sound, refused = sum(port.sentences.heard.values()), sum(port.sentences.refused.values())
         since_s, was_sound, was_refused = self._sound.setdefault(port.name, (now_s, sound, refused))
         if sound != was_sound or refused == was_refused:
@@ -143,7 +144,8 @@ def open_source(settings: config.Vehicle, links: Links, state: State) -> Nmea018
 def opened(
     settings: config.Vehicle, links: Links, measured: dict[str, tuple[float, float]], hear: HearAis
 ) -> Nmea0183Navigation:
-    """`measured` gets the values beside navigation, `hear` what is said of other vessels. Raises DelfimError."""
+    """Open the source. `measured` gets the values beside navigation, `hear` the reports of other vessels. Raises
+    DelfimError."""
     table = settings.of(Nmea0183)
     ports = tuple(
         Port(

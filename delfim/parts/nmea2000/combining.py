@@ -59,7 +59,7 @@ _KINDS: Final = {**MOVING, "attitude": SLOW_S, "variation": VARIATION_S, "qualit
 
 
 class Nmea2000Source:
-    """A navigation source made of an NMEA 2000 bus: frames to readings, which are put together by `fusion`."""
+    """Navigation from an NMEA 2000 bus: it makes readings of frames; `fusion` combines them."""
 
     # (arb, mask) to bind a socket to, set mask bits = don't care: the PGNs read here, at any priority, from any address.
     filters: Final = tuple((extended(pgn << 8), extended(7 << 26 | 0xFF) & ~CAN_IDE) for pgn in (*LAYOUTS, CLAIMED))
@@ -76,8 +76,8 @@ class Nmea2000Source:
         self._fast = FastPacket(self._errors)
 
     def feed(self, frame: Frame, now_s: float) -> Navigation | None:
-        """A navigation message when this frame brings a new position of the chosen source, with the newest of everything
-        else. While no source has a position, the message has position None and fix 0. Never raises."""
+        """Take a frame; returns a navigation message when it brings a new position of the chosen source, with the newest of
+        everything else. While no source has a position, the message has position None and fix 0. Never raises."""
         arb, data = frame.arb, frame.data
         if arb & 7 != CAN_IDE:
             self._errors["not an extended data frame"] += 1
@@ -135,7 +135,7 @@ class Nmea2000Source:
         return None
 
     def _gnss(self, address: int, g: GnssPosition, now_s: float) -> Navigation | None:
-        """Quality and time of a receiver; its position too unless it sends the rapid one."""
+        """File quality and time of a receiver; its position too unless it sends the rapid one."""
         self.fusion.set_time(address, g.utc_ns, now_s)
         fix = UNSTATED.fix if g.method is None else _FIX.get(g.method, 0)
         self.fusion.put("quality", address, Quality(fix, g.satellites or 0, g.hdop), now_s)
@@ -159,7 +159,7 @@ class Nmea2000Source:
         return fusion.message(position, fusion.utc_ns(address, now_s), now_s, quality.fix, quality.satellites, quality.hdop)
 
     def _true_heading(self, address: int, h: VesselHeading, now_s: float) -> tuple[float] | None:
-        """Sensor + deviation = magnetic, + variation = true; the compass's own variation first."""
+        """The true heading: sensor + deviation = magnetic, + variation = true; the compass's own variation first."""
         if h.heading_rad is None or h.reference is None:
             return None
         if h.reference is NorthReference.TRUE:
@@ -168,14 +168,14 @@ class Nmea2000Source:
         return ((h.heading_rad + (h.deviation_rad or 0.0) + variation_rad) % TAU,)
 
     def _over_ground(self, address: int, v: CourseSpeed, now_s: float) -> tuple[float, float] | None:
-        """(north_mps, east_mps)."""
+        """The velocity over ground, (north_mps, east_mps)."""
         course_rad = None if v.reference is None else v.course_rad
         if course_rad is not None and v.speed_mps is not None and v.reference is NorthReference.MAGNETIC:
             course_rad += self.fusion.variation_rad(address, now_s)
         return over_ground(course_rad, v.speed_mps)
 
     def status(self, now_s: float) -> SourceStatus:
-        """Devices used, devices heard and refused messages, for the statistics page."""
+        """The status, for the statistics page: devices used, devices heard and refused messages."""
         kinds = {kind: KindStatus(*used) for kind, used in self.fusion.used(now_s).items()}
         names = {address: f"{name:016x}" for address, name in self._names.by_address.items()}
         sources = {

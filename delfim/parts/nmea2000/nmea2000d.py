@@ -1,4 +1,4 @@
-"""nmea2000d: the boat as a device of its NMEA 2000 bus, which tells the others what it knows (docs/nmea2000.md).
+"""nmea2000d: makes the boat a device of its NMEA 2000 bus, which sends others what it knows (docs/nmea2000.md).
 
 A process of its own, which watches the vehicle as a console does and hands nothing back: whatever is said on that bus, it does
 not reach the vehicle from here.
@@ -39,7 +39,7 @@ log = logging.getLogger(__name__)
 
 
 class ParcelQueue:
-    """Messages on their way to the bus, in their order, as fast as it takes them."""
+    """Messages that are to be sent on the bus, in their order, as fast as it takes them."""
 
     def __init__(self, bus: CanSocket) -> None:
         self._bus = bus
@@ -102,7 +102,7 @@ class ParcelQueue:
 
 
 class BoatDevice:
-    """The device, and what the boat tells."""
+    """The device with the messages that the boat sends."""
 
     def __init__(self, bus: CanSocket, settings: config.Vehicle, clock: Clock, address: int, chance: Random) -> None:
         told = settings.of(Nmea2000).send
@@ -125,7 +125,7 @@ class BoatDevice:
         self.tick()
 
     def tick(self) -> None:
-        """Some tens of times a second."""
+        """Send what is due; call it some tens of times a second."""
         now_s = self._clock.monotonic_s()
         if self.parcels.has_returned:
             self.parcels.has_returned = False
@@ -139,7 +139,7 @@ class BoatDevice:
         return any(row.period_s < 0.2 for row in self._rows)
 
     def heard(self, state: BoatReport) -> None:
-        """A state of the vehicle, just published."""
+        """Take a state that the vehicle just published."""
         self._silence = ""
         now_s, device = self._clock.monotonic_s(), self.device
         age_s = state.age_s.get("navigation")
@@ -158,7 +158,7 @@ class BoatDevice:
         self.parcels.drain(device.source, now_s)
 
     def silent(self, why: str) -> None:
-        """The vehicle does not answer, and nothing is told of it."""
+        """Note that the vehicle does not answer: nothing is sent of it."""
         self._silence = why
 
     def _send(self, parcels: list[Parcel]) -> None:
@@ -166,7 +166,7 @@ class BoatDevice:
             self.parcels.put(parcel, self._clock.monotonic_s())
 
     def report(self) -> dict[str, object]:
-        """JSON-ready."""
+        """The report, JSON-ready."""
         troubles = {"NMEA 2000": self.parcels.trouble or self.device.trouble, "navigation": self._silence}
         return {
             "troubles": {part: words for part, words in troubles.items() if words},
@@ -177,7 +177,7 @@ class BoatDevice:
 
 
 class Memory:
-    """The address on the disk: a device has the same one tomorrow."""
+    """Keeps the address on the disk: the device has the same one tomorrow."""
 
     def __init__(self, place: Path) -> None:
         self._place, self.address, self._kept = place, FIRST, -1
@@ -199,7 +199,7 @@ class Memory:
 
 
 async def serve(runtime: Runtime) -> None:
-    """Until it is cancelled."""
+    """Run the service until it is cancelled."""
     status, settings = runtime.status.get("nmea2000d"), runtime.config
     if status is not None and status.place == "runtime":
         raise PermanentFailure("nmea2000d: it waits for the disk, which the runtime must not; write place = 'process'")

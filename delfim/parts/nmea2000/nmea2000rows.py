@@ -1,4 +1,4 @@
-"""The vehicle's state as NMEA 2000 messages: one row a PGN (docs/nmea2000.md). Values that are unknown or old are not told."""
+"""The vehicle's state as NMEA 2000 messages: one row a PGN (docs/nmea2000.md). Unknown and old values are not sent."""
 
 import math
 from collections.abc import Callable, Iterable, Sequence
@@ -16,7 +16,7 @@ _METHODS: Final = {2: 1, 3: 1, 4: 2, 5: 4, 6: 5}  # of PGN 129029, by `Navigatio
 
 
 class Telling(NamedTuple):
-    """A state, and what else its messages need."""
+    """A state, with what else its messages need."""
 
     state: BoatReport
     settings: config.Vehicle
@@ -47,7 +47,7 @@ def gnss(t: Telling) -> Iterable[Said]:
 
 
 def time(t: Telling) -> Iterable[Said]:
-    """Navigation's time, carried on to now."""
+    """UTC: navigation's time, carried on to now."""
     if t.state.utc_ns:
         yield pgns.pack(pgns.SystemTime(t.state.utc_ns + round((t.state.age_s.get("navigation") or 0.0) * 1e9)))
 
@@ -76,7 +76,7 @@ def attitude(t: Telling) -> Iterable[Said]:
 
 
 def rudder(t: Telling) -> Iterable[Said]:
-    """Of thrusters that turn. At the stern, a push to starboard turns the bow to port."""
+    """The message of thrusters that turn. At the stern, a push to starboard turns the bow to port."""
     for instance, (row, facts) in enumerate(_thrusters(t)):
         if row.steer is not None and facts.angle_deg is not None:
             sign = -1.0 if row.x_m < 0.0 else 1.0
@@ -115,7 +115,7 @@ def cross_track(t: Telling) -> Iterable[Said]:
 
 
 def route(t: Telling) -> Iterable[Said]:
-    """The place that the boat steers for."""
+    """The message of the waypoint that the boat steers for."""
     s, r = t.state, t.state.reference
     if r.latitude_deg is None or r.longitude_deg is None or s.latitude_deg is None or s.longitude_deg is None:
         return
@@ -157,7 +157,7 @@ def pgns_of(names: Iterable[str]) -> tuple[int, ...]:
 
 
 class Alerts:
-    """Troubles as alerts: each time that a trouble begins is an occurrence, and its end is told once."""
+    """Troubles as alerts: each time that a trouble begins is an occurrence, and its end is sent once."""
 
     def __init__(self, name: int, aboard: Sequence[Part] = ()) -> None:
         self._name, self._numbers = name, NUMBERS | {row.name: row.number for part in aboard for row in part.troubles}
@@ -165,7 +165,7 @@ class Alerts:
         self._occurrences: dict[str, int] = {}
 
     def told(self, state: BoatReport) -> Iterable[tuple[int, bytes]]:
-        """PGN and data of those that are present, with their words, and of those that have ended."""
+        """PGN and data of the troubles that are present, with their words, and of those that have ended."""
         now = {each.name: each for each in state.notices if each.name in self._numbers}
         for name in self._present.keys() - now.keys():
             yield parcels.ALERT, self._alert(name, self._present.pop(name), ownpgns.NORMAL)
@@ -193,7 +193,7 @@ def _is_fresh(t: Telling, facts: ThrusterFacts) -> bool:
 
 
 def _batteries(t: Telling) -> list[str]:
-    """The nodes with batteries that are heard now."""
+    """The nodes with batteries that are heard at present."""
     names = [name for name in t.state.sysstat if name.startswith("batteries_")]
     return [name for name in sorted(names) if (t.state.age_s.get(name) or 0.0) <= t.settings.sysstat.stale_s]
 

@@ -53,12 +53,12 @@ class Nmea2000Instruments:
         self._fast = {pgn: FastPacket(self._lost) for pgn in FAST}
 
     def read(self, state: State, now_s: float) -> None:
-        """Malformed messages are counted."""
+        """Read the values of the bus. Malformed messages are counted."""
         for frame in received(self.input, state, self.name):
             self.hear(state, frame, now_s)
 
     def hear(self, state: State, frame: Frame, now_s: float) -> None:
-        """One frame. Never raises."""
+        """Take one frame. Never raises."""
         pgn, address, data = frame.arb >> 11 & 0x3FFFF, frame.arb >> 3 & 0xFF, frame.data
         if frame.arb & 7 != CAN_IDE:
             return
@@ -85,7 +85,7 @@ class Nmea2000Instruments:
                 state.measured[name] = value, now_s
 
     def _filed(self, state: State, address: int, told: Told, now_s: float) -> Iterator[tuple[str, float | None]]:
-        """The values of a message; of a battery there are none, it goes into the health at once."""
+        """File the values of a message; those of a battery go into the health at once."""
         if not isinstance(told, Battery | BatteryCharge):
             yield from told or ()
         elif told.instance in self._batteries:

@@ -18,7 +18,7 @@ from delfim.vehicle.state import State
 
 
 class Nmea2000Navigation:
-    """Off-the-shelf sensors."""
+    """Navigation by off-the-shelf sensors."""
 
     name = "nmea2000"
 
@@ -30,7 +30,7 @@ class Nmea2000Navigation:
         self._source.fusion.hearer = hearer
 
     def read(self, now_s: float) -> Fix | None:
-        """As `DsorNavigation.read`: a fix for each message of the chosen position source."""
+        """Read as `DsorNavigation.read` does: a fix for each message of the chosen position source."""
         fix = None
         for _ in range(FRAMES_PER_READ):
             try:
@@ -48,7 +48,7 @@ class Nmea2000Navigation:
         return fix
 
     def report(self, now_s: float) -> dict[str, object]:
-        """Which device is used for which data, which devices send, and counts of refused messages."""
+        """The report: the device used for each kind of data, the devices that send, and counts of refused messages."""
         told: dict[str, object] = msgspec.to_builtins(self._source.status(now_s)._asdict(), str_keys=True)
         return told
 
@@ -60,7 +60,7 @@ def open_source(settings: config.Vehicle, links: Links, state: State) -> Nmea200
 
 
 def opened(settings: config.Vehicle, links: Links, filters: tuple[CanAddress, ...]) -> CanSocket:
-    """The bus. It is only listened to, but for one question at the start, where NAMEs matter: who has which address."""
+    """Open the bus. It is only listened to, but for one request at the start, where NAMEs matter: who has which address."""
     bus = links.bus(settings.of(Nmea2000).interface, filters)
     if settings.of(Nmea2000).joins:
         ((arb, data),) = frames(ROLL_CALL, 0)

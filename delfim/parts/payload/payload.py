@@ -1,4 +1,4 @@
-"""payload: outside programs of the vehicle's file (thesis 2.8, figure 2-7): navigation in, values out.
+"""payload: runs the outside programs of the vehicle's file (thesis 2.8, figure 2-7): navigation in, values out.
 
 A service in a process of its own, so that no pipe of theirs burdens the runtime: it watches the vehicle over the command
 socket as a console does. A program that does not read loses lines, one that floods is slowed down and its lines are dropped
@@ -66,7 +66,7 @@ async def _within(seconds: float, event: asyncio.Event) -> None:
 
 
 class Payload(asyncio.SubprocessProtocol):
-    """One program: its process, its lines, its figures."""
+    """One program with its process, its lines, its figures."""
 
     def __init__(self, name: str, table: PayloadTable, settings: config.Vehicle, clock: Clock, orders: OrderLine) -> None:
         self.name, self._table, self._pauses, self._clock = name, table, settings.supervisor, clock
@@ -108,7 +108,7 @@ class Payload(asyncio.SubprocessProtocol):
             self.restarts += 1
 
     async def _once(self) -> tuple[int, str]:
-        """One life of the program: its exit code, and how it ended in words."""
+        """Run the program once; returns its exit code, and how it ended in words."""
         table, loop = self._table, asyncio.get_running_loop()
         limits = tuple(map(str, (table.memory_max_mb, table.cpu_max, table.processes_max)))
         limits = (*limits, NETWORK if table.network else ALONE)
@@ -194,7 +194,7 @@ class Payload(asyncio.SubprocessProtocol):
             asyncio.get_running_loop().call_later(PAUSE_S, _resume, pipe)
 
     def _hear(self, line: bytes, now_s: float) -> None:
-        """A line of values, or an order, which is logged as it came and answered."""
+        """Take a line of values, or an order, which is logged as it came and answered."""
         word = word_of(line)
         if word is None:
             self._report(line, now_s)
@@ -219,7 +219,7 @@ class Payload(asyncio.SubprocessProtocol):
         self.tell(answered(word, refused))
 
     def _report(self, line: bytes, now_s: float) -> None:
-        """A line of values: logged as it came, the newest of each name kept."""
+        """Take a line of values: it is logged as it came, the newest of each name kept."""
         found = values(line)
         if found is None or len(self.values.keys() | found.keys()) > VALUES:
             self.refused += 1
@@ -231,7 +231,7 @@ class Payload(asyncio.SubprocessProtocol):
     # Its figures.
 
     def look(self, usage: dict[int, processes.Usage], elapsed_s: float) -> None:
-        """Called every LOOK_S with what all sessions of the computer use."""
+        """Update the figures; called every LOOK_S with what all sessions of the computer use."""
         self._log.poll()
         now = usage.get(self._transport.get_pid(), processes.Usage()) if self._transport is not None else processes.Usage()
         self._cpu, self._usage = max(now.cpu_s - self._usage.cpu_s, 0.0) / elapsed_s, now
@@ -246,7 +246,8 @@ class Payload(asyncio.SubprocessProtocol):
         }
 
     def lines(self) -> dict[str, object]:
-        """How many lines it was told, did not read, and reported; how many were dropped or refused; orders by their answers."""
+        """Counts of the lines that were sent, not read, and reported; of those dropped or refused; of orders by their
+        answers."""
         return {
             "told": self.told,
             "unread": self.unread,
@@ -258,7 +259,7 @@ class Payload(asyncio.SubprocessProtocol):
         }
 
     def trouble(self, now_s: float) -> str:
-        """Why somebody should look at it, in words; also for a while after it was started again."""
+        """The reason, in words, why somebody should look at it; also for a while after it was started again."""
         if self.reason and (self.state != "running" or now_s - self.since_s < self._pauses.backoff_max_s):
             return f"{self.state}: {self.reason}"
         return "" if self._log.status().writable else f"its log is not written: {self._log.status().reason}"
@@ -274,7 +275,7 @@ def _resume(pipe: asyncio.ReadTransport) -> None:
 
 
 class Payloads:
-    """All programs, and the state of the vehicle that they are told."""
+    """All programs, and the vehicle's state that they receive."""
 
     def __init__(self, runtime: Runtime) -> None:
         settings, self._clock = runtime.config, runtime.clock
@@ -287,7 +288,7 @@ class Payloads:
         self._trouble = "the vehicle has not answered yet"
 
     async def watch(self) -> None:
-        """Tell the programs what the vehicle publishes."""
+        """Send the programs what the vehicle publishes."""
         await watch(self._socket, self._heard, self._failed)
 
     def _failed(self, why: str) -> None:
@@ -328,7 +329,7 @@ class Payloads:
 
 
 async def serve(runtime: Runtime) -> None:
-    """The service."""
+    """Run the service until it is cancelled."""
     status = runtime.status.get("payload")
     if status is not None and status.place == "runtime":
         raise PermanentFailure("payload: the vehicle does not start programs; write services.payload.place = 'process'")

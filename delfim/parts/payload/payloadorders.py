@@ -1,4 +1,4 @@
-"""The way of payload programs' orders to the vehicle: one connection to its command socket, one order after the other.
+"""Carries orders of payload programs to the vehicle: one connection to its command socket, one order after the other.
 
 The vehicle decides and answers (`delfim/vehicle/orders/entrusting.py`). Here an order waits no longer than a moment, and of
 each program no more than a few do; all others are refused at once.
@@ -42,7 +42,7 @@ _encode: Final = msgspec.json.Encoder().encode
 
 
 class OrderLine:
-    """The connection. `order` hands in an order, `follow` carries them until it is cancelled."""
+    """The connection to the vehicle. `order` hands in an order, `follow` carries them until it is cancelled."""
 
     def __init__(self, socket: str, clock: Clock) -> None:
         self._socket, self._clock = socket, clock
@@ -70,7 +70,7 @@ class OrderLine:
             await asyncio.sleep(AGAIN_S)
 
     async def _carry(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        """The next order, and its answer. Raises OSError, ValueError, DecodeError where the vehicle gives none."""
+        """Carry the next order, and its answer. Raises OSError, ValueError, DecodeError where the vehicle gives none."""
         each = await self._waiting.get()
         why: str | None = "refused: the vehicle did not answer"
         try:

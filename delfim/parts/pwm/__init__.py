@@ -1,1 +1,1 @@
-"""Motors and servos that are told by pulses."""
+"""Motors and servos that are driven by pulses."""

@@ -1,6 +1,5 @@
-"""Motors and servos that are told by pulses (docs/pwm.md). Their ports may block, and a pulse stands until another is
-written: so the outlet, a process of its own, writes them, and this driver sends it a record each cycle.
-"""
+"""Motors and servos that are driven by pulses (docs/pwm.md). Their ports may block, and a pulse stands until another is
+written: so the outlet, a process of its own, writes them, and this driver sends it a record each cycle."""
 
 import errno
 import math
@@ -48,10 +47,11 @@ class Pulses:
             raise OSError(errno.ENOTCONN, "the outlet, which writes the pulses of the motors, does not take the stop")
 
     def disconnect(self, names: tuple[str, ...]) -> None:
-        """Pulses cut no power: that is the kill relay's."""
+        """Do nothing: pulses cut no power, the kill relay does."""
 
     def read(self, state: State, now_s: float) -> None:
-        """Answers of the outlet. A motor that is told by pulses says nothing of itself: only that its pulses are written."""
+        """Read the answers of the outlet. A motor that is driven by pulses reports nothing: only that its pulses are
+        written."""
         while data := self._outlet.read():
             try:
                 self._answer = answer = pulses.unpack_answer(data)
@@ -67,5 +67,5 @@ class Pulses:
 
 
 def open_actuator(settings: config.Vehicle, links: Links) -> Pulses:
-    """Raises DelfimError."""
+    """Open the driver. Raises DelfimError."""
     return Pulses(settings, links.line(f"unix:{pulses.socket_path(settings.runtime.run_directory)}", 0))

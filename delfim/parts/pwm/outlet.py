@@ -1,4 +1,4 @@
-"""The outlet: a process for motors that would turn for ever once told. It writes their pulses, stops them when nobody speaks,
+"""The outlet: a process for motors that keep their last command for ever. It writes their pulses, stops them when nobody sends,
 and does nothing else (docs/pwm.md).
 
 A pulse stands until another one is written, whatever becomes of the program behind it. So the runtime does not write it: it
@@ -39,7 +39,7 @@ log = logging.getLogger(__name__)
 
 
 class Guard:
-    """Decides from what is heard, and when, whether motors may turn. Times are monotonic."""
+    """Decides from the records, and their age, whether motors may turn. Times are monotonic."""
 
     def __init__(self) -> None:
         self.counter = 0  # of the last command
@@ -49,7 +49,7 @@ class Guard:
         self._fractions: tuple[float, ...] | None = None
 
     def hear(self, sender: object, data: bytes, now_s: float) -> None:
-        """A record. Raises FormatError; such a record changes nothing."""
+        """Take a record. Raises FormatError; such a record changes nothing."""
         command = unpack_command(data)
         self.counter = command.counter
         if not command.run:
@@ -59,7 +59,7 @@ class Guard:
         self._counters[sender] = command.counter
 
     def lose(self, sender: object) -> None:
-        """The end of a connection."""
+        """Note the end of a connection."""
         self._counters.pop(sender, None)
         if sender is self._holder:
             self._holder = self._fractions = None
@@ -99,7 +99,7 @@ class Channels:
             self._lose(in_words(error))
 
     def close(self) -> None:
-        """Neutral, for as long as the hardware remembers it."""
+        """Set neutral, for as long as the hardware keeps it."""
         self.put(None, inf)
         if self._port is not None:
             self._port.close()
@@ -122,7 +122,7 @@ class OutletServer:
     """The socket of the outlet and those connected to it."""
 
     def __init__(self, path: Path, channels: Channels) -> None:
-        """Raises OSError where it cannot listen."""
+        """Listen. Raises OSError where it cannot."""
         self._channels, self._guard, self._malformed = channels, Guard(), 0
         self._clients = list[socket.socket]()
         path.unlink(missing_ok=True)
@@ -133,7 +133,7 @@ class OutletServer:
         self._listening.setblocking(False)
 
     def serve(self, ended: Callable[[], str]) -> str:
-        """Until `ended` says why, in words; then neutral. Returns why."""
+        """Serve until `ended` gives a reason, in words; then set neutral. Returns the reason."""
         channels, guard = self._channels, self._guard
         while not (why := ended()):
             channels.put(guard.fractions(now_s := time.monotonic()), now_s)
@@ -166,7 +166,7 @@ class OutletServer:
                 client.close()
 
     def _hear(self, client: socket.socket) -> None:
-        """All that a client sent, or that it is gone."""
+        """Read all that a client sent, or note that it is gone."""
         try:
             for _ in range(RECORDS):
                 if not (data := client.recv(RECORD_BYTES)):
@@ -193,8 +193,8 @@ class OutletServer:
 
 
 def serve(path: Path, pwm: Pwm, channels: tuple[int, ...], beat_fd: int) -> None:
-    """The life of the process, until SIGTERM, SIGINT or the end of the supervisor. `beat_fd`: its pipe, -1 for none. Raises
-    OSError where it cannot listen."""
+    """Run the process until SIGTERM, SIGINT or the end of the supervisor. `beat_fd`: its pipe, -1 for none. Raises OSError
+    where it cannot listen."""
     asked = list[str]()
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda number, _: asked.append(signal.Signals(number).name))

@@ -1,5 +1,5 @@
-"""Pulses for motors and servos: the kernel's PWM by sysfs, and a PCA9685 by the kernel's I2C. Everything here may block, for
-milliseconds on I2C: it is for the outlet's process alone (docs/pwm.md).
+"""The hardware of pulses for motors and servos: the kernel's PWM by sysfs, and a PCA9685 by the kernel's I2C. Everything here
+may block, for milliseconds on I2C: it is for the outlet's process alone (docs/pwm.md).
 
 Sources: Documentation/driver-api/pwm.rst and linux/i2c-dev.h of the kernel; NXP's PCA9685 data sheet, revision 4.
 """
@@ -34,7 +34,7 @@ AWAKE_S: Final = 0.0006  # the oscillator needs 500 us
 
 
 class PulsePort(Protocol):
-    """The hardware. Both methods may block, and raise OSError."""
+    """An output of pulses. Both methods may block, and raise OSError."""
 
     def put(self, pulses_us: Mapping[int, float]) -> None: ...  # the length of the pulse of each channel that is used
     def close(self) -> None: ...  # the last pulses go on
@@ -44,7 +44,7 @@ class SysfsPort:
     """The channels of a PWM chip of the kernel, a folder as /sys/class/pwm/pwmchip0. Raises OSError."""
 
     def __init__(self, chip: Path, rate_hz: float, pulses_us: Mapping[int, float]) -> None:
-        """The channels start with these pulses."""
+        """Open the channels, which start with these pulses."""
         self._duty = dict[int, int]()
         with ExitStack() as opening:
             for channel, pulse_us in pulses_us.items():
@@ -77,7 +77,7 @@ class Pca9685Port:
     """The chip on a bus of the kernel, as /dev/i2c-1. Eight channels are one transfer: 3.1 ms at 100 kHz. Raises OSError."""
 
     def __init__(self, device: str, address: int, clock_hz: float, rate_hz: float, pulses_us: Mapping[int, float]) -> None:
-        """Channels that are not used get no pulses. The others start with these."""
+        """Open the chip. Channels that are not used get no pulses; the others start with these."""
         prescale = min(max(round(clock_hz / (STEPS * rate_hz)) - 1, 3), 255)
         self._steps_per_us = clock_hz / (prescale + 1) / 1e6
         self._fd = os.open(device, os.O_RDWR | os.O_CLOEXEC)
@@ -93,7 +93,7 @@ class Pca9685Port:
             raise
 
     def put(self, pulses_us: Mapping[int, float]) -> None:
-        """A chip that lost its power since has forgotten everything, and sends nothing: that is an error, too."""
+        """Write pulses. A chip that lost its power since sends nothing: that is an error, too."""
         mode = self._read(MODE1)
         if mode & (ASLEEP | INCREMENT) != INCREMENT:
             raise OSError(errno.EIO, "the PCA9685 was reset: is its supply sound?")
@@ -122,14 +122,14 @@ class Pca9685Port:
         return self._transfer(READ, register, BYTE, b"\0")[0]
 
     def _transfer(self, direction: int, register: int, kind: int, data: bytes) -> bytes:
-        """`struct i2c_smbus_ioctl_data`: direction, register, kind, and where the data are."""
+        """Make one transfer of `struct i2c_smbus_ioctl_data`: direction, register, kind, and the address of the data."""
         buffer = array.array("B", data.ljust(34, b"\0"))
         fcntl.ioctl(self._fd, I2C_SMBUS, struct.pack("@BBIP", direction, register, kind, buffer.buffer_info()[0]))
         return buffer.tobytes()
 
 
 def open_port(pwm: Pwm, pulses_us: Mapping[int, float]) -> PulsePort:
-    """The hardware of the vehicle's file, with these pulses already on its channels. Raises OSError, DelfimError."""
+    """Open the hardware of the vehicle's file, with these pulses already on its channels. Raises OSError, DelfimError."""
     found = glob.glob(pwm.chip)
     if len(found) != 1:
         raise DelfimError(f"pwm.chip: {pwm.chip} names {len(found)} chips: is the driver of the hardware loaded?")

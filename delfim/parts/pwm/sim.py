@@ -1,6 +1,5 @@
-"""Motors that are told by pulses: a tree of files stands for the computer's PWM chip, and what the outlet writes there moves
-the thrusters of the model. `delfim sim` tells the motors of front seats in this way, too (docs/simulator.md).
-"""
+"""Motors that are driven by pulses: a tree of files stands for the computer's PWM chip, and what the outlet writes there moves
+the thrusters of the model. `delfim sim` drives the motors of front seats in this way, too (docs/simulator.md)."""
 
 import math
 from pathlib import Path
@@ -22,7 +21,7 @@ class PulseMotor:
     hears: tuple[int, ...] = ()
 
     def __init__(self, model: Model, row: config.ThrusterTable, chip: Path) -> None:
-        """Makes the files of its channels. Raises OSError."""
+        """Make the files of its channels. Raises OSError."""
         self._model, self._row, self._period = model, row, Period(READ_S)
         channels = (row.address,) if row.steer is None else (row.address, row.steer.address)
         self._files = [_made(chip / f"pwm{each}") for each in channels]
@@ -32,7 +31,7 @@ class PulseMotor:
         return self._period.due_s
 
     def feed(self, frame: Frame, now_s: float) -> None:
-        """It is on no bus."""
+        """Ignore the frame: the motor is on no bus."""
 
     def step(self, now_s: float, utc_ns: int) -> list[Frame]:
         if self._period.passed(now_s):
@@ -43,7 +42,7 @@ class PulseMotor:
 
 
 def _made(place: Path) -> Path:
-    """The files of a channel; that of its pulse."""
+    """Make the files of a channel; returns that of its pulse."""
     place.mkdir(parents=True, exist_ok=True)
     for name in ("period", "duty_cycle", "enable"):
         (place / name).write_text("0\n")
@@ -51,7 +50,7 @@ def _made(place: Path) -> Path:
 
 
 def _part(file: Path) -> float:
-    """-1 to 1 of what a channel can say; 0 without pulses."""
+    """The fraction, -1 to 1, that a channel's pulse commands; 0 without pulses."""
     pulse_us = int(file.read_text().partition("\n")[0] or 0) / 1000.0
     if pulse_us < USUAL.astern_us:
         return 0.0
@@ -59,7 +58,7 @@ def _part(file: Path) -> float:
 
 
 def nodes(settings: config.Vehicle, model: Model, seed: int) -> dict[str, PulseMotor]:
-    """None where the chip is a real one: that of a simulation is a folder of its own."""
+    """The motors by name; none where the chip is a real one: that of a simulation is a folder of its own."""
     chip = Path(settings.of(Pwm).chip)
     rows = [row for row in settings.thrusters if row.driver == "pwm" and chip.is_relative_to(settings.runtime.run_directory)]
     return {row.name: PulseMotor(model, row, chip) for row in rows}

@@ -22,14 +22,14 @@ class CdrWriter:
         self.data = bytearray(HEAD)
 
     def put(self, code: str, *numbers: float) -> "CdrWriter":
-        """Numbers of one type, by its letter in `struct`."""
+        """Write numbers of one type, by its letter in `struct`."""
         size = _SIZES[code]
         self.data += bytes(-(len(self.data) - len(HEAD)) % size if numbers else 0)
         self.data += struct.pack(f"<{len(numbers)}{code}", *numbers)
         return self
 
     def text(self, *texts: str) -> "CdrWriter":
-        """Strings: length with the zero at the end, UTF-8."""
+        """Write strings: length with the zero at the end, UTF-8."""
         for each in texts:
             coded = each.encode() + b"\0"
             self.put("I", len(coded))

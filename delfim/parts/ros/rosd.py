@@ -1,4 +1,4 @@
-"""rosd: the boat's topics for ROS 2, over Zenoh as rmw_zenoh has it (docs/ros2.md), without ROS.
+"""rosd: publishes the boat's topics for ROS 2, over Zenoh as rmw_zenoh does (docs/ros2.md), without ROS.
 
 A process of its own: it watches the state over the local command socket and, if asked to, is the guest computer for what ROS
 wants of the boat. It is a client of a Zenoh router and listens nowhere. A router that is away or slow costs messages.
@@ -84,7 +84,7 @@ class RosBoat:
         self._steering.on_goal(*messages.geo_pose(data), self._clock.monotonic_s())
 
     def heard(self, state: BoatReport) -> None:
-        """A state of the vehicle, just published. Navigation is told once, and not when it is old."""
+        """Take a state that the vehicle just published. Navigation is published once, and not when it is old."""
         self._state, self._heard_s = state, self._clock.monotonic_s()
         age_s = state.age_s.get("navigation")
         if state.cycle == self._cycle or age_s is None or age_s > self._settings.navigation.stale_s:
@@ -98,7 +98,7 @@ class RosBoat:
             self._odometry(messages.odometry(state, utc_ns, self._at), utc_ns)
 
     def tick(self) -> None:
-        """Ten times a second: what ROS wants, and once a second what changes slowly."""
+        """Serve ROS ten times a second, and publish once a second what changes slowly."""
         now_s = self._clock.monotonic_s()
         state = self._state if now_s - self._heard_s <= self._settings.navigation.stale_s else None
         for subscriber, take in self._inputs:
@@ -130,7 +130,7 @@ class RosBoat:
         self._diagnostics(messages.diagnostics(name, messages.diagnosis(state), utc_ns), utc_ns)
 
     def report(self) -> dict[str, object]:
-        """JSON-ready."""
+        """The report, JSON-ready."""
         troubles = {} if list(self._session.info.routers_zid()) else {"router": "not connected"}
         if self.guest is not None and self.guest.reason:
             troubles["guest"] = self.guest.reason
@@ -138,7 +138,7 @@ class RosBoat:
 
 
 async def serve(runtime: Runtime) -> None:
-    """The service."""
+    """Run the service until it is cancelled."""
     settings, status = runtime.config, runtime.status.get("rosd")
     if status is not None and status.place == "runtime":
         raise PermanentFailure("rosd: it has threads of its own, which the runtime must not; write place = 'process'")
@@ -165,11 +165,11 @@ async def _tick(boat: RosBoat) -> None:
 
 
 def _ignore(why: str) -> None:
-    """The age of the last state says it."""
+    """Do nothing: the age of the last state shows it."""
 
 
 async def _opened(library: Any, settings: config.Vehicle, runtime: Runtime) -> Any:
-    """A session, once the router answers. Later the client connects again by itself."""
+    """Open a session, once the router answers. Later the client connects again by itself."""
     asked = library.Config()
     keys = {
         "mode": "client",

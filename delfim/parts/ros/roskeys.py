@@ -1,4 +1,4 @@
-"""How rmw_zenoh, ROS 2 over Zenoh, spells topics, nodes and messages (docs/design.md of ros2/rmw_zenoh).
+"""The names of topics, nodes and messages in rmw_zenoh, ROS 2 over Zenoh (docs/design.md of ros2/rmw_zenoh).
 
 A topic's key is `<domain>/<topic>/<type>/<type hash>`. A node and each of its publishers and subscriptions is a liveliness
 token that says what it is; tools such as `ros2 topic list` see those. Beside a message are its number, its time and its sender.
@@ -45,7 +45,7 @@ class RosNode(NamedTuple):
 
 
 def attachment(number: int, utc_ns: int, token: str) -> bytes:
-    """Beside a message: its number from 1 on, its time, and 16 bytes that name the publisher of this token."""
+    """The attachment of a message: its number from 1 on, its time, and 16 bytes that name the publisher of this token."""
     return _ATTACHMENT.pack(number, utc_ns, 16, hashlib.sha256(token.encode()).digest()[:16])
 
 

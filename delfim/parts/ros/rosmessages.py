@@ -44,7 +44,7 @@ def fix(state: BoatReport, utc_ns: int) -> bytes | None:
 
 
 def odometry(state: BoatReport, utc_ns: int, at: Origin) -> bytes | None:
-    """Pose in the plane of the first position, speed as the boat sees it."""
+    """Odometry: pose in the plane of the first position, speed in the boat's axes."""
     heading_deg, course_deg = state.heading_deg, state.course_deg
     if state.latitude_deg is None or state.longitude_deg is None or heading_deg is None or state.speed_mps is None:
         return None
@@ -68,7 +68,7 @@ def imu(state: BoatReport, utc_ns: int) -> bytes | None:
 
 
 def batteries(state: BoatReport, utc_ns: int) -> Iterator[bytes]:
-    """One for each node that reports a charge; `location` is its name."""
+    """Battery states, one for each node that reports a charge; `location` is its name."""
     for name, node in state.sysstat.items():
         if node.charge is not None:
             yield _battery(name, node, utc_ns)
@@ -89,7 +89,7 @@ class Diagnosis(NamedTuple):
 
 
 def diagnosis(state: BoatReport) -> Iterator[Diagnosis]:
-    """The mode, the checks that failed, and each trouble: an error where the boat does something about it."""
+    """Diagnostics: the mode, the checks that failed, and each trouble: an error where the boat does something about it."""
     whose = (("payload", state.helmsman),) if state.helmsman else ()
     yield Diagnosis(OK, "mode", state.mode, (("reason", state.reason), ("operator", state.operator), *whose))
     for check in state.checks:
@@ -123,13 +123,13 @@ def attitude(state: BoatReport, heading_deg: float) -> tuple[float, float, float
 
 
 def twist(data: bytes) -> tuple[float, float]:
-    """Speed ahead, m/s, and rate of turn to starboard, rad/s. Raises FormatError."""
+    """Parse a Twist to speed ahead, m/s, and rate of turn to starboard, rad/s. Raises FormatError."""
     ahead_mps, *_, turn_radps = CdrReader(data).get("d", 6)
     return ahead_mps, -turn_radps
 
 
 def geo_pose(data: bytes) -> tuple[float, float]:
-    """Latitude and longitude in degrees. Raises FormatError."""
+    """Parse a GeoPose to latitude and longitude in degrees. Raises FormatError."""
     reader = CdrReader(data)
     reader.get("i")
     reader.get("I")
@@ -140,7 +140,7 @@ def geo_pose(data: bytes) -> tuple[float, float]:
 
 
 def _stamped(utc_ns: int, frame: str) -> CdrWriter:
-    """std_msgs/Header."""
+    """Write a std_msgs/Header."""
     return CdrWriter().put("i", utc_ns // 1_000_000_000).put("I", utc_ns % 1_000_000_000).text(frame)
 
 

@@ -1,5 +1,5 @@
-"""Twist and goal of ROS 2 as set points of the guest computer (docs/ros2.md): the boat has one door for them, and obeys in mode
-grex only.
+"""Twist and goal of ROS 2 as set points of the guest computer (docs/ros2.md): the boat takes them from one listener, and obeys
+in mode grex only.
 
 The dead-man: a Twist counts for TWIST_S, a goal for GOAL_S, and must come again within that. When neither does, speed 0 is said
 once, then nothing, so that the boat's own time-out (`failsafe.guest_silent`) makes it hold.
@@ -31,14 +31,14 @@ PAUSE_S: Final = 1.0
 
 
 class AskedCourse(NamedTuple):
-    """A set point: 0..360 degrees true, m/s ahead."""
+    """The set point of a guest: course, 0..360 degrees true, and speed, m/s ahead."""
 
     heading_deg: float
     speed_mps: float
 
 
 class Steering:
-    """Which set point is due. `now_s` is monotonic. No socket in here."""
+    """Chooses the set point that is due. `now_s` is monotonic. It has no socket."""
 
     def __init__(self, cruise_mps: float) -> None:
         self._cruise_mps = cruise_mps
@@ -49,19 +49,19 @@ class Steering:
         self._is_asking = False
 
     def on_twist(self, ahead_mps: float, turn_radps: float, now_s: float) -> None:
-        """Raises FormatError for numbers that are not finite."""
+        """Take a Twist. Raises FormatError for numbers that are not finite."""
         if not (math.isfinite(ahead_mps) and math.isfinite(turn_radps)):
             raise FormatError("a Twist that is not finite")
         self._twist, self._twist_s = (min(max(ahead_mps, 0.0), SPEED_MAX_MPS), turn_radps), now_s
 
     def on_goal(self, latitude_deg: float, longitude_deg: float, now_s: float) -> None:
-        """Raises FormatError for what is no place."""
+        """Take a goal. Raises FormatError for what is no position."""
         if not (abs(latitude_deg) <= 89.0 and abs(longitude_deg) <= 180.0):
             raise FormatError("a goal that is no place")
         self._goal, self._goal_s = (latitude_deg, longitude_deg), now_s
 
     def step(self, state: BoatReport, now_s: float) -> AskedCourse | None:
-        """The set point for the boat as it is now; None: say nothing. A Twist counts before a goal."""
+        """The set point for the boat as it is now; None: send nothing. A Twist counts before a goal."""
         dt_s, self._stepped_s = now_s - self._stepped_s, now_s
         asked = None
         if state.heading_deg is not None and now_s - self._twist_s <= TWIST_S:
@@ -77,7 +77,7 @@ class Steering:
         return asked
 
     def _turned(self, heading_rad: float, dt_s: float) -> AskedCourse:
-        """The heading moves as fast as the Twist turns, from where the boat lay."""
+        """The heading after a turn as fast as the Twist's, from where the boat lay."""
         ahead_mps, turn_radps = self._twist
         asked_rad = heading_rad if self._heading_rad is None else self._heading_rad + turn_radps * dt_s
         off_rad = geodesy.wrap(asked_rad - heading_rad)
@@ -99,7 +99,7 @@ class _Challenge(msgspec.Struct, frozen=True):
 
 
 class GuestLine:
-    """The connection to the guest's door. `reason`: why there is none, or empty. Raises ConfigError for a bad key."""
+    """The connection to the guest's listener. `reason`: why there is none, or empty. Raises ConfigError for a bad key."""
 
     def __init__(self, table: GuestTable) -> None:
         self._address = address(table.listen)
@@ -108,12 +108,12 @@ class GuestLine:
         self.reason = "not connected yet"
 
     def say(self, asked: AskedCourse) -> None:
-        """Now or never."""
+        """Send a set point now or never."""
         if self._writer is not None and self._writer.transport.get_write_buffer_size() == 0:
             self._writer.write(msgspec.json.encode(asked._asdict()) + b"\n")
 
     async def follow(self) -> None:
-        """Be connected, again and again, until cancelled."""
+        """Keep connected until cancelled."""
         while True:
             try:
                 await self._once()

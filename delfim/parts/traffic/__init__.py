@@ -1,1 +1,2 @@
-"""Other vessels: heard, tracked, told of (docs/traffic.md). Their data, part of the state, is in `delfim.vehicle.target`."""
+"""Other vessels: received, tracked and reported (docs/traffic.md). Their data, part of the state, is in
+`delfim.vehicle.target`."""

@@ -22,6 +22,6 @@ class VesselWatch:
 
 
 def opened(boat: OpenedWith) -> Added:
-    """Raises DelfimError."""
+    """Open the look-out and the watchkeeper. Raises DelfimError."""
     bus = open_ais_bus(boat.settings, boat.links)
     return Added(VesselWatch(boat), () if bus is None else (bus,))

@@ -1,4 +1,4 @@
-"""AIS on an NMEA 2000 bus: the boat's own receiver or transponder tells of other vessels (docs/traffic.md)."""
+"""AIS on an NMEA 2000 bus: the boat's own receiver or transponder reports other vessels (docs/traffic.md)."""
 
 from collections import Counter
 from typing import Final
@@ -25,12 +25,12 @@ class AisBus:
         self._fast = {pgn: FastPacket(self._lost) for pgn in ais.PGNS}
 
     def read(self, state: State, now_s: float) -> None:
-        """Malformed messages are counted."""
+        """Read the waiting frames. Malformed messages are counted."""
         for frame in received(self._socket, state, NAME):
             self.hear(state, frame, now_s)
 
     def hear(self, state: State, frame: Frame, now_s: float) -> None:
-        """One frame. Never raises."""
+        """Take one frame. Never raises."""
         pgn, address = frame.arb >> 11 & 0x3FFFF, frame.arb >> 3 & 0xFF
         if frame.arb & 7 != CAN_IDE or pgn not in self._fast or address > ADDRESS_MAX:
             return
@@ -46,7 +46,7 @@ class AisBus:
 
 
 def open_ais_bus(settings: config.Vehicle, links: Links) -> AisBus | None:
-    """None where the boat has no such bus, or shall not hear it. Raises DelfimError."""
+    """Open the bus; None where the boat has no such bus, or shall not listen to it. Raises DelfimError."""
     if NAME not in settings.traffic.hears or f"{NAME}.interface" not in settings.outside("interface"):
         return None
     return AisBus(links.bus(settings.table("nmea2000").interface, FILTERS))

@@ -1,4 +1,4 @@
-"""Which vessels are a danger: two levels with hysteresis, by a pure function, for all vessels that are known."""
+"""Decides which vessels are a danger: two levels with hysteresis, by a pure function, for all vessels that are known."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -40,7 +40,7 @@ def dangers(
     before: Alarms,
     now_s: float,
 ) -> Work[tuple[tuple[Danger, ...], Alarms]]:
-    """All vessels, each with its danger, in slices. `passes`: what the guard found. Where it is on guard a danger is only
+    """Judge all vessels, in slices: each gets its danger. `passes`: what the guard found. Where it is on guard a danger is only
     what it finds no way out of."""
     found, after = list[Danger](), dict[str, Alarm]()
     if not plausible(*own):
@@ -80,7 +80,7 @@ def dangers(
 
 
 def _alarm(was: Alarm | None, close: float, near: float, now_s: float) -> Alarm | None:
-    """1 is the limit of either."""
+    """The level of danger; `close` and `near` are 1 at the limit of either."""
     level = "danger" if close < 1.0 else "near" if near < 1.0 else ""
     if was is None:
         return Alarm(level, now_s) if level else None

@@ -35,7 +35,7 @@ class Companion(NamedTuple):
 
 
 class Company(NamedTuple):
-    """Memory from look to look."""
+    """The memory from look to look."""
 
     vessels: Mapping[str, Companion] = {}  # by key
     sailed_m: float = 0.0  # by the boat since its start
@@ -83,7 +83,7 @@ def _seen(known: Companion | None, apart: float, reported_s: float, sailed_m: fl
 
 
 def danger_beside(target: Target) -> Danger:
-    """For people. How near it comes is no question."""
+    """The danger of a companion, for people. How near it comes is no question."""
     key, name = target.key, target.name
     words = f"{name} moves as this boat does and is not avoided. Its own transponder? Then traffic.mmsi = {key[:9]}"
     return Danger(key, math.nan, math.nan, math.nan, "near", words)

@@ -1,4 +1,4 @@
-"""How near two vessels come, in closed form. Pure functions; no clock.
+"""The closest point of approach of two vessels, in closed form. Pure functions; no clock.
 
 The own boat sails straight legs; the other vessel keeps course and speed. Its domain is an ellipse along its course that moves
 with it. Stretch the plane until the ellipse is the unit circle: the approach on a leg is then that of two points, and nearness
@@ -32,7 +32,7 @@ class Domain(NamedTuple):
 
 
 class Approach(NamedTuple):
-    """How a boat on its legs passes a vessel."""
+    """The passage of a boat on its legs by a vessel."""
 
     nearness: float  # least distance, in domains
     at_s: float  # when the boat enters the domain, or, where it does not, is nearest

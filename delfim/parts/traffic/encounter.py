@@ -1,4 +1,4 @@
-"""What two vessels are for each other by the rules of the road (COLREG 13 to 15 and 18), from bearings and speeds alone."""
+"""The duties of two vessels to each other by the rules of the road (COLREG 13 to 15 and 18), from bearings and speeds alone."""
 
 import math
 from typing import Final, Literal, NamedTuple
@@ -31,8 +31,8 @@ class Own(NamedTuple):
 
 
 def duty(own: Own, target: Target) -> Duty:
-    """What the own boat is bound to do for a target. In doubt two vessels meet head-on (rule 14 c). A vessel of rule 18 is
-    never one that has to give way, but where she overtakes (13 a)."""
+    """The own boat's duty to a target. In doubt two vessels meet head-on (rule 14 c). A vessel of rule 18 is never one that has
+    to give way, but where she overtakes (13 a)."""
     bearing_rad = math.atan2(target.east_m - own.east_m, target.north_m - own.north_m)
     seen_rad, seen_by_it_rad = wrap(bearing_rad - own.course_rad), wrap(bearing_rad + math.pi - target.course_rad)
     if target.speed_mps < AT_REST_MPS:
@@ -58,7 +58,7 @@ BEGINNINGS: Final = ("giving way to ", "keeping clear of ", "overtaking ")  # of
 
 
 def words(owed: Duty, target: Target, is_late: bool) -> str:
-    """What the boat does for a target. `is_late`: the target ought to have given way."""
+    """The words for what the boat does for a target. `is_late`: the target ought to have given way."""
     name, privileged = target.name, PRIVILEGED.get(target.status)
     if owed == "at rest":
         return f"keeping clear of {name}, which lies still"
@@ -76,7 +76,7 @@ def words(owed: Duty, target: Target, is_late: bool) -> str:
 
 
 def passing(owed: Duty, ahead: float, starboard: float) -> str:
-    """How the boat passes: where it is, seen from the target, when they are nearest."""
+    """The words for how the boat passes: where it is, seen from the target, when they are nearest."""
     if owed == "head-on":
         return "port to port" if starboard < 0.0 else "starboard to starboard"
     if owed in ("overtaking", "overtaken", "at rest"):

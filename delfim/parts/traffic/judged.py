@@ -1,5 +1,5 @@
-"""Which vessels the guard judges, where there are more than it has time for: those that the boat would meet, the first of them
-first, and then those that could be met. Pure; in slices."""
+"""Selects the vessels that the guard judges, where there are more than it has time for: those that the boat would meet, the
+first of them first, and then those that could be met. Pure; in slices."""
 
 import math
 from collections.abc import Sequence
@@ -19,8 +19,8 @@ ASKED: Final = 2 * PASS  # comparisons that one vessel costs
 def judged(
     limits: Caution, own: Own, route: RouteAhead, choice: Choice | None, targets: Sequence[Target]
 ) -> Work[tuple[Sequence[Target], str]]:
-    """MOST of them at most; and in words, if the boat would meet more than that, along its route or on the course that it was
-    given. Harmless ones about hide nobody."""
+    """Select MOST vessels at most; and report in words if the boat would meet more than that, along its route or on the course
+    that it was given. Harmless ones about hide nobody."""
     if len(targets) <= MOST or not plausible(*own, *(each for point in route.points for each in point)):
         return targets, ""
     ways, ranked = [route_legs(own, route)], list[tuple[float, float, int]]()

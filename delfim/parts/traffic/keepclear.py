@@ -1,4 +1,5 @@
-"""Keeping clear: which course and speed keep the boat clear of other vessels, by the rules, as near to its route as can be.
+"""Collision avoidance: chooses the course and speed that keep the boat clear of other vessels, by the rules, as near to its
+route as can be.
 
 Trial manoeuvres, a reduced form of scenario-based model predictive control (T. A. Johansen, T. Perez, A. Cristofaro, IEEE
 Trans. Intelligent Transportation Systems 17(12), 2016; I. B. Hagen et al., ICRA 2018): going on along the route, and a few
@@ -56,7 +57,7 @@ _new = tuple.__new__  # a third of the time of Seen(...): a decision makes some 
 
 
 class PassedBy(NamedTuple):
-    """How the boat will pass a vessel, within twice the time looked ahead."""
+    """The passage of a vessel by the boat, within twice the time looked ahead."""
 
     key: str
     without: Approach  # if it goes on along its route
@@ -64,7 +65,7 @@ class PassedBy(NamedTuple):
 
 
 class Choice(NamedTuple):
-    """A trial that won."""
+    """The winning trial."""
 
     course_rad: float
     part: float  # of the speed that is asked for
@@ -118,14 +119,14 @@ class Scene(NamedTuple):
 def decide(
     limits: Caution, memory: Memory, own: Own, route: RouteAhead, targets: Sequence[Target], around: Fence | None, now_s: float
 ) -> Decision:
-    """One decision, at once."""
+    """Make one decision, at once."""
     return Sliced(deciding(limits, memory, own, route, targets, around, now_s)).finish()
 
 
 def deciding(
     limits: Caution, memory: Memory, own: Own, route: RouteAhead, targets: Sequence[Target], around: Fence | None, now_s: float
 ) -> Work[Decision]:
-    """One decision, once a second. Never raises; input that is not finite counts as not there."""
+    """Make one decision, once a second. Never raises; input that is not finite counts as not there."""
     if not (plausible(*own, *chain.from_iterable(route.points)) and 0.0 <= route.speed_mps < PLAUSIBLE_MPS):
         return Decision(Memory(), None, ())
     on = route_legs(own, route)
@@ -198,7 +199,7 @@ def _in_question(
 
 
 def measured(limits: Caution, own: Own, speed_mps: float, target: Target) -> WideBerth:
-    """A vessel's domain, and how long it matters."""
+    """The domain of a vessel, and how long it matters."""
     length_m, margin_m, least_s = target.length_m, target.margin_m, limits.look_s
     more_m = (margin_m if 0.0 < margin_m < PLAUSIBLE_M else 0.0) + limits.length_m / 2.0
     ahead_m = max(AHEAD_LENGTHS * length_m, AHEAD_MIN_M) + more_m
@@ -350,7 +351,7 @@ def _ordered(
 
 
 def _said(this: Seen, on: Sequence[Leg], legs: Sequence[Leg]) -> str:
-    """What is done for a vessel, how it is passed, and how far away."""
+    """The words for what is done for a vessel, how it is passed, and how far away."""
     passed = approach(this.around, legs, 2.0 * this.look_s)
     cpa_m = approach(domain(this.target, 1.0, 1.0), legs, 2.0 * this.look_s).nearness
     owed: Duty = this.duty or "give-way"

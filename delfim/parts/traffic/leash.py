@@ -1,4 +1,4 @@
-"""How far, and for how long, others may move the boat: a bound for the guard, who believes whatever AIS tells.
+"""Bounds how far, and for how long, others may move the boat: the guard believes whatever AIS reports.
 
 Anybody with a transmitter can pretend to be a ship, or a fleet of them that follows the boat. From the leg or the place that
 the boat was told to keep the guard leads it no farther than `away_m`, and under way for no longer than `away_s`; then it rests
@@ -20,7 +20,7 @@ LOOK_S: Final = 10.0  # between two looks, at most
 
 
 class Leash(NamedTuple):
-    """What the guard did with the boat so far."""
+    """The displacement of the boat by the guard so far."""
 
     task: object = None  # of the boat; another one has another way
     way: tuple[Point, ...] = ()  # that the boat was led from; empty: it was not
@@ -56,7 +56,7 @@ def paid_out(
 
 
 def _away_m(way: tuple[Point, ...], here: Point) -> float:
-    """From a way in straight pieces."""
+    """The distance from a way in straight pieces, m."""
     if len(way) == 1:
         return math.dist(way[0], here)
     return min(from_segment(a, (b[0] - a[0], b[1] - a[1]), here) for a, b in pairwise(way))

@@ -1,5 +1,5 @@
-"""The look-out: ten times a second some reports into the tracker, once a second all vessels into the vehicle's state, a slice
-of them at a time."""
+"""The look-out: files some reports into the tracker ten times a second, and once a second all vessels into the vehicle's state,
+a slice of them at a time."""
 
 from itertools import islice
 from typing import Final
@@ -25,14 +25,14 @@ class TrafficLookout:
         self._look: Sliced[tuple[Target, ...]] | None = None
 
     def hear(self, state: State) -> None:
-        """Call it with the watchdog. Never raises."""
+        """File waiting reports; call it with the watchdog. Never raises."""
         waiting = state.heard
         if waiting:
             for name in tuple(islice(waiting, AT_ONCE)):
                 self._take(waiting.pop(name))
 
     def look(self, state: State, now_s: float) -> None:
-        """Call it after `hear` where nothing else has a slice of work to do. Never raises."""
+        """Do a slice of work; call it after `hear` where nothing else has one to do. Never raises."""
         tracker = self.tracker
         if self._look is None:
             if now_s - self._looked_s < LOOK_S or tracker.heard_s == tracker.own_s == NEVER_S:
@@ -55,7 +55,7 @@ class TrafficLookout:
             )
 
     def _unclear(self, state: State) -> str:
-        """Why the vessels that are known may not be all, in words; empty: nothing speaks for it."""
+        """The reason, in words, why the vessels that are known may not be all; empty: there is none."""
         now_s, dropped, (disputed_s, name) = self._looked_s, state.counts.get("traffic_dropped", 0), self.tracker.disputed
         if dropped > self._dropped:
             self._dropped, self._flooded_s = dropped, now_s
@@ -76,6 +76,6 @@ class TrafficLookout:
 
 
 def _nobody() -> Work[tuple[Target, ...]]:
-    """Without a plane nobody has a place."""
+    """No vessels: without a plane none has a position."""
     yield 0
     return ()

@@ -1,4 +1,4 @@
-"""One vessel: its last report, and where it is now by dead reckoning, with how far that may be wrong (docs/traffic.md)."""
+"""One vessel: its last report, and its position now by dead reckoning, with the possible error (docs/traffic.md)."""
 
 import math
 from dataclasses import dataclass
@@ -38,7 +38,7 @@ SIZES: Final = {"A": (50.0, 10.0), "B": (15.0, 5.0), "fleet": (5.0, 2.5), "paylo
 
 @dataclass(slots=True)
 class VesselTrack:
-    """A vessel that was heard. Angles in rad, None where they are not known."""
+    """The track of a vessel that was heard. Angles in rad, None where they are not known."""
 
     kind: str
     by: str  # the way by which its last report came
@@ -62,12 +62,12 @@ class VesselTrack:
     doubt_s: float = NEVER_S
 
     def can_be_at(self, new: "VesselTrack") -> bool:
-        """Whether it can have come there since its last report."""
+        """Whether the vessel can have come there since its last report."""
         most_m = JUMP_M + JUMP_MPS * max(new.at_s - self.at_s, 0.0)
         return math.hypot(*self._way_to(new)) <= most_m
 
     def _way_to(self, new: "VesselTrack") -> tuple[float, float]:
-        """North and east, m."""
+        """The way to a new position: north and east, m."""
         east = wrap(new.longitude_rad - self.longitude_rad) * math.cos((self.latitude_rad + new.latitude_rad) / 2.0)
         return RADIUS_M * (new.latitude_rad - self.latitude_rad), RADIUS_M * east
 
@@ -93,17 +93,17 @@ class VesselTrack:
         self.doubt_s = now_s
 
     def is_at(self, new: "VesselTrack") -> bool:
-        """Whether that is the same place, but for rounding."""
+        """Whether a report has the same position, but for rounding."""
         north, east = new.latitude_rad - self.latitude_rad, wrap(new.longitude_rad - self.longitude_rad)
         return abs(north) <= SAME_RAD and abs(east) <= SAME_RAD
 
     def is_stuck(self, new: "VesselTrack") -> bool:
-        """Whether a receiver repeats an old place of a vessel that says that it moves."""
+        """Whether a receiver repeats an old position of a vessel that reports that it moves."""
         speed_mps = new.speed_mps or 0.0
         return speed_mps >= BOW_MPS and speed_mps * (new.at_s - self.at_s) > STUCK_M and self.is_at(new)
 
     def take(self, new: "VesselTrack") -> None:
-        """The next report. A velocity that it does not tell is made of two positions."""
+        """Take the next report. A velocity that it lacks is computed from two positions."""
         self.by, self.at_s, self.second, self.status = new.by, new.at_s, new.second, new.status
         self.latitude_rad, self.longitude_rad = new.latitude_rad, new.longitude_rad
         self.heading_rad, self.rate_radps = new.heading_rad, new.rate_radps
@@ -120,7 +120,7 @@ class VesselTrack:
             self.speed_mps = new.speed_mps
 
     def measure(self, facts: VesselFacts) -> None:
-        """Name and size, and where the antenna stands. A size that no vessel has is not known."""
+        """Take name and size, and where the antenna stands. A size that no vessel has counts as unknown."""
         self.name = facts.name or self.name
         length_m, beam_m = facts.length_m or 0.0, facts.beam_m or 0.0
         if not (LENGTH_M[0] <= length_m <= LENGTH_M[1] and BEAM_M[0] <= beam_m <= BEAM_M[1]):
@@ -139,13 +139,13 @@ class VesselTrack:
 
     @property
     def haste(self) -> float:
-        """By how much the limit of silence of class A is shorter at this speed."""
+        """The factor by which the limit of silence of class A is shorter at this speed."""
         speed_mps = self.speed_mps or 0.0
         return 1.0 if speed_mps < FAST_MPS else 0.6 if speed_mps < FASTER_MPS else 0.5
 
     @property
     def _velocity(self) -> tuple[float, float] | None:
-        """North and east, m/s; None: not known."""
+        """The velocity to north and east, m/s; None: not known."""
         if self._lies:
             return 0.0, 0.0
         if self.speed_mps is None or self.course_rad is None:

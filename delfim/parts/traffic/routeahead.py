@@ -1,4 +1,4 @@
-"""The way that a mode will take, as points and a speed for the guard. Pure, and bounded in the number of points."""
+"""The route ahead in a mode, as points and a speed for the guard. Pure, and bounded in the number of points."""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -23,7 +23,7 @@ UNDER_WAY_MPS: Final = 0.4  # below this the course over ground means nothing
 
 
 def own_of(motion: Motion) -> Own:
-    """The boat; its course is its heading while it hardly moves."""
+    """The boat as the guard sees it; its course is its heading while it hardly moves."""
     speed_mps = math.hypot(motion.north_mps, motion.east_mps)
     is_under_way = speed_mps > UNDER_WAY_MPS or "heading" not in motion.has
     course_rad = math.atan2(motion.east_mps, motion.north_mps) if is_under_way else motion.heading_rad
@@ -31,8 +31,8 @@ def own_of(motion: Motion) -> Own:
 
 
 def route_ahead(mode: Mode, memory: Memory, setpoint: Setpoint, motion: Motion, settings: Settings) -> RouteAhead:
-    """A boat that stays at a place goes back there; without a mode's own way it goes on as it does. Whatever is asked, it goes
-    no faster than its file allows, or than it goes by hand."""
+    """The route ahead. A boat that stays at a place goes back there; without a mode's own way it goes on as it does. Whatever
+    is requested, it goes no faster than its file allows, or than it goes by hand."""
     own, speeds, override_mps, has_end = own_of(motion), settings.control.speed, setpoint.override_mps, True
     points, speed_mps, here = list[Point](), 0.0, (memory.north_m, memory.east_m)  # the last: where it stays, if it does
     if mode is Mode.PLAY and setpoint.plan is not None and not memory.left_s > 0.0:
@@ -64,7 +64,7 @@ def route_ahead(mode: Mode, memory: Memory, setpoint: Setpoint, motion: Motion, 
 
 
 def _along_path(memory: Memory, setpoint: Setpoint, motion: Motion, settings: Settings) -> tuple[list[Point], float]:
-    """From beside the path the boat comes onto it at 45 degrees, then along its pieces."""
+    """The route onto the path at 45 degrees from beside it, then along its pieces."""
     assert setpoint.plan is not None
     path, first, leg = setpoint.plan.path, list[Point](), memory.leg
     if leg < 0:
@@ -81,7 +81,7 @@ def _along_path(memory: Memory, setpoint: Setpoint, motion: Motion, settings: Se
 
 
 def _ends(pieces: Sequence[Line | Arc], swept_rad: float) -> Iterator[Point]:
-    """Where straight pieces end, and chords of arcs; `swept_rad`: of the first piece."""
+    """The ends of straight pieces, and of chords of arcs; `swept_rad`: of the first piece."""
     for piece in pieces:
         if isinstance(piece, Line):
             yield piece.to_north_m, piece.to_east_m

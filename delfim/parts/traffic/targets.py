@@ -1,4 +1,4 @@
-"""The tracker: reports of other vessels in, whichever way they came, and where each of them is now (docs/traffic.md).
+"""The tracker: files reports of other vessels, whichever way they came, and gives each one's position now (docs/traffic.md).
 
 Pure but for its own tables, which are bounded: no clock, no input or output, no exception for any report. A report
 costs the same however many vessels are known; `at` looks at each vessel once, and `looked` does so in slices.
@@ -55,7 +55,7 @@ class Tracker:
         return len(self._tracks)
 
     def hear(self, position: VesselPosition, by: str, now_s: float, key: str = "") -> None:
-        """A report of AIS, or with `key` one of a sister or a payload."""
+        """Take a report of AIS, or with `key` one of a sister or a payload."""
         number = f"{position.mmsi:09d}"
         if not key and (position.is_own or position.mmsi == self._settings.mmsi):
             self.own_s = now_s
@@ -74,7 +74,7 @@ class Tracker:
             self._place(key or number, new, bool(key))
 
     def facts(self, facts: VesselFacts, now_s: float, key: str = "") -> None:
-        """Name and size, or a part of them: what is not told keeps."""
+        """Take name and size, or a part of them: what is not reported stays."""
         if not key and (facts.is_own or facts.mmsi == self._settings.mmsi):
             self.own_s = now_s
             return
@@ -256,7 +256,7 @@ def kept_s(track: VesselTrack) -> float:
 
 
 def _keys(key: str) -> tuple[str, ...]:
-    """Of all vessels that speak with one number."""
+    """The keys of all vessels that send with one number."""
     return key, *(key + other for other in OTHERS)
 
 

@@ -26,7 +26,7 @@ def making(traffic: Traffic, origin: Origin | None) -> Work[tuple[msgspec.Raw, .
 
 
 def traffic_told(traffic: Traffic, now_s: float, awaits: bool = False) -> TrafficSeen | None:
-    """All vessels as made last, encoded; None where nobody was ever heard, unless the boat `awaits` somebody."""
+    """The words for all vessels as made last, encoded; None where nobody was ever heard, unless the boat `awaits` somebody."""
     if traffic.heard_s == traffic.own_s == NEVER_S and not awaits:
         return None
     return TrafficSeen(
@@ -40,7 +40,7 @@ def traffic_told(traffic: Traffic, now_s: float, awaits: bool = False) -> Traffi
 
 
 def vessel_told(target: Target, origin: Origin) -> VesselTold:
-    """A vessel without its danger."""
+    """The words for a vessel without its danger."""
     latitude_rad, longitude_rad = from_plane(origin, target.north_m, target.east_m)
     is_under_way = target.speed_mps > 0.0
     return {
@@ -63,7 +63,7 @@ def vessel_told(target: Target, origin: Origin) -> VesselTold:
 
 
 def danger_told(danger: Danger | None) -> VesselTold:
-    """What is not finite is None: beyond all numbers, or not reckoned yet."""
+    """The words for a danger. What is not finite is None: beyond all numbers, or not computed yet."""
     if danger is None:
         return {"cpa_m": None, "tcpa_s": None, "nearness": None, "danger": "none"}
     _, cpa_m, tcpa_s, nearness, level, _ = danger
@@ -88,5 +88,5 @@ def _ordered(order: CourseOrder | None, now_s: float) -> OrderInForce | None:
 
 
 def _age(now_s: float, at_s: float) -> float | None:
-    """None: never heard."""
+    """The age, s; None: never heard."""
     return None if at_s == NEVER_S else round(now_s - at_s, 1)

@@ -46,7 +46,8 @@ _new = tuple.__new__  # a fifth of the time of Memory._replace(...): steps are o
 
 
 def caution(settings: config.Vehicle, limits: Settings) -> Caution:
-    """Of a boat: the rate of turn is the one at which its autopilot's largest moment and the water's damping are equal."""
+    """The boat's limits for avoidance; its rate of turn is the one at which its autopilot's largest moment and the water's
+    damping are equal."""
     gains, guard = limits.gains, settings.traffic.guard
     turn_radps = gains.p_limit_nm / max(gains.d_nm_per_radps + limits.hull.damping_nm_per_radps, 1e-6)
     turn_radps = min(max(turn_radps, TURN_MIN_RADPS), TURN_MAX_RADPS)
@@ -54,7 +55,7 @@ def caution(settings: config.Vehicle, limits: Settings) -> Caution:
 
 
 def slowed(setpoint: Setpoint, settings: Settings) -> Setpoint:
-    """At half the speed that is set, or half the cruising speed."""
+    """The set point at half the speed that is set, or half the cruising speed."""
     slow_mps = SLOW * setpoints.speed(setpoint.override_mps, settings.control.speed)
     return setpoint._replace(speed_mps=SLOW * setpoint.speed_mps, override_mps=slow_mps)
 
@@ -73,7 +74,8 @@ class Watchkeeper:
         self._failing, self._awaits = "", settings.traffic.mmsi > 0
 
     def look(self, helm: Helm, now_s: float) -> bool:
-        """Call it with the watchdog. Returns whether it did a slice of work: the next look of the look-out waits for it."""
+        """Do a slice of work; call it with the watchdog. Returns whether it did one: the next look of the look-out waits for
+        it."""
         if self._state.traffic.order is not None and self._denied(helm):  # at once: the next decision is a second away
             self._resume(helm)
             self._state.traffic = self._state.traffic._replace(order=None)
@@ -140,7 +142,7 @@ class Watchkeeper:
         return f"the fence goes before: {near.reason}" if near is not None else self._leash.spent
 
     def _accompany(self, length_m: float, now_s: float) -> None:
-        """Who moves as the boat does, in a boat of this length."""
+        """Note which vessels move as the boat does, in a boat of this length."""
         state, was = self._state, self._company._replace(remembered=self._state.traffic.beside)
         self._company = company(was, own_of(state.motion), length_m, state.traffic.targets, now_s)
         state.traffic = state.traffic._replace(beside=self._company.remembered)
@@ -152,7 +154,7 @@ class Watchkeeper:
         return [each for each in self._state.traffic.targets if self._company.has(each.key)]
 
     def _watched(self) -> list[Target]:
-        """All but those that were silent for long, and those that come along wherever the boat goes."""
+        """All vessels but those that were silent for long, and those that come along wherever the boat goes."""
         targets, beside = self._state.traffic.targets, self._company
         return [each for each in targets if (not each.is_lost or each.age_s < SILENT_S) and not beside.has(each.key)]
 
@@ -188,13 +190,13 @@ class Watchkeeper:
         return control(mode, memory, self._state.motion, slowed(self._state.setpoint, settings), settings, dt_s)
 
     def _resume(self, helm: Helm) -> None:
-        """Past and clear: the present leg begins anew from here."""
+        """Go on, past and clear: the present leg begins anew from here."""
         state, memory = self._state, helm.memory
         if state.mode in LEGS and not memory.left_s and (state.mode is not Mode.GOTO or state.setpoint.target is not None):
             helm.memory = memory._replace(north_m=state.motion.north_m, east_m=state.motion.east_m)
 
     def _note(self, order: CourseOrder | None) -> None:
-        """A line in the log for each change of the order, not of its figures."""
+        """Log each change of the order, not of its figures."""
         was = self._state.traffic.order
         if order is None:
             if was is not None:

@@ -30,7 +30,7 @@ VOLTAGE: Final = struct.Struct(">ih")  # tachometer in sixths of an electrical t
 
 
 class VescStatus(NamedTuple):
-    """The values of a status. None: this one does not tell it."""
+    """The values of a status. None: this one does not have it."""
 
     controller: int
     electrical_rpm: float | None = None
@@ -40,17 +40,17 @@ class VescStatus(NamedTuple):
 
 
 def pack_duty(controller: int, fraction: float) -> tuple[int, bytes]:
-    """Frame (arbitration field, data): part of the battery's voltage, -1 to 1. 0 shorts the motor, which brakes it."""
+    """The frame (arbitration field, data) of a part of the battery's voltage, -1 to 1. 0 shorts the motor, which brakes it."""
     return _packed(SET_DUTY, controller, fraction * 1e5)
 
 
 def pack_current(controller: int, current_a: float) -> tuple[int, bytes]:
-    """Frame: current in the motor. 0 lets it turn freely."""
+    """The frame of a current in the motor, A. 0 lets it turn freely."""
     return _packed(SET_CURRENT, controller, current_a * 1e3)
 
 
 def pack_rpm(controller: int, electrical_rpm: float) -> tuple[int, bytes]:
-    """Frame: speed, electrical."""
+    """The frame of a speed, electrical rpm."""
     return _packed(SET_RPM, controller, electrical_rpm)
 
 
@@ -62,7 +62,7 @@ _PACK: Final = {"duty": pack_duty, "current": pack_current, "rpm": pack_rpm}
 
 
 def unpack_status(identifier: int, data: bytes) -> VescStatus | None:
-    """None for a frame that is none of the three. Raises FormatError for one that is too short."""
+    """Unpack a status; None for a frame that is none of the three. Raises FormatError for one that is too short."""
     kind, controller = identifier >> 8, identifier & 0xFF
     try:
         if kind == STATUS_1:
@@ -110,10 +110,10 @@ class Vescs:
             raise OSError(errno.ENOBUFS, f"{self._socket.name} does not take the stop of the motors")
 
     def disconnect(self, names: tuple[str, ...]) -> None:
-        """A VESC has no contactor."""
+        """Do nothing: a VESC has no contactor."""
 
     def read(self, state: State, now_s: float) -> None:
-        """Status frames into `State.thrusters`. Malformed ones are counted."""
+        """Read status frames into `State.thrusters`. Malformed ones are counted."""
         for frame in received(self._socket, state, self.name):
             try:
                 if (told := unpack_status(frame.identifier, frame.data)) is not None and told.controller in self._rows:
@@ -128,7 +128,7 @@ class Vescs:
         return sum(self._send_many(frames[at : at + BATCH]) for at in range(0, len(frames), BATCH))
 
     def _take(self, told: VescStatus, state: State, now_s: float) -> None:
-        """Each status says its part; the others stay as they were told last."""
+        """Take the part of the values that this status has; the others stay as they were last reported."""
         name, sign = self._rows[told.controller]
         last = state.thrusters.get(name, ThrusterReport(now_s))
         rpm = told.electrical_rpm
@@ -142,13 +142,13 @@ class Vescs:
 
 
 def _full(table: Vesc, row: config.ThrusterTable) -> float:
-    """The full command of a row, as `table.command` says it."""
+    """The full command of a row, in the unit of `table.command`."""
     full = {"duty": table.duty_max, "current": table.current_max_a, "rpm": row.rpm_max * table.pole_pairs}[table.command]
     return -full if row.reversed else full
 
 
 def open_actuator(settings: config.Vehicle, links: Links) -> Vescs:
-    """Raises DelfimError."""
+    """Open the driver. Raises DelfimError."""
     ids = [row.address for row in settings.thrusters if row.driver == Vescs.name]
     heard = [CanAddress(extended(kind << 8 | each)) for each in ids for kind in (STATUS_1, STATUS_4, STATUS_5)]
     return Vescs(settings, links.bus(settings.of(Vesc).interface, tuple(heard)))

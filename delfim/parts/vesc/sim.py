@@ -1,6 +1,5 @@
-"""VESC motor controllers on their bus: they obey duty, current and speed, say status 1, 4 and 5, and release their motors when
-nobody speaks. One without power is silent. Source: bldc's documentation/comm_can.md; docs/vesc.md.
-"""
+"""VESC motor controllers on their bus: they obey duty, current and speed, send status 1, 4 and 5, and release their motors when
+no command comes. One without power is silent. Source: bldc's documentation/comm_can.md; docs/vesc.md."""
 
 import math
 from typing import Final
@@ -86,7 +85,7 @@ class PlayedVescs:
         return self._period.due_s
 
     def feed(self, frame: Frame, now_s: float) -> None:
-        """A frame of the bus. One that makes no sense changes nothing."""
+        """Take a frame of the bus. One that makes no sense changes nothing."""
         if (each := self._commanded.get(frame.arb)) is not None:
             each.obey(frame, now_s)
 
