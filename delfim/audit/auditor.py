@@ -24,7 +24,7 @@ SHOWN: Final = 5  # findings of a rule in one run
 
 
 class Judged(NamedTuple):
-    """What came of a rule in a run: findings, or why it could not be judged."""
+    """The outcome of a rule in a run: findings, or why it could not be judged."""
 
     rule: Rule
     findings: tuple[Finding, ...]
@@ -39,7 +39,7 @@ class AuditedRun(NamedTuple):
 
     @property
     def findings(self) -> list[tuple[Rule, Finding]]:
-        """By time."""
+        """The findings by time."""
         its = [(each.rule, finding) for each in self.judged for finding in each.findings]
         return sorted(its, key=lambda each: each[1].t_s)
 
@@ -49,7 +49,7 @@ class AuditedRun(NamedTuple):
 
 
 def judge(evidence: Evidence) -> tuple[Judged, ...]:
-    """All rules over one run."""
+    """Judge one run by all rules."""
     found = list[Judged]()
     for rule in RULES:
         try:
@@ -60,7 +60,7 @@ def judge(evidence: Evidence) -> tuple[Judged, ...]:
 
 
 def _verdicts(run: Run, others: Iterable[Run], span: Span) -> Iterator[AuditedRun]:
-    """Of a run of the state log. `others` are those of the same time, black boxes among them. Raises DelfimError."""
+    """Judge a run of the state log. `others` are those of the same time, black boxes among them. Raises DelfimError."""
     try:
         columns, _ = table(run.files, span)
     except DelfimError as why:
@@ -77,7 +77,7 @@ def _verdicts(run: Run, others: Iterable[Run], span: Span) -> Iterator[AuditedRu
 
 
 def audit(chosen: Sequence[Run], span: Span = ALWAYS) -> list[AuditedRun]:
-    """Of all runs of a state log among these. Raises DelfimError where there is none."""
+    """Audit all runs of a state log among these. Raises DelfimError where there is none."""
     runs = [run for run in chosen if run.id == "state"]
     if not runs:
         raise DelfimError("there is no state log to judge")
@@ -86,7 +86,7 @@ def audit(chosen: Sequence[Run], span: Span = ALWAYS) -> list[AuditedRun]:
 
 
 def complaints(folder: str) -> list[str]:
-    """What is broken in the logs below a folder, in words. Raises DelfimError."""
+    """List what is broken in the logs below a folder, in words. Raises DelfimError."""
     verdicts = audit(tree.runs(tree.files([folder]), time.time_ns()))
     return [words for each in verdicts for words in each.words()]
 

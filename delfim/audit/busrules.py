@@ -1,4 +1,4 @@
-"""Rules of the black box: what was on the bus of DelfimX is what the records say (etc/delfimx.dbc)."""
+"""Rules of the black box: the frames on the bus of DelfimX agree with the records (etc/delfimx.dbc)."""
 
 import struct
 from collections.abc import Iterator
@@ -71,13 +71,13 @@ def frames_as_records(e: Evidence) -> Iterator[Finding]:
 
 
 def _just_ordered(e: Evidence, t_ns: int) -> bool:
-    """An order is commanded at once, between two records."""
+    """Whether an order came at this time: it is commanded at once, between two records."""
     t_s = _seconds(e, t_ns)
     return bool(e.obeyed(t_s, SAME_S))
 
 
 def _seconds(e: Evidence, t_ns: int) -> float:
-    """Since boot, by the record that is nearest."""
+    """The time since boot, s, by the nearest record."""
     stamps = e.column("t1").astype(np.int64)
     at = int(np.clip(np.searchsorted(stamps, t_ns), 0, len(stamps) - 1))
     return float(e.t_s[at]) + (int(t_ns) - int(stamps[at])) / 1e9

@@ -1,4 +1,4 @@
-"""What a run left behind, as the rules read it: records as columns, notices, modes, orders, frames, and its settings.
+"""The evidence of a run, as the rules read it: records as columns, notices, modes, orders, frames, and its settings.
 
 Times are seconds since the computer's boot, as in the records. Nothing here judges.
 """
@@ -33,7 +33,7 @@ class Unjudged(DelfimError):
 
 
 class Noted(NamedTuple):
-    """What a notice said, from this time on."""
+    """The content of a notice, from this time on."""
 
     t_s: float
     words: str
@@ -41,7 +41,7 @@ class Noted(NamedTuple):
 
 
 class LoggedTrouble(NamedTuple):
-    """A trouble from its first note to the one that says that it is over; infinite where none does."""
+    """A trouble from its first note to the one that ends it; infinite where none does."""
 
     name: str
     told: tuple[Noted, ...]
@@ -68,7 +68,7 @@ class LoggedOrder(NamedTuple):
 
 
 class Sent(NamedTuple):
-    """A frame of the black box: wall clock."""
+    """A frame of the black box, by the wall clock."""
 
     t_ns: int
     identifier: int
@@ -76,7 +76,8 @@ class Sent(NamedTuple):
 
 
 class Evidence:
-    """A run. `events` are those of the state log's sidecar, in order; `boxes` the frames of black boxes by the bus' name."""
+    """The evidence of a run. `events` are those of the state log's sidecar, in order; `boxes` the frames of black boxes by the
+    bus' name."""
 
     def __init__(
         self,
@@ -95,13 +96,14 @@ class Evidence:
         self._settings: Mapping[str, Any] = start.get("settings") or {}
 
     def column(self, name: str) -> NDArray[Any]:
-        """Raises Unjudged where the log has no such field."""
+        """A column of the records. Raises Unjudged where the log has no such field."""
         if name not in self.columns:
             raise Unjudged(f"the log has no field {name}")
         return self.columns[name]
 
     def setting(self, key: str) -> Any:
-        """Of the vehicle's file, as failsafe.pause_s. Raises Unjudged where the log lacks it, or an order changed it."""
+        """A value of the vehicle's file, such as failsafe.pause_s. Raises Unjudged where the log lacks it, or an order changed
+        it."""
         if any(key.startswith(each) for each in self._changed):
             raise Unjudged(f"{key} was changed at sea")
         found: Any = self._settings
@@ -116,7 +118,7 @@ class Evidence:
         return {str(each.value.get("key")) for each in self.orders if each.name == "set" and not each.refused}
 
     def action(self, trouble: str, mode: str) -> str:
-        """What the table of the vehicle's file says for this trouble in this mode."""
+        """The action of the vehicle's file for this trouble in this mode."""
         if mode == IDLE:
             return "warn"
         if trouble in ("control", "kill"):
@@ -134,7 +136,7 @@ class Evidence:
 
     @cached_property
     def commands(self) -> NDArray[np.float64]:
-        """Of all thrusters, a column each."""
+        """The commands of all thrusters, a column each."""
         return np.column_stack([self.column(f"{each['name']}_command") for each in self.thrusters]).astype(float)
 
     @cached_property
@@ -157,16 +159,16 @@ class Evidence:
         return [each.t_s for each in self.modes]
 
     def mode_at(self, t_s: float) -> str:
-        """In which the boat was at this time, a change at the very time included."""
+        """The mode of the boat at this time, a change at this very time included."""
         at = bisect.bisect_right(self._mode_times, t_s + 1e-6)
         return self.modes[at - 1].mode if at else IDLE
 
     def modes_about(self, t_s: float, within_s: float = LOOK_S) -> set[str]:
-        """All in which it was so close to this time."""
+        """All modes of the boat within this time."""
         return {self.mode_at(t_s - within_s)} | {each.mode for each in self.changes(t_s, within_s)}
 
     def entered_s(self, t_s: float) -> float:
-        """Since when the boat was in the mode in which it is at this time."""
+        """The time, s, since when the boat is in the mode that it has at this time."""
         since_s, mode = -math.inf, IDLE
         for each in self.modes[: bisect.bisect_right(self._mode_times, t_s + 1e-6)]:
             if each.mode != mode:
@@ -200,18 +202,18 @@ class Evidence:
         return [each.t_s for each in its], its
 
     def obeyed(self, t_s: float, within_s: float) -> list[LoggedOrder]:
-        """Orders that were not refused, so close to this time."""
+        """The orders within this time that were not refused."""
         times, its = self._obeyed
         return its[bisect.bisect_left(times, t_s - within_s) : bisect.bisect_right(times, t_s + within_s)]
 
     def changes(self, t_s: float, within_s: float) -> list[ModeChange]:
-        """Changes of mode so close to this time."""
+        """The changes of mode within this time."""
         times = self._mode_times
         return self.modes[bisect.bisect_left(times, t_s - within_s) : bisect.bisect_right(times, t_s + within_s)]
 
     @cached_property
     def alarms(self) -> list[LoggedTrouble]:
-        """Troubles, by when they began. What else a note tells is in `words`."""
+        """The troubles, by when they began. What else a note has is in `words`."""
         running, found = dict[str, list[Noted]](), list[LoggedTrouble]()
         for t_s, name, words, action in self._notes():
             if action:
@@ -223,11 +225,12 @@ class Evidence:
 
     @cached_property
     def words(self) -> list[Noted]:
-        """Notes that are no trouble's: a thrust that ended, a thruster that dropped out."""
+        """The notes of no trouble: a thrust that ended, a thruster that dropped out."""
         return [Noted(t_s, words, "") for t_s, name, words, action in self._notes() if not name and not action]
 
     def _notes(self) -> Iterator[tuple[float, str, str, str]]:
-        """Time, trouble, words, action; without an action the trouble is over, without a name it is a note of another kind."""
+        """The notes: time, trouble, words, action; without an action the trouble is over, without a name it is a note of
+        another kind."""
         known = self._settings.get("failsafe", {})
         for each in self.events:
             if each["event"] != "note":
@@ -244,12 +247,12 @@ class Evidence:
         return [each for each in self.alarms if each.name in names]
 
     def is_told(self, names: Iterable[str], t_s: float, late_s: float = LOOK_S) -> bool:
-        """Whether one of these troubles is told at this time or so much later."""
+        """Whether one of these troubles is reported at this time or so much later."""
         return any(each.begin_s <= t_s + late_s and t_s <= each.end_s for each in self.named(*names))
 
     @cached_property
     def end_s(self) -> float:
-        """The last of what the log says."""
+        """The time of the last entry of the log, s."""
         return max(float(self.t_s[-1]), *(float(each["monotonic_s"]) for each in self.events if "monotonic_s" in each), 0.0)
 
     def last(self, t_s: float) -> int | None:
@@ -258,7 +261,7 @@ class Evidence:
         return at if at >= 0 and t_s - self.t_s[at] < PAUSE_S else None
 
     def unbroken(self, holds: NDArray[np.bool_]) -> list[tuple[int, int]]:
-        """First and last record of each stretch in which it holds and records follow one another: in a pause nobody knows."""
+        """The first and last record of each stretch in which it holds and records follow one another: a pause is unknown."""
         ends = np.flatnonzero(np.diff(self.t_s) > PAUSE_S) + 1
         return [
             (begin, end)
@@ -275,7 +278,7 @@ class Evidence:
 
 
 def spells(holds: NDArray[np.bool_]) -> list[tuple[int, int]]:
-    """First and last place of each stretch in which it holds."""
+    """The first and last place of each stretch in which it holds."""
     edges = np.flatnonzero(np.diff(np.concatenate(([False], holds, [False])).astype(np.int8)))
     return [(int(begin), int(end) - 1) for begin, end in zip(edges[::2], edges[1::2], strict=True)]
 
@@ -287,7 +290,8 @@ def parts(
     boxes: Mapping[str, Sequence[Sent]],
     box_events: Sequence[Mapping[str, Any]],
 ) -> list[Evidence]:
-    """A run; or the lives of its program, where it began again within one log, as in lock step: cycles count from 1 again."""
+    """Split a log into one run, or into the lives of its program where it began again within the log, as in lock step: cycles
+    count from 1 again."""
     whole = Evidence(name, columns, events, boxes, box_events)
     begins = [int(at) + 1 for at in np.flatnonzero(np.diff(whole.cycle) < 0) if whole.cycle[at + 1] == 1]
     if not begins or not whole.named("restarted"):

@@ -32,19 +32,19 @@ class FenceZones:
         self.keep_out = [self._shape(each) for each in tables.get("keep_out", ())]
 
     def _shape(self, table: Mapping[str, Any]) -> tuple[Array, float]:
-        """Corners, or a centre, in metres; and the radius."""
+        """A zone's corners, or its centre, in metres; and the radius."""
         points = np.radians(np.array(table.get("polygon") or table.get("centre"), float).reshape(-1, 2))
         return self.plane_m(points[:, 0], points[:, 1]), float(table.get("radius_m", 0.0))
 
     def plane_m(self, latitude_rad: Array, longitude_rad: Array) -> Array:
-        """North and east of the zero point."""
+        """North and east of the zero point, m."""
         sine = np.sin(self._zero[0])
         root = np.sqrt(1.0 - SQUARE * sine**2)
         north_m = (latitude_rad - self._zero[0]) * AXIS_M * (1.0 - SQUARE) / root**3
         return np.column_stack((north_m, (longitude_rad - self._zero[1]) * AXIS_M * np.cos(self._zero[0]) / root))
 
     def clear_m(self, at_m: Array) -> Array:
-        """Distance of each point to what is forbidden; negative inside of it."""
+        """The distance of each point to what is forbidden, m; negative inside of it."""
         clear = np.full(len(at_m), np.inf)
         if self.keep_in:
             clear = np.max([_inside_m(at_m, *shape) for shape in self.keep_in], axis=0)
@@ -54,7 +54,7 @@ class FenceZones:
 
 
 def _inside_m(at_m: Array, corners_m: Array, radius_m: float) -> Array:
-    """Distance of each point to the edge of an area; negative outside."""
+    """The distance of each point to the edge of an area, m; negative outside."""
     if len(corners_m) == 1:
         round_m: Array = radius_m - np.hypot(*(at_m - corners_m[0]).T)
         return round_m
@@ -70,7 +70,7 @@ def _inside_m(at_m: Array, corners_m: Array, radius_m: float) -> Array:
 
 
 class FenceView:
-    """A run as the fence sees it: of each record, how clear the boat is and will be where it could stop."""
+    """A run with respect to the fence: the clearance of each record, and that where the boat could stop."""
 
     def __init__(self, e: Evidence) -> None:
         if any(each.name == "fence" and not each.refused for each in e.orders):

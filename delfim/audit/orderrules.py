@@ -29,7 +29,7 @@ def mode_causes(e: Evidence) -> Iterator[Finding]:
 
 
 def _uncaused(e: Evidence, change: ModeChange) -> str:
-    """Why nothing in the log explains a change of mode; empty where something does."""
+    """The reason why nothing in the log explains a change of mode; empty where something does."""
     reason, mode = change.reason, change.mode
     if not reason:
         return "without a reason"
@@ -51,7 +51,7 @@ def _uncaused(e: Evidence, change: ModeChange) -> str:
 
 
 def _untroubled(e: Evidence, change: ModeChange) -> str:
-    """Why no trouble explains it. A trouble that is present is noted again only where its action changes."""
+    """The reason why no trouble explains it. A trouble that is present is noted again only where its action changes."""
     said = ""
     for alarm in e.alarms:
         told = [each for each in alarm.told if each.t_s <= change.t_s + SAME_S]

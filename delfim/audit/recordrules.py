@@ -147,7 +147,7 @@ def way_plausible(e: Evidence) -> Iterator[Finding]:
 
 
 def _stretches(times_s: NDArray[np.float64]) -> list[tuple[float, float]]:
-    """First and last of times that are less than a second apart."""
+    """The first and last of times that are less than a second apart."""
     if not len(times_s):
         return []
     ends = np.flatnonzero(np.diff(times_s) > 1.0)

@@ -1,4 +1,4 @@
-"""What a rule of the auditor is, and what it finds."""
+"""A rule of the auditor, and its findings."""
 
 from collections.abc import Callable, Iterator
 from typing import NamedTuple

@@ -39,7 +39,7 @@ def table_obeyed(e: Evidence) -> Iterator[Finding]:
 
 
 def _told_as_table(e: Evidence, alarm: LoggedTrouble, told: Noted) -> Iterator[Finding]:
-    """What it says against the row of one of the modes about this time: the table is asked in the mode of before."""
+    """Whether the action agrees with the row of one of the modes about this time: the mode before counts."""
     modes = e.modes_about(told.t_s, LOOK_S)
     rows = {mode: e.action(alarm.name, mode) for mode in modes}
     if told.action == "disconnect":
@@ -65,7 +65,7 @@ def _told_as_table(e: Evidence, alarm: LoggedTrouble, told: Noted) -> Iterator[F
 
 
 def _is_excused(e: Evidence, alarm: LoggedTrouble) -> bool:
-    """Whether the documents allow it to warn all the same: other thrusters carry on; the boat is where the action leads to."""
+    """Whether the documents allow it only to warn: other thrusters carry on; the boat is where the action leads to."""
     return alarm.name in ("thruster", "handset_silent", "manual_silent") or e.mode_at(alarm.begin_s) in (
         *ENDS[e.action(alarm.name, e.mode_at(alarm.begin_s))],
         IDLE,
@@ -129,7 +129,7 @@ def _acted(e: Evidence, alarm: LoggedTrouble) -> bool:
 
 
 def _again(e: Evidence, alarm: LoggedTrouble) -> bool:
-    """Whether it ended a moment ago, as where another mode asked for it."""
+    """Whether it ended a moment ago, as where another mode required it."""
     return any(each.end_s <= alarm.begin_s < each.end_s + SURE_S for each in e.named(alarm.name))
 
 
@@ -158,7 +158,7 @@ def bits_as_notices(e: Evidence) -> Iterator[Finding]:
 
 
 def _due(e: Evidence, name: str, present: NDArray[np.bool_], after_s: float, what: str) -> Iterator[Finding]:
-    """Stretches of records in which a condition is present for longer than its time, and nobody was told."""
+    """The stretches of records in which a condition lasts longer than its time, and was not reported."""
     for first, last in e.unbroken(present):
         due_s = e.t_s[first] + after_s + SURE_S
         if e.t_s[last] > due_s and not any(each.begin_s <= due_s and each.end_s > e.t_s[first] for each in e.named(name)):

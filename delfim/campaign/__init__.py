@@ -1,1 +1,1 @@
-"""Campaigns: many runs in lock step that differ in what a file says, and what came of them (docs/campaigns.md)."""
+"""Campaigns: many runs in lock step that differ in what a file varies, and their results (docs/campaigns.md)."""

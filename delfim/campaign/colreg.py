@@ -1,6 +1,6 @@
-"""How a run among other vessels kept rules 8 and 13 to 17 of the COLREG, by geometry: from the true motion of all, not from
-what the boat knew or meant. Only encounters are checked (delfim/simulator/scenarios/encounters.py): there the boat goes north.
-"""
+"""Checks how a run among other vessels kept rules 8 and 13 to 17 of the COLREG, by geometry: from the true motion of all, not
+from what the boat knew or meant. Only encounters are checked (delfim/simulator/scenarios/encounters.py): there the boat goes
+north."""
 
 import math
 from collections.abc import Iterator
@@ -25,7 +25,7 @@ BOW, BOW_WIDTH = 3.0, 0.5  # ahead of a vessel is the way up to so many half axe
 
 
 class Instant(NamedTuple):
-    """Where everybody is: metres, course over ground, m/s."""
+    """Position and motion of all vessels: metres, course over ground, m/s."""
 
     t_s: float
     north_m: float
@@ -61,11 +61,11 @@ class RuleTape:
 
     @property
     def off_m(self) -> float | None:
-        """The farthest from the line to the north."""
+        """The greatest distance from the line to the north, m."""
         return max((abs(each.east_m) for each in self.instants), default=None)
 
     def checks(self) -> list[Check]:
-        """Of each vessel that has a `meeting`, the rules that ask something of the boat."""
+        """The rules that demand something of the boat, for each vessel that has a `meeting`."""
         vessels, own_mps = self._run.nodes.vessels, setpoints.speed(None, self._run.settings.control.speed)
         met = [(i, each) for i, each in enumerate(vessels) if each.row.meeting]
         sailed = [each for each in self.instants if each.t_s >= START_S]
@@ -85,14 +85,14 @@ class RuleTape:
 
 
 class Judge:
-    """One run, and when the boat first altered course or speed; None: never."""
+    """Judges one run. It knows when the boat first altered course or speed; None: never."""
 
     def __init__(self, sailed: list[Instant], own_mps: float, first_s: float | None) -> None:
         self._sailed, self._own_mps, self._first_s = sailed, own_mps, first_s
 
     def asked(self, i: int, vessel: Vessel, entered_s: float | None, is_next: bool, duty: bool) -> Iterator[tuple[str, bool]]:
-        """Rule, and whether it was kept. `entered_s`: when the domain would have been entered; `is_next`: before any other;
-        `duty`: the boat must give way to somebody."""
+        """List each rule, and whether it was kept. `entered_s`: when the domain would have been entered; `is_next`: before any
+        other; `duty`: the boat must give way to somebody."""
         meeting, first_s = vessel.row.meeting, self._first_s
         leaving_s = axes_m(vessel.row.length_m)[1] / self._own_mps
         turn_rad = self._turn_rad()
@@ -117,7 +117,7 @@ class Judge:
         return [each for each in self._sailed if first_s <= each.t_s <= first_s + SOON_S]
 
     def _turn_rad(self) -> float:
-        """To which side the first turn was, positive to starboard."""
+        """The first turn, rad, positive to starboard."""
         return next((wrap(each.course_rad) for each in self._soon() if each.t_s >= (self._first_s or 0.0) + PORT_S), 0.0)
 
     def _is_large(self) -> bool:
@@ -141,7 +141,7 @@ class Judge:
 
 
 def _altered_s(sailed: list[Instant], own_mps: float) -> float | None:
-    """When the boat first altered course or speed, and kept to it."""
+    """The time, s, when the boat first altered course or speed, and kept to it."""
     since_s: float | None = None
     for each in sailed:
         is_off = abs(wrap(each.course_rad)) > ALTERED_RAD or each.speed_mps < SLOWED * own_mps
@@ -155,7 +155,8 @@ def _altered_s(sailed: list[Instant], own_mps: float) -> float | None:
 
 
 def _entered_s(sailed: list[Instant], i: int, axes: tuple[float, float], own_mps: float) -> float | None:
-    """When the domain would have been entered, had the boat kept its course and speed to the north; None: never."""
+    """The time, s, when the domain would have been entered, had the boat kept its course and speed to the north; None:
+    never."""
     begin = sailed[0]
     for each in sailed:
         north_m, east_m, course_rad = each.vessels[i]

@@ -1,4 +1,4 @@
-"""What is measured of a run: a row each in `MEASURES`, and so a column of the results."""
+"""The measures of a run: each is a row in `MEASURES`, and so a column of the results."""
 
 import hashlib
 import math
@@ -22,7 +22,7 @@ STOPS: Final = (Mode.IDLE, Mode.HOLD)
 
 
 class RunTape:
-    """The state log of a run: it keeps sums and a digest of what the boat knew and commanded in each cycle. `beside` is given
+    """The state log of a run: it keeps sums and a digest of what the boat knew and commanded in each cycle. `beside` gets
     everything, too."""
 
     def __init__(self, clock: ManualClock, beside: StateLog) -> None:
@@ -58,7 +58,7 @@ class RunTape:
 
 
 class Truth:
-    """What the hull did, whatever the boat knew: called after each cycle."""
+    """The true motion of the hull, whatever the boat knew: called after each cycle."""
 
     def __init__(self, run: Lockstep) -> None:
         self._run, self._drives, self._at_s = run, run.nodes.model.drives, 0.0
@@ -71,7 +71,7 @@ class Truth:
         self.stop_m: float | None = None
 
     def look(self, place: TruePlace) -> None:
-        """`place`: of this cycle."""
+        """Take the true position of this cycle, `place`."""
         state, now_s, at = self._run.state, self._run.elapsed_s, place.at
         self.rules.look(now_s)
         was, self.mode, self.reason = self.mode, state.mode, state.reason
@@ -110,7 +110,7 @@ class Measure(NamedTuple):
 
 
 def _noticed(sailed: Sailed) -> list[float | None]:
-    """Of each fault the time until a notice or a mode that nobody asked for; None: nobody noticed it."""
+    """The time from each fault to a notice, or to a mode that was not ordered; None: nobody noticed it."""
     found = list[float | None]()
     for at, fault in enumerate(sailed.events):
         if fault.kind == "fault":
@@ -119,7 +119,7 @@ def _noticed(sailed: Sailed) -> list[float | None]:
 
 
 def _notices(event: Event) -> bool:
-    """Whether an event tells the operator of trouble. A mode that he ordered, or that follows at the end of one, does not."""
+    """Whether an event shows the operator a trouble. A mode that he ordered, or that follows at the end of one, does not."""
     return event.kind == "notice" or (
         event.kind == "mode" and not event.text.startswith(ORDERLY) and not event.text.endswith(" done")
     )

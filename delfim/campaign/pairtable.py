@@ -20,17 +20,17 @@ Counts = Mapping[tuple[str, str], int]
 
 
 def counted(database: duckdb.DuckDBPyConnection) -> dict[tuple[str, str], int]:
-    """In how many runs each pair was met that was."""
+    """The number of runs in which each pair was met, of those that were."""
     return {ALL[int(place)]: int(runs) for place, runs in queries.asked(database, SQL)[1]}
 
 
 def part(counts: Counts) -> float:
-    """Of the possible pairs, those that were met."""
+    """The fraction of the possible pairs that were met."""
     return sum(pair in counts for pair in PAIRS) / len(PAIRS)
 
 
 def lines(counts: Counts) -> list[str]:
-    """By kind, and the rarest by name."""
+    """Lines about the pairs by kind, and the rarest by name."""
     met = sorted((pair for pair in PAIRS if pair in counts), key=lambda pair: (counts[pair], pair))
     never = [pair for pair in PAIRS if pair not in counts]
     told = [f"pairs met: {len(met)} of {len(PAIRS)} that are possible, {part(counts):.2%}"]
@@ -49,7 +49,7 @@ def wrong(counts: Counts) -> list[tuple[str, str]]:
 
 
 def picture(counts: Counts) -> str:
-    """A square for each pair: how many digits the number of runs has that met it."""
+    """A character for each pair: how many digits the number of runs has that met it."""
     across = [thing for thing in THINGS if kind_of(thing) != "order"]
     names = [thing.partition(" ")[2] for thing in across]
     high = max(map(len, names))
@@ -72,7 +72,7 @@ def _square(counts: Counts, one: str, other: str) -> str:
 
 
 def tell(database: duckdb.DuckDBPyConnection, least: float, folder: Path) -> bool:
-    """Prints it, and keeps the picture as pairs.txt. Returns whether so many are met, and none that cannot be."""
+    """Print the table, and keep the picture as pairs.txt. Returns whether so many are met, and none that cannot be."""
     counts = counted(database)
     if not counts:
         raise DelfimError("no run met any pair")

@@ -1,4 +1,4 @@
-"""What the results say: SQL over the table `runs`, and answers that everybody asks for."""
+"""Queries of the results: SQL over the table `runs`, and answers that everybody wants."""
 
 import math
 from collections.abc import Iterable
@@ -20,7 +20,7 @@ WILSON: Final = 1.959964  # of the normal distribution: 95 %
 
 
 class Holding(NamedTuple):
-    """Of one [[pass]]; `where` are the points at which it does not hold."""
+    """The verdict of one [[pass]]; `where` are the points at which it does not hold."""
 
     name: str
     holds: bool
@@ -28,7 +28,7 @@ class Holding(NamedTuple):
 
 
 class Printed(NamedTuple):
-    """A [[table]] of the file with what the results say."""
+    """A [[table]] of the file with its results."""
 
     name: str
     columns: list[str]
@@ -46,7 +46,7 @@ class Quantity(NamedTuple):
 
 
 def connect(folder: Path) -> duckdb.DuckDBPyConnection:
-    """The results of a campaign as the table `runs`. Raises DelfimError where there are none, or damaged ones."""
+    """Open the results of a campaign as the table `runs`. Raises DelfimError where there are none, or damaged ones."""
     if not any(folder.glob("part-*.parquet")):
         raise DelfimError(f"no results in {folder}")
     database = duckdb.connect()
@@ -59,14 +59,15 @@ def connect(folder: Path) -> duckdb.DuckDBPyConnection:
 
 
 def _locked(database: duckdb.DuckDBPyConnection) -> duckdb.DuckDBPyConnection:
-    """A campaign's file may come from anybody: its SQL reaches no other file, no network, no extension and no variable here."""
+    """Lock the database: a campaign's file may come from anybody, and its SQL reaches no other file, no network, no extension
+    and no variable here."""
     database.execute("set enable_external_access = false; set python_enable_replacements = false")
     database.execute("set lock_configuration = true")
     return database
 
 
 def asked(database: duckdb.DuckDBPyConnection, sql: str) -> tuple[list[str], list[tuple[Any, ...]]]:
-    """The columns and rows that a SELECT gives. Raises DelfimError with DuckDB's words, and for anything but one SELECT."""
+    """Run a SELECT; returns its columns and rows. Raises DelfimError with DuckDB's words, and for anything but one SELECT."""
     try:
         if [each.type for each in database.extract_statements(sql)] != [duckdb.StatementType.SELECT]:
             raise DelfimError("not one SELECT: nothing else is done")
@@ -77,7 +78,7 @@ def asked(database: duckdb.DuckDBPyConnection, sql: str) -> tuple[list[str], lis
 
 
 def rehearse(file: CampaignFile, plan: Plan) -> list[Printed]:
-    """Asks everything of results without a run, before the first one is sailed; returns the tables, which have columns alone.
+    """Run all queries over results without a run, before the first one is sailed; returns the tables, which have columns alone.
     Raises DelfimError for what is no SQL."""
     with duckdb.connect() as database:
         _locked(database).register("runs", schema(plan).empty_table())
@@ -86,7 +87,8 @@ def rehearse(file: CampaignFile, plan: Plan) -> list[Printed]:
 
 
 def verdicts(database: duckdb.DuckDBPyConnection, passes: Iterable[Pass]) -> list[Holding]:
-    """Of each [[pass]] of the file; one that gives no truth does not hold. Raises DelfimError for one that is no SQL."""
+    """The verdict of each [[pass]] of the file; one that gives no truth does not hold. Raises DelfimError for one that is no
+    SQL."""
     told = list[Holding]()
     for each in passes:
         if each.each == "point":
@@ -100,7 +102,7 @@ def verdicts(database: duckdb.DuckDBPyConnection, passes: Iterable[Pass]) -> lis
 
 
 def answered(database: duckdb.DuckDBPyConnection, asked_for: Iterable[Answer]) -> list[Printed]:
-    """Each [[table]] of the file. Raises DelfimError for one that is no SQL."""
+    """The results of each [[table]] of the file. Raises DelfimError for one that is no SQL."""
     return [Printed(each.name, *_named(each.name, database, each.sql)) for each in asked_for]
 
 
@@ -135,7 +137,7 @@ def quantities(database: duckdb.DuckDBPyConnection) -> list[Quantity]:
 
 
 def failed(database: duckdb.DuckDBPyConnection) -> list[tuple[str, int, int, int]]:
-    """Why runs failed: (words without numbers, how often, point and seed of one), the most frequent first."""
+    """The reasons why runs failed: (words without numbers, how often, point and seed of one), the most frequent first."""
     sql = """select regexp_replace(why, '-?[0-9]+(\\.[0-9]+)?', 'N', 'g') as words, count(*), arg_min(point, seed), min(seed)
              from (select point, seed, unnest(if(error = '', failures, [error])) as why from runs where not ok)
              group by words order by count(*) desc, words"""
@@ -167,8 +169,8 @@ def numeric(database: duckdb.DuckDBPyConnection, keys: Iterable[str]) -> list[st
 
 
 def sensitivity(database: duckdb.DuckDBPyConnection, keys: Iterable[str]) -> list[tuple[str, str, float]]:
-    """Which key moves which measure: (key, measure, rank correlation -1..1), the strongest first. Without a varied or
-    drawn key there is none."""
+    """The effect of keys on measures: (key, measure, rank correlation -1..1), the strongest first. Without a varied or drawn
+    key there is none."""
     found = list[tuple[str, str, float]]()
     known = [each.name for each in quantities(database)]
     for key in numeric(database, keys):
@@ -182,13 +184,13 @@ def sensitivity(database: duckdb.DuckDBPyConnection, keys: Iterable[str]) -> lis
 
 
 def _middle(order: Any) -> Any:
-    """Ranks; equal values share the middle of theirs."""
+    """The ranks of an order; equal values share the middle of theirs."""
     counts = np.bincount(order)
     return (np.cumsum(counts) - (counts - 1) / 2)[order]
 
 
 def shown(columns: list[str], rows: list[tuple[Any, ...]]) -> str:
-    """An answer as a table of text."""
+    """Format an answer as a table of text."""
     table = [columns, *([_word(value) for value in row] for row in rows)]
     widths = [max(map(len, column)) for column in zip(*table, strict=True)]
     lines = ("  ".join(f"{word:{width}}" for word, width in zip(row, widths, strict=True)) for row in table)

@@ -1,4 +1,4 @@
-"""One run of a campaign once more, with its log and a picture of its track; it must be the same to the last byte."""
+"""Repeats one run of a campaign, with its log and a picture of its track; it must be the same to the last byte."""
 
 from pathlib import Path
 
@@ -11,7 +11,7 @@ from delfim.logging.statelog import columns
 
 
 def sail(plan: Plan, folder: Path, point: int, seed: int) -> int:
-    """Sails it here and prints what happened. Returns 1 where it differs from the results. Raises DelfimError."""
+    """Sail the run here and print what happened. Returns 1 where it differs from the results. Raises DelfimError."""
     place = folder / f"again-{point}-{seed}"
     if place.exists():
         raise DelfimError(f"{place} is there already")

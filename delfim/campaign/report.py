@@ -56,7 +56,7 @@ def write(
     command: str,
     earlier: duckdb.DuckDBPyConnection | None,
 ) -> Path:
-    """Writes the page into the folder and returns its path. `earlier`: the results of a campaign to compare with."""
+    """Write the page into the folder and return its path. `earlier`: the results of a campaign to compare with."""
     keys = list(dict.fromkeys([*(key for _, values in plan.points for key in values), *plan.draw]))
     body = [
         *_head(folder, plan, database, verdicts),
@@ -100,7 +100,7 @@ def _failures(database: duckdb.DuckDBPyConnection, command: str) -> Iterator[str
 
 
 def _points(plan: Plan, database: duckdb.DuckDBPyConnection) -> Iterator[str]:
-    """A row a point: how many passed, with the interval, and the middle of the measures that people ask for first."""
+    """A row for each point: how many passed, with the interval, and the median of the measures that people want first."""
     wanted = [
         each.name
         for each in quantities(database)
@@ -149,7 +149,7 @@ def _moved(database: duckdb.DuckDBPyConnection, keys: Sequence[str]) -> Iterator
 
 
 def _heat(database: duckdb.DuckDBPyConnection, keys: Sequence[str]) -> Iterator[str]:
-    """Share of passed runs and the median of the first measure, over each pair of keys that are numbers."""
+    """Draw the share of passed runs and the median of the first measure, over each pair of keys that are numbers."""
     known = numeric(database, keys)[:4]
     pairs = [(a, b) for i, a in enumerate(known) for b in known[i + 1 :]]
     names = {each.name for each in quantities(database)}
@@ -173,7 +173,7 @@ def _map(
     low: float | None = None,
     high: float | None = None,
 ) -> None:
-    """`low` and `high`: ends of the scale of colours, where those of the values do not serve."""
+    """Draw a map over two keys. `low` and `high`: ends of the scale of colours, where those of the values do not serve."""
     rows = np.array(
         asked(database, f'select "{keys[0]}", "{keys[1]}", {sql} from runs where {sql} is not null')[1], dtype=float
     ).reshape(-1, 3)
@@ -188,7 +188,7 @@ def _map(
 
 
 def _edges(values: Any) -> Any:
-    """Of cells: around each value where there are few, else evenly."""
+    """The edges of cells: around each value where there are few, else evenly spaced."""
     known = np.unique(values)
     if len(known) > CELLS:
         return np.linspace(known[0], known[-1], CELLS + 1)
@@ -233,7 +233,7 @@ def _worst(plan: Plan, database: duckdb.DuckDBPyConnection, command: str) -> Ite
 
 
 def _track(plan: Plan, point: int, seed: int) -> list[tuple[float, float]]:
-    """North and east of the run, which is sailed once more; what there is of one that cannot be sailed."""
+    """The track, north and east, of the run, which is sailed once more; of one that cannot be sailed, what there is."""
     places = list[tuple[float, float]]()
 
     def look(run: Lockstep) -> None:
@@ -251,7 +251,7 @@ def _track(plan: Plan, point: int, seed: int) -> list[tuple[float, float]]:
 
 
 def _compared(database: duckdb.DuckDBPyConnection, earlier: duckdb.DuckDBPyConnection) -> Iterator[str]:
-    """Runs of the same point and seed, before and now."""
+    """Compare runs of the same point and seed, before and now."""
     yield "<h2>Compared with the earlier campaign</h2>"
     now, was = (
         {(point, seed): rest for point, seed, *rest in asked(each, "select point, seed, ok, digest from runs")[1]}

@@ -1,4 +1,4 @@
-"""A campaign from its first batch to its verdict, as somebody sees it who waits for it."""
+"""Runs a campaign from its first batch to its verdict, and prints the progress."""
 
 import sys
 import time
@@ -18,7 +18,7 @@ YEAR_S: Final = 365.25 * 86400.0
 
 
 class Progress:
-    """Lines for those who wait."""
+    """Prints lines of progress."""
 
     def __init__(self, plan: Plan, store: Store) -> None:
         self._plan, self._store, self._began_s = plan, store, time.monotonic()
@@ -27,7 +27,7 @@ class Progress:
         self._terminal = sys.stdout.isatty()
 
     def add(self, rows: list[dict[str, Any]]) -> None:
-        """Rows that came."""
+        """Add rows that came."""
         self._sailed_s += sum(row.get("sailed_s") or 0.0 for row in rows)
         self._worked_s += sum(row["wall_s"] for row in rows)
         now_s = time.monotonic()
@@ -44,7 +44,7 @@ class Progress:
         print(f"\r{line:90}" if self._terminal else line, end=end, flush=True)
 
     def end(self, workers: int) -> None:
-        """The figures of all of it. `workers`: 0 for a cluster."""
+        """Print the figures of the whole. `workers`: 0 for a cluster."""
         now_s = time.monotonic()
         self._print(now_s, "\n")
         if workers and self._store.runs > self._first:
@@ -53,7 +53,7 @@ class Progress:
 
 
 def sail(plan: Plan, folder: Path, size: int, workers: int, cluster: str | None) -> None:
-    """Sails what the folder lacks, in batches of this size, by so many processes or by the cluster at this address. Raises
+    """Sail what the folder lacks, in batches of this size, by so many processes or by the cluster at this address. Raises
     DelfimError; what was sailed until then is kept."""
     store = Store(folder, plan, size, VERSION)
     print(f"delfim: {plan.runs} runs at {len(plan.points)} points, results in {folder}", flush=True)
@@ -76,8 +76,8 @@ def sail(plan: Plan, folder: Path, size: int, workers: int, cluster: str | None)
 
 
 def tell(file: CampaignFile, plan: Plan, folder: Path, command: str, against: Path | None) -> int:
-    """Tells verdicts, why runs failed and the tables of the file, and writes the page. `command` is the campaign's own, to
-    which --again is added. Returns 0 where all that must hold does. Raises DelfimError."""
+    """Print verdicts, why runs failed and the tables of the file, and write the page. `command` is the campaign's own, to which
+    --again is added. Returns 0 where all that must hold does. Raises DelfimError."""
     database = queries.connect(folder)
     verdicts = queries.verdicts(database, file.must)
     for name, holds, where in verdicts:

@@ -43,7 +43,7 @@ class Steps(tables.Table, frozen=True):
 
 
 class Draw(tables.Table, frozen=True):
-    """One of them: a uniform range, a normal distribution (mean, standard deviation), or a choice."""
+    """A drawn value, by one of these: a uniform range, a normal distribution (mean, standard deviation), or a choice."""
 
     uniform: tuple[float, float] | None = None
     normal: tuple[float, float] | None = None
@@ -55,7 +55,8 @@ class Draw(tables.Table, frozen=True):
 
 
 class Pass(tables.Table, frozen=True):
-    """Something that must hold. `sql`: an expression over all runs that gives true or false; each = "point": at every point."""
+    """A condition that must hold. `sql`: an expression over all runs that gives true or false; each = "point": at every
+    point."""
 
     name: Name
     sql: Annotated[str, msgspec.Meta(min_length=1, max_length=1000)]
@@ -70,15 +71,15 @@ class Answer(tables.Table, frozen=True):
 
 
 class Seeds(tables.Table, frozen=True):
-    """At each point."""
+    """The seeds at each point."""
 
     first: Annotated[int, msgspec.Meta(ge=0, le=2**53)] = 1
     count: Annotated[int, msgspec.Meta(ge=1, le=RUNS_MAX)] = 100
 
 
 class CampaignFile(tables.Table, frozen=True):
-    """The file. `vehicle`, `scenario` and `mission` are files beside it, one or several: each boat sails each of the others.
-    The scenarios "mixed", "chased" and "searching" are drawn from the seed."""
+    """The file of a campaign. `vehicle`, `scenario` and `mission` are files beside it, one or several: each boat sails each of
+    the others. The scenarios "mixed", "chased" and "searching" are drawn from the seed."""
 
     version: Literal[1]
     name: Name
@@ -105,7 +106,8 @@ class CampaignFile(tables.Table, frozen=True):
 
 
 class Story(NamedTuple):
-    """What is sailed: a boat, and a scenario's file, one that a seed draws, or a mission, with the texts that belong to it."""
+    """A voyage to sail: a boat, and a scenario's file, one that a seed draws, or a mission, with the texts that belong to
+    it."""
 
     name: str
     boat: str  # name of the vehicle's file
@@ -151,7 +153,7 @@ class Plan(NamedTuple):
             left, number = left - len(some), number + 1
 
     def values(self, point: int, seed: int) -> dict[str, Any]:
-        """What is varied and drawn in this run, by key."""
+        """The values that are varied and drawn in this run, by key."""
         return self.points[point][1] | {key: self._drawn(key, how, seed) for key, how in self.draw.items()}
 
     def _drawn(self, key: str, how: Draw, seed: int) -> Scalar:
@@ -183,7 +185,7 @@ def _place(key: str, seeds: Seeds, seed: int) -> int:
 
 
 def read(path: str | Path) -> tuple[CampaignFile, Plan]:
-    """A campaign's file and its plan; every point's values are tried on the vehicle's file. Raises ConfigError."""
+    """Read a campaign's file and its plan; every point's values are tried on the vehicle's file. Raises ConfigError."""
     place = Path(path)
     file = tables.decode(tables.read_toml(place), CampaignFile, str(place))
     trials = [trial for name in _names(file.scenario) for trial in _trials(place.parent, name)]
@@ -215,7 +217,7 @@ def read(path: str | Path) -> tuple[CampaignFile, Plan]:
 
 
 def _try(plan: Plan, number: int, where: str) -> None:
-    """The first run of a point without sailing it. Raises ConfigError."""
+    """Try the first run of a point without sailing it. Raises ConfigError."""
     story, (over, faults) = plan.stories[plan.points[number][0]], parted(plan.values(number, plan.seeds.first))
     config.read(laid(story.vehicle, over), where)
     if faults and story.scenario is not None:
@@ -225,7 +227,8 @@ def _try(plan: Plan, number: int, where: str) -> None:
 
 
 def parted(values: dict[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
-    """What lies over the vehicle's file, by key, and what lies over each fault of the scenario, by the names there."""
+    """Split the values into those that lie over the vehicle's file, by key, and those over each fault of the scenario, by the
+    names there."""
     faults = {key.removeprefix(FAULT): value for key, value in values.items() if key.startswith(FAULT)}
     return {key: value for key, value in values.items() if not key.startswith(FAULT)}, faults
 

@@ -1,4 +1,4 @@
-"""What a worker does: it sails the runs of a batch and says of each what came of it. It knows nothing of who asked."""
+"""The work of a worker: it sails the runs of a batch and returns their results. It knows nothing of who ordered them."""
 
 import gc
 import hashlib
@@ -34,7 +34,7 @@ LOOK_CYCLES: Final = 100  # the time of the processor is looked at so often
 
 
 class TooLong(DelfimError):
-    """A run took more computing than `limit_s`."""
+    """A run that took more computing than `limit_s`."""
 
 
 class _Watch:
@@ -65,13 +65,13 @@ class _Watch:
             raise TooLong(f"not over after {self._limit_s:g} s of computing, {run.elapsed_s:.0f} s at sea")
 
     def sailed(self, events: list[Event], end: str) -> Sailed:
-        """The run when it has ended, in words."""
+        """The run when it has ended, with its end in words."""
         pairs = None if self._pairs is None else " ".join(map(str, sorted(self._pairs.met)))
         return Sailed(self.begun, self.log, self.truth, events, end, pairs)
 
 
 def code() -> str:
-    """A digest of the sources as they are imported here, folder or archive: a version number does not say what was edited."""
+    """A digest of the sources as they are imported here, folder or archive: a version number does not show what was edited."""
     digest = hashlib.sha256()
     for found in sorted(pkgutil.walk_packages(delfim.__path__, "delfim."), key=lambda module: module.name):
         spec = find_spec(found.name)
@@ -86,7 +86,8 @@ VERSION: Final = f"delfim {delfim.__version__} code {code()} python {platform.py
 
 
 def sail_batch(plan: Plan, batch: Batch, version: str) -> list[dict[str, Any]]:
-    """A dict a run, plain values only. Raises DelfimError where this worker has other code than who asks."""
+    """Sail a batch; returns a dict for each run, plain values only. Raises DelfimError where this worker has other code than
+    the one that ordered it."""
     if version != VERSION:
         raise DelfimError(f"this worker has {VERSION}, the campaign {version}")
     rows = list[dict[str, Any]]()
@@ -101,7 +102,7 @@ def sail_batch(plan: Plan, batch: Batch, version: str) -> list[dict[str, Any]]:
 
 
 def one(plan: Plan, number: int, point: int, seed: int) -> dict[str, Any]:
-    """A run. One that cannot be sailed is a row too, with its error."""
+    """Sail a run. One that cannot be sailed is a row too, with its error."""
     began_s, worked_s = time.perf_counter(), time.process_time()
     values = plan.values(point, seed)
     story = plan.stories[plan.points[point][0]]
@@ -122,7 +123,7 @@ def one(plan: Plan, number: int, point: int, seed: int) -> dict[str, Any]:
 
 
 def judged(plan: Plan, drawn: "Drawn", seed: int) -> tuple[Sailed, list[str]]:
-    """What a run sails, and what failed in it; where the campaign asks the second auditor, what he finds in its log, too."""
+    """Sail a run; returns what failed in it, and where the campaign wants the second auditor, what he finds in its log, too."""
     if not plan.audit:
         return sailed_drawn(plan, drawn, seed)
     from delfim.audit import auditor  # it needs numpy, which a run that nobody audits does not
@@ -133,7 +134,7 @@ def judged(plan: Plan, drawn: "Drawn", seed: int) -> tuple[Sailed, list[str]]:
 
 
 class Drawn(NamedTuple):
-    """What a run sails."""
+    """The settings and scenario that a run sails."""
 
     boat: dict[str, Any]  # the vehicle's file as a tree, with the campaign's values over it
     values: dict[str, Any]  # they lie over what the scenario lays upon it, too
@@ -141,14 +142,14 @@ class Drawn(NamedTuple):
     mission: str  # its text
 
     def settings(self, name: str, log: str = "") -> config.Vehicle:
-        """`log`: a folder for the state log. Raises ConfigError in the name of what is wrong."""
+        """The settings of the run. `log`: a folder for the state log. Raises ConfigError in the name of what is wrong."""
         tree = self.boat if self.scenario is None else laid(laid_upon(self.boat, self.scenario), self.values)
         kept = {"log.directory": log, "log.state_method": "write"} if log else {}
         return config.read(laid(tree, kept), name)
 
 
 def drawn_run(plan: Plan, point: int, seed: int) -> Drawn:
-    """Raises DelfimError."""
+    """Draw the run of a point and a seed. Raises DelfimError."""
     story, (values, faults) = plan.stories[plan.points[point][0]], parted(plan.values(point, seed))
     boat, scenario, mission = laid(story.vehicle, values), None, story.mission
     if story.scenario is not None:
@@ -166,15 +167,15 @@ def drawn_run(plan: Plan, point: int, seed: int) -> Drawn:
 def sailed_run(
     plan: Plan, point: int, seed: int, look: Callable[[Lockstep], object] = lambda run: None, log: str = ""
 ) -> tuple[Sailed, list[str]]:
-    """The run of a point and a seed, and what failed in it, in words. `look` is called after each cycle; `log` is a folder for
-    its state log. Raises DelfimError."""
+    """Sail the run of a point and a seed; returns it and what failed in it, in words. `look` is called after each cycle; `log`
+    is a folder for its state log. Raises DelfimError."""
     return sailed_drawn(plan, drawn_run(plan, point, seed), seed, look, log)
 
 
 def sailed_drawn(
     plan: Plan, drawn: Drawn, seed: int, look: Callable[[Lockstep], object] = lambda run: None, log: str = ""
 ) -> tuple[Sailed, list[str]]:
-    """The same of what a run sails."""
+    """Sail a drawn run, as `sailed_run`."""
     settings, scenario = drawn.settings(plan.name, log), drawn.scenario
     watch = _Watch(plan, look, lambda clock: Logbook(settings, clock) if log else NoLog())
     if scenario is None:

@@ -24,7 +24,7 @@ _NUMBER: Final = re.compile(r"-?[0-9]+(\.[0-9]+)?")
 
 
 class LeftOver(NamedTuple):
-    """What can be left out: a row of one of LISTS, or a table that lies over the vehicle's file."""
+    """A piece that can be left out: a row of one of LISTS, or a table that lies over the vehicle's file."""
 
     field: str
     keys: tuple[str, ...]
@@ -43,8 +43,8 @@ def alike(words: str) -> str:
 
 
 def shrink(drawn: Drawn, failures: Callable[[Drawn], list[str]], tell: Callable[[str], None], most: int = RUNS_MAX) -> Shrunk:
-    """`failures` sails a run and says what failed, in words. Raises DelfimError where nothing does, or where there is nothing
-    to leave out."""
+    """Shrink a run. `failures` sails a run and returns what failed, in words. Raises DelfimError where nothing does, or where
+    there is nothing to leave out."""
     if drawn.scenario is None:
         raise DelfimError("a mission has no faults and no orders to leave out")
     if not (found := failures(drawn)):
@@ -71,7 +71,7 @@ class _Shrinking:
         self._told_s = time.monotonic()
 
     def fails(self, scenario: Scenario) -> bool:
-        """Whether this run fails in the same words; it is the best so far then. Not when there were too many runs."""
+        """Whether this run fails in the same words; it is the best so far then. False when there were too many runs."""
         if self.runs >= self._most:
             return False
         self.runs += 1
@@ -84,7 +84,7 @@ class _Shrinking:
         return True
 
     def shorten(self) -> None:
-        """The run ends soon after it has failed."""
+        """Let the run end soon after it has failed."""
         low_s, high_s = 0.0, self.best.seconds
         while high_s - low_s > CLOSE_S and self.runs < self._most:
             middle_s = (low_s + high_s) / 2.0
@@ -94,7 +94,7 @@ class _Shrinking:
                 low_s = middle_s
 
     def leave_out(self) -> None:
-        """Parts of the pieces, ever smaller ones, down to one by one."""
+        """Leave out parts of the pieces, ever smaller ones, down to one by one."""
         pieces, parts = _pieces(self.best), 2
         while pieces and self.runs < self._most:
             size = -(-len(pieces) // parts)
@@ -133,7 +133,7 @@ def _built(scenario: Scenario, pieces: Sequence[LeftOver]) -> Scenario:
 
 
 def written(shrunk: Shrunk, folder: Path) -> list[Path]:
-    """The vehicle's file and the scenario, with its mission beside it."""
+    """Write the vehicle's file and the scenario, with its mission beside it."""
     folder.mkdir(parents=True, exist_ok=True)
     drawn, scenario = shrunk.drawn, shrunk.drawn.scenario
     assert scenario is not None
@@ -150,7 +150,7 @@ def written(shrunk: Shrunk, folder: Path) -> list[Path]:
 
 
 def run(plan: Plan, folder: Path, point: int, seed: int) -> int:
-    """Shrinks a run of a campaign, and prints the command that repeats what is left; returns 0. Raises DelfimError."""
+    """Shrink a run of a campaign, and print the command that repeats what is left; returns 0. Raises DelfimError."""
 
     def failures(drawn: Drawn) -> list[str]:
         try:

@@ -1,4 +1,4 @@
-"""How well a boat was steered, mode by mode, from its true motion and place, not from what it knew of them."""
+"""Measures how well a boat was steered, mode by mode, from its true motion and position, not from what it knew of them."""
 
 import math
 from itertools import pairwise
@@ -42,7 +42,7 @@ class Deviation:
 
 
 class SteerTape:
-    """Call `look` after each cycle. Of several orders, or several holds, the last one counts."""
+    """Measures one run. Call `look` after each cycle. Of several orders, or several holds, the last one counts."""
 
     def __init__(self, run: Lockstep) -> None:
         self._run, self._mode_s = run, -math.inf
@@ -60,8 +60,8 @@ class SteerTape:
 
     @property
     def missed_m(self) -> float | None:
-        """Of the waypoints that are behind it: by how much the boat missed the radius of the one that it missed most. Negative:
-        it was within all of them."""
+        """The greatest distance, m, by which the boat missed the radius of a waypoint that is behind it. Negative: it was
+        within all of them."""
         return max((each for each in self._closest_m[: self._left] if each < math.inf), default=None)
 
     @property
@@ -69,7 +69,7 @@ class SteerTape:
         return self.rests / self.held_m.count if self.held_m.count else None
 
     def look(self, now_s: float, here: Point) -> None:
-        """`here`: its true place in the local plane."""
+        """Measure a cycle; `here` is the true position in the local plane."""
         state, model = self._run.state, self._run.nodes.model
         mode, since_s = state.mode, state.mode_s
         entered, self._mode_s = since_s != self._mode_s, since_s
@@ -144,7 +144,7 @@ class SteerTape:
                 self._closest_m[number] = far_m
 
     def _returning(self, entered: bool, here: Point) -> None:
-        """The place on its track moves back with the boat, so that a long track costs no more than a short one."""
+        """Follow the track back: the place on it moves with the boat, so that a long track costs no more than a short one."""
         if entered:
             self._back = len(self._driven) - 1
         first = max(self._back - NEAR, 0)

@@ -31,7 +31,7 @@ _VALUES: Final = {bool: pa.bool_(), int: pa.float64(), float: pa.float64(), str:
 
 
 def packages() -> dict[str, str]:
-    """Versions of those of PACKAGES that are installed, by name."""
+    """The versions of those of PACKAGES that are installed, by name."""
     found = dict[str, str]()
     for name in PACKAGES:
         with suppress(metadata.PackageNotFoundError):
@@ -65,11 +65,12 @@ def schema(plan: Plan) -> pa.Schema:
 
 
 class Store:
-    """The folder, opened by the only process that writes there. What it remembers does not grow with the runs: of batches that
-    are there, the first that is missing, and those beyond it."""
+    """The folder, opened by the only process that writes there. Its memory does not grow with the runs: of batches that are
+    there, the first that is missing, and those beyond it."""
 
     def __init__(self, folder: Path, plan: Plan, size: int, version: str) -> None:
-        """`size`: runs of a batch. Raises DelfimError where the folder holds another campaign or results of other code."""
+        """Open the folder. `size`: runs of a batch. Raises DelfimError where the folder holds another campaign or results of
+        other code."""
         folder.mkdir(parents=True, exist_ok=True)
         self.folder, self._schema = folder, schema(plan)
         head = {"name": plan.name, "digest": plan.digest, "runs": plan.runs, "batch": size, "version": version}
@@ -130,7 +131,7 @@ class Store:
 
 
 def head_of(folder: Path) -> dict[str, Any]:
-    """What a campaign wrote of itself. Raises DelfimError."""
+    """Read the head that a campaign wrote. Raises DelfimError."""
     try:
         head = parse_json(read_text(folder / HEAD))
     except OSError as error:

@@ -1,4 +1,4 @@
-"""Who sails the batches: processes of this machine, or the workers of a Dask cluster. Both get few batches at a time."""
+"""The workers that sail the batches: processes of this machine, or those of a Dask cluster. Both get few batches at a time."""
 
 import multiprocessing
 import os
@@ -28,8 +28,8 @@ Work = Callable[[Plan, Batch, str], Rows]  # what a worker does with a batch, gi
 def by_processes(
     plan: Plan, batches: Iterable[Batch], count: int, work: Work = sail_batch
 ) -> Generator[tuple[int, Rows], None, None]:
-    """Rows of batches, in any order. A killed process breaks the whole pool: it is made anew with what is missing. Whoever
-    closes this need not wait for what is being sailed. Raises DelfimError when workers go on dying."""
+    """Sail batches by processes; yields their rows in any order. A killed process breaks the whole pool: it is made anew with
+    what is missing. Whoever closes this need not wait for what is being sailed. Raises DelfimError when workers go on dying."""
     left, deaths, rest = deque[Batch](), 0, iter(batches)
     kind = multiprocessing.get_context("forkserver")  # the program is imported once, and not by each worker
     kind.set_forkserver_preload(["delfim.campaign.sailing"])
@@ -59,7 +59,8 @@ def by_processes(
 
 
 def _deaf(heard: Connection) -> None:
-    """Signals are for the process that writes; a worker ends when that closes its end of the pipe, however it ended."""
+    """Ignore signals, which are for the process that writes; a worker ends when that closes its end of the pipe, however it
+    ended."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
     def end_with_it() -> None:
@@ -72,8 +73,8 @@ def _deaf(heard: Connection) -> None:
 def by_cluster(
     plan: Plan, batches: Iterable[Batch], address: str, work: Work = sail_batch
 ) -> Generator[tuple[int, Rows], None, None]:
-    """The same by a Dask scheduler, whose workers may come and go. Nothing that a batch needs lives on workers alone: the plan
-    goes with each. Raises DelfimError where there is no cluster, or it was lost, or a worker has other code."""
+    """Sail batches by a Dask scheduler, whose workers may come and go. Nothing that a batch needs lives on workers alone: the
+    plan goes with each. Raises DelfimError where there is no cluster, or it was lost, or a worker has other code."""
     dask: Any = import_module("distributed")
     try:
         client = dask.Client(address, timeout="10s")
@@ -113,7 +114,7 @@ def by_cluster(
 
 
 def _check(client: Any, address: str) -> None:
-    """Every worker must have this code, by its digest and not by its number alone."""
+    """Check that every worker has this code, by its digest and not by its number alone."""
     try:
         client.wait_for_workers(1, timeout=START_S)
     except TimeoutError:

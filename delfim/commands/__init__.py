@@ -69,20 +69,20 @@ class Formatter(argparse.HelpFormatter):
 
 
 def vehicle_file(parser: argparse.ArgumentParser) -> None:
-    """The options of every command that reads a vehicle's file on the boat."""
+    """Add the options of every command that reads a vehicle's file on the boat."""
     parser.add_argument("file", metavar="FILE", help=f"The vehicle's file, such as {OWN_FILE}.")
     overrides(parser)
 
 
 def example_file(parser: argparse.ArgumentParser, *, nargs: str | None = None, default: str | None = None) -> None:
-    """The same for a command of the desk, which also takes a file that came with Delfim."""
+    """The options of a command of the desk, which also takes a vehicle's file that came with Delfim."""
     told = f"The vehicle's file, such as {OWN_FILE}{', which is the default' if default else ''}."
     parser.add_argument("file", metavar="FILE", nargs=nargs, default=default, type=shipped, help=told)
     overrides(parser)
 
 
 def shipped(path: str) -> str:
-    """The path; or, if there is none and it begins with etc/, that of the file of this name that came with Delfim. Never for a
+    """Resolve a path: one that does not exist and begins with etc/ is that of the file that came with Delfim. Never for a
     command that runs a boat: in the wrong folder it would sail with an example instead of the owner's file."""
     place = PACKAGE / path
     return str(place) if Path(path).parts[:1] == ("etc",) and not os.path.exists(path) and place.exists() else path

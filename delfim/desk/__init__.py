@@ -1,1 +1,1 @@
-"""What `delfim sensors` hears and says of a boat's sensors."""
+"""Reads a boat's sensors at the desk, for `delfim sensors`."""

@@ -34,7 +34,7 @@ class Found(NamedTuple):
 
 
 class Turned(NamedTuple):
-    """How heading and rate of turn followed a turn by hand, positive to starboard; None: it was not told."""
+    """How heading and rate of turn followed a turn by hand, positive to starboard; None: it was not reported."""
 
     heading_deg: float | None
     rate_dps: float | None  # the largest, with its sign
@@ -69,7 +69,7 @@ def _is_sound(line: MixedLine) -> bool:
 
 
 def find(device: str, clock: Clock) -> Iterator[str]:
-    """Lines for the terminal, as each rate was tried. Raises DelfimError."""
+    """Try each rate; yields lines for the terminal. Raises DelfimError."""
     if (user := user_of(device)) is not None:
         raise DelfimError(f"{device}: {user} reads it, and each of two readers gets a part: end it first")
     came = 0
@@ -135,7 +135,7 @@ def turned(hearing: Hearing, for_s: float) -> Turned:
 
 
 def judged(turn: Turned) -> tuple[bool, list[str]]:
-    """Whether a turn to starboard was told as one, and the words about it."""
+    """Whether a turn to starboard was reported as one, and the words about it."""
     if turn.heading_deg is None:
         return False, ["No heading was heard."]
     if abs(turn.heading_deg) < TURN_DEG / 2.0:

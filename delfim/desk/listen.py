@@ -1,4 +1,4 @@
-"""The words of a boat's sensors, for `delfim sensors`: asked of the running boat, else heard on its ports and buses.
+"""The reports of a boat's sensors, for `delfim sensors`: requested from the running boat, else heard on its ports and buses.
 
 These are opened to listen: nothing is sent. A boat that runs loses no byte by it.
 """
@@ -32,7 +32,7 @@ REOPEN_S: Final = 1.0
 
 
 class SensorsTold(NamedTuple):
-    """The knowledge at a time: the figures of each source, why ports are not open, and values by source and kind."""
+    """The reports at one time: the figures of each source, why ports are not open, and values by source and kind."""
 
     at_s: float  # monotonic
     figures: dict[str, dict[str, Any]]
@@ -50,7 +50,7 @@ class Hearing(Protocol):
 
 
 def listener(settings: config.Vehicle, clock: Clock) -> Hearing:
-    """The running boat, else its ports and buses. Raises DelfimError, also where a boat runs and does not let us ask."""
+    """The running boat, else its ports and buses. Raises DelfimError, also where a running boat does not answer us."""
     with socket.socket(socket.AF_UNIX) as knock:
         if knock.connect_ex(settings.console.socket) in GONE:
             return Opened(settings, clock)
@@ -58,7 +58,7 @@ def listener(settings: config.Vehicle, clock: Clock) -> Hearing:
 
 
 class Running:
-    """A boat that runs, asked over its command socket."""
+    """A boat that runs, read over its command socket."""
 
     where = "the boat runs: these are its own figures"
 
@@ -67,7 +67,7 @@ class Running:
         self._devices = {name: line_id(_opened(port.device)) for name, port in settings.of(Nmea0183).ports.items()}
 
     def told(self, wait_s: float) -> SensorsTold:
-        """Raises DelfimError."""
+        """Request the reports. Raises DelfimError."""
         select.select([], [], [], wait_s)
         state = self._link.ask("state")
         names: tuple[str, ...] = (*self._settings.navigation.sources, *self._settings.sensors.names)
@@ -191,7 +191,7 @@ def _of(n: Any) -> Iterator[tuple[str, tuple[float, ...]]]:
 
 
 def _navigated(state: dict[str, Any]) -> Iterator[tuple[str, tuple[float, ...]]]:
-    """The same of a boat's state, which is in degrees."""
+    """The known values of a boat's state, which is in degrees."""
     if state["latitude_deg"] is not None:
         yield "position", (math.radians(state["latitude_deg"]), math.radians(state["longitude_deg"]))
     if state["speed_mps"] is not None:

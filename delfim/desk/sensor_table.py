@@ -1,4 +1,4 @@
-"""The table of `delfim sensors`: who is believed for what, what was heard on each port and bus, and how often."""
+"""The table of `delfim sensors`: the device chosen for each kind, what was heard on each port and bus, and how often."""
 
 import math
 from collections.abc import Iterator
@@ -18,7 +18,7 @@ STILL_MPS: Final = 0.1
 
 
 def table(settings: config.Vehicle, where: str, before: SensorsTold, now: SensorsTold) -> list[str]:
-    """Lines for the terminal. Rates are those between the two."""
+    """Lines for the terminal; rates are computed between the two readings."""
     used = f"; it navigates by {now.source}" if now.source else ""
     lines = [f"{settings.boat.name}: {where}{used}", "", f"{'source':10} {'kind':14} {'believed':18} {'age':>7}  value"]
     for source in settings.navigation.sources:
@@ -35,7 +35,7 @@ def table(settings: config.Vehicle, where: str, before: SensorsTold, now: Sensor
 
 
 def _believed(source: str, now: SensorsTold) -> Iterator[str]:
-    """A row for each kind that somebody is chosen for, or whose value is known."""
+    """A row for each kind with a chosen device or a known value."""
     chosen = {kind: _who(told) for kind, told in now.figures.get(source, {}).get("kinds", {}).items()}
     for kind in dict.fromkeys([*chosen, *KINDS]):
         who, age_s = chosen.get(kind, (None, None))
@@ -47,7 +47,7 @@ def _believed(source: str, now: SensorsTold) -> Iterator[str]:
 
 
 def _who(told: Any) -> tuple[Any, float | None]:
-    """The chosen device, and the age: sources name it in their own ways."""
+    """The chosen device and its age: sources name it in their own ways."""
     if isinstance(told, dict):
         return told.get("talker", told.get("node")), told.get("age_s")
     return told[0], told[1]
@@ -78,7 +78,7 @@ def _heard(name: str, now: dict[str, Any], before: dict[str, Any], passed_s: flo
 
 
 def _rates(now: dict[str, int], before: dict[str, int], passed_s: float) -> str:
-    """How often each was counted, the silent ones left out."""
+    """The rate of each count, the silent ones left out."""
     rates = {name: (count - before.get(name, 0)) / passed_s for name, count in now.items()}
     return ", ".join(f"{name} {rate:.1f}" for name, rate in rates.items() if rate > 0.0)
 

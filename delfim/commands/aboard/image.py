@@ -25,7 +25,7 @@ def options(parser: argparse.ArgumentParser) -> None:
 
 
 def run(asked: argparse.Namespace) -> int:
-    """The command. Returns the exit code; raises DelfimError for a failure that the user can put right."""
+    """Run the command. Returns the exit code; raises DelfimError for a failure that the user can put right."""
     settings = config.load(asked.file, asked.set)
     if (asked.verb in ("verify", "install")) != bool(asked.image):
         raise DelfimError(f"image {asked.verb}: {'takes no image file' if asked.image else 'name the image file'}")
@@ -44,7 +44,7 @@ def run(asked: argparse.Namespace) -> int:
 
 
 def under_way(settings: config.Vehicle) -> str:
-    """Why no image may be installed now; "" if the boat rests. A vehicle that is not running moves nothing."""
+    """The reason why no image may be installed now; "" if the boat rests. A vehicle that is not running moves nothing."""
     try:
         link = Link(settings.console.socket, ANSWER_S)
     except DelfimError:
@@ -84,7 +84,7 @@ def confirm(settings: config.Vehicle) -> int:
 
 
 def status(settings: config.Vehicle) -> int:
-    """Returns 1 if a slot that may be started is damaged or an image was rolled back."""
+    """Print the slots. Returns 1 if a slot that may be started is damaged or an image was rolled back."""
     running, tried = slots.started(Path("/proc/cmdline").read_text())
     with slots.boot_partition(settings.of(Image), write=False) as both:
         environment = both.environment()

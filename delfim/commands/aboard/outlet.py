@@ -1,4 +1,5 @@
-"""`delfim outlet`: the process between the boat's program and motors that would turn for ever, as the supervisor starts it."""
+"""`delfim outlet`: the process between the boat's program and motors that keep their last command, as the supervisor starts
+it."""
 
 import argparse
 

@@ -29,8 +29,8 @@ def options(parser: argparse.ArgumentParser) -> None:
 
 
 def run(asked: argparse.Namespace) -> int:
-    """Returns 2 if the file has faults, 1 if the boat must not go to sea with it. A warning is neither: another computer may
-    have the device that this one lacks."""
+    """Run the command. Returns 2 if the file has faults, 1 if the boat must not go to sea with it. A warning is neither:
+    another computer may have the device that this one lacks."""
     from delfim.base import tables
     from delfim.services.suite import services
 
@@ -53,7 +53,7 @@ def run(asked: argparse.Namespace) -> int:
 
 
 def _told(vehicle: config.Vehicle) -> str:
-    """The messages of the boat as a device of its NMEA 2000 bus."""
+    """The messages that the boat sends as a device of its NMEA 2000 bus."""
     from delfim.canproxy.nmea2000.device import device_name, facts_of
     from delfim.parts.nmea2000.nmea2000rows import pgns_of
 
@@ -64,7 +64,7 @@ def _told(vehicle: config.Vehicle) -> str:
 
 
 def _at_sea(vehicle: config.Vehicle, running: list[str]) -> bool:
-    """Prints the boat's doors. Whether it must not go to sea with them."""
+    """Print the boat's listeners; returns whether it must not go to sea with them."""
     from delfim.services.access.exposure import doors, unheard
 
     found = doors(vehicle, running)
@@ -81,7 +81,7 @@ def _at_sea(vehicle: config.Vehicle, running: list[str]) -> bool:
 
 
 def _doubts(file: str, vehicle: config.Vehicle) -> Iterator[str]:
-    """Devices and files that the file names and this computer lacks, in words."""
+    """The devices and files that the file names and this computer lacks, in words."""
     from delfim.base.errors import ConfigError
     from delfim.vehicle.plans.mission import load_mission
 
@@ -107,7 +107,7 @@ def _doubts(file: str, vehicle: config.Vehicle) -> Iterator[str]:
 
 
 def _on_the_bus(vehicle: config.Vehicle) -> Iterator[str]:
-    """Addresses of the file that the network of canip takes from all others: what is sent to them goes onto the bus."""
+    """The addresses of the file that the network of canip takes from all others: what is sent to them goes onto the bus."""
     bus = IPv4Interface(vehicle.of(Canip).address).network
     radio = vehicle.of(Slipd)
     named = {"guest.networks": vehicle.of(GuestTable).networks if vehicle.of(GuestTable).enabled else ()}

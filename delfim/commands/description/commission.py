@@ -1,4 +1,4 @@
-"""`delfim commission`: the files of a boat for the sea, from a vehicle's file: its own file, keys and users.
+"""`delfim commission`: makes the files of a boat for the sea from a vehicle's file: its own file, keys and users.
 
 It asks for all that it cannot know; every question has an option, so that it also runs unattended. Nothing is written before
 the file with all answers was found good and no door lets a stranger move the boat.
@@ -28,7 +28,7 @@ USER: Final = "[A-Za-z][A-Za-z0-9_-]{0,31}"
 
 
 class Question(NamedTuple):
-    """`key` of the vehicle's file has the answer if nobody gives another; "" for one that is in no file."""
+    """A question. `key` of the vehicle's file has the answer if nobody gives another; "" for one that is in no file."""
 
     option: str
     words: str
@@ -96,7 +96,8 @@ def run(asked: argparse.Namespace) -> int:
 
 
 def _answer(question: Question, asked: argparse.Namespace, settings: config.Vehicle, before: Mapping[str, str]) -> str:
-    """An option, else what is typed, else the default. What only a radio has is not asked for without one."""
+    """Take the answer from an option, else from the keyboard, else the default. What only a radio has is not asked for without
+    one."""
     given: str | None = getattr(asked, question.option.replace("-", "_"))
     if given is not None:
         return given.strip()
@@ -127,7 +128,7 @@ def _number(text: str) -> int:
 
 
 def _users(text: str) -> dict[str, str]:
-    """The users, with the public ssh key of those who have one. Raises DelfimError."""
+    """Parse the users, with the public ssh key of those who have one. Raises DelfimError."""
     import re
 
     from delfim.base.input.untrusted import read_file
@@ -146,7 +147,7 @@ def _users(text: str) -> dict[str, str]:
 
 
 def _consoles_key(fleet: str | None) -> str:
-    """That of the boat that was commissioned into a folder, or a new one. Raises ConfigError."""
+    """The key of the boat that was commissioned into a folder, or a new one. Raises ConfigError."""
     from secrets import token_hex
 
     from delfim.base.input.keys import read_key
@@ -178,8 +179,8 @@ def _addresses(answers: Mapping[str, str], network: IPv4Interface, settings: con
 
 
 def _opened(settings: config.Vehicle) -> dict[str, Any]:
-    """The doors for which commands are printed, on every address of the boat where the file has its own computer's alone. The
-    ports stay the file's: Debian has an sshd of its own on port 22."""
+    """The listeners for which commands are printed, on every address of the boat where the file has its own computer's alone.
+    The ports stay the file's: Debian has an sshd of its own on port 22."""
     names = ["mavlink", "httpd", "ftpd", "sshd", *(["guest"] if settings.of(GuestTable).enabled else [])]
     places = {f"{name}.listen": getattr(settings, name).listen for name in names}
     found: dict[str, Any] = {key: _everywhere(place) for key, place in places.items()}
@@ -201,14 +202,14 @@ def _mission(file: str, settings: config.Vehicle) -> dict[str, str]:
 
 
 class Secrets(NamedTuple):
-    """New ones: files below the output folder with their content, and what the vehicle's file says of them."""
+    """New secrets: files below the output folder with their content, and the keys of the vehicle's file for them."""
 
     files: dict[str, str]
     settings: dict[str, Any]
 
 
 def _secrets(answers: Mapping[str, str], crew: Mapping[str, str], console_key: str, file: config.Vehicle) -> Secrets:
-    """`file`: which ports and guest the boat has."""
+    """Make the secrets; `file` shows which ports and guest the boat has."""
     import datetime
     from secrets import token_hex
 
@@ -255,7 +256,7 @@ def _flat(tree: Mapping[str, Any], above: str = "") -> list[tuple[str, Any]]:
 
 
 def _is_fit(text: str, file: str) -> None:
-    """Raises ConfigError for a wrong answer, Refused for a boat that strangers could move or write to."""
+    """Check the answers. Raises ConfigError for a wrong one, Refused for a boat that strangers could move or write to."""
     from delfim.base.input.untrusted import parse_toml
     from delfim.services.access.exposure import doors
     from delfim.services.suite import services
@@ -267,7 +268,7 @@ def _is_fit(text: str, file: str) -> None:
 
 
 def _write(output: Path, text: str, files: Mapping[str, str]) -> None:
-    """All of it, for its owner alone. Raises FileExistsError: keys that a boat knows are not replaced."""
+    """Write all of it, for its owner alone. Raises FileExistsError: keys that a boat knows are not replaced."""
     import os
 
     output.mkdir(mode=0o700, parents=True)

@@ -1,4 +1,4 @@
-"""`delfim new`: a vehicle's file of your boat, from a few answers, and a short first mission where it lies.
+"""`delfim new`: writes a vehicle's file of your boat from a few answers, and a short first mission where it lies.
 
 It asks for values that no option gives, or with --yes takes their defaults. No file is replaced, and none stays that is wrong.
 """
@@ -45,7 +45,8 @@ def _kinds(words: Mapping[str, tuple[str, MotorsAnswer | PositionsAnswer]]) -> d
 
 
 class Answers(NamedTuple):
-    """Lengths in m, thrust of one motor at full power ahead in N, the speed that all reach in m/s, the place in degrees."""
+    """The answers: lengths in m, thrust of one motor at full power ahead in N, the speed that all reach in m/s, the place in
+    degrees."""
 
     name: str
     number: int
@@ -118,12 +119,12 @@ def _shipped() -> dict[str, Path]:
 
 
 def _about(place: Path) -> str:
-    """The first sentence of its file."""
+    """The first sentence of a boat's file."""
     return read_text(place).removeprefix("# ").replace("\n# ", " ").partition(". ")[0]
 
 
 def _copied(ask: "_Asking", place: Path, stem: str, mission: str) -> tuple[str, str]:
-    """One of the boats to start from, with another name, number and place; and its mission."""
+    """Copy one of the boats to start from, with another name, number and place; and its mission."""
     from delfim import config
     from delfim.services.vehiclefile import changed
 
@@ -140,7 +141,7 @@ def _number_of(ask: "_Asking") -> int:
 
 
 def _answers(ask: "_Asking", stem: str) -> Answers:
-    """Each from its option, or typed, or its default."""
+    """Collect the answers, each from its option, or typed, or its default."""
     from delfim import config
     from delfim.vehicle.control.hull import full_mps
 
@@ -278,14 +279,14 @@ mission = "{mission}"
 
 
 def _sensors(of: Answers, buses: dict[str, str]) -> str:
-    """Motors and sensors on one bus or board share its table, which stands at the motors."""
+    """The tables of the sensors. Motors and sensors on one bus or board share a table, which stands at the motors."""
     part, answer = of.sensors
     text = answer.text.format(interface=buses.get(part))
     return text.partition(f"\n[{part}]")[0] + "\n" if part == of.motors[0] else text
 
 
 def _thrusters(of: Answers) -> str:
-    """A single motor stands in the middle and has a rudder behind it."""
+    """The rows of the thrusters. A single motor stands in the middle and has a rudder behind it."""
     driver, motors = of.motors
     sides = {"motor": 0.0} if motors.rudder else {"starboard": 0.35 * of.beam_m, "port": -0.35 * of.beam_m}
     rows = ""
@@ -304,7 +305,8 @@ thrust_n = [{-0.6 * of.thrust_n:.3g}, {of.thrust_n:.3g}]
 
 
 def _mission_text(name: str, length_m: float, latitude_deg: float, longitude_deg: float) -> str:
-    """A rectangle of legs of about fifteen lengths of the boat, ahead of it and to its starboard, as it lies: bow north."""
+    """The mission: a rectangle of legs of about fifteen lengths of the boat, ahead of it and to its starboard, as it lies: bow
+    north."""
     from delfim.base.geodesy import from_plane, origin
 
     leg_m = max(15.0 * length_m, 30.0)

@@ -26,7 +26,7 @@ def options(parser: argparse.ArgumentParser) -> None:
 
 
 def run(asked: argparse.Namespace) -> int:
-    """Returns 1 where a part is not as it must be."""
+    """Run the command. Returns 1 where a part is not as it must be."""
     return {"list": _list, "new": _new, "check": _check}[asked.task](asked)
 
 

@@ -36,7 +36,7 @@ def run(_: argparse.Namespace) -> int:
 
 
 def script() -> str:
-    """For bash to read."""
+    """The script for bash."""
     top, with_verbs = parsers()
     cases = [row for of, parser in top.items() for row in _cases(of, parser)]
     first = _row(":*", (*SENTENCES, "--help", "--version"))
@@ -44,7 +44,7 @@ def script() -> str:
 
 
 def parsers() -> tuple[dict[str, argparse.ArgumentParser], list[str]]:
-    """By command, and by command and verb; and the commands that have verbs."""
+    """The parsers by command, and by command and verb; and the commands that have verbs."""
     found, with_verbs = dict[str, argparse.ArgumentParser](), list[str]()
     for name in SENTENCES:
         found[name] = argparse.ArgumentParser(prog=f"delfim {name}")

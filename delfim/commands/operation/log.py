@@ -1,4 +1,4 @@
-"""`delfim log`: work with logs afterwards. One verb, one function; the work is done in delfim.logging and, for a replay, in
+"""`delfim log`: works with logs afterwards. One verb, one function; the work is done in delfim.logging and, for a replay, in
 delfim.simulator.
 
 Without a path the tree is /log, or that of the simulation; without a range it is the last run.
@@ -30,7 +30,7 @@ WRITTEN_NS = 60_000_000_000  # a file on the boat that was changed so recently, 
 
 
 class Selection(NamedTuple):
-    """The logs that were asked for."""
+    """The logs that the command line selects."""
 
     runs: list[Run]
     files: list[LogFile]
@@ -122,7 +122,8 @@ def _cat(asked: argparse.Namespace) -> int:
 
 
 def _cat_lines(chosen: Selection, *, events: bool, as_json: bool) -> Iterator[str]:
-    """The events, or the frames of the black boxes by time, or the nodes' messages: lines of JSON that begin with the time."""
+    """Print the events, or the frames of the black boxes by time, or the nodes' messages: lines of JSON that begin with the
+    time."""
     if events:
         from delfim.logging.ashore.eventtable import table
 
@@ -148,7 +149,7 @@ def _cat_lines(chosen: Selection, *, events: bool, as_json: bool) -> Iterator[st
 
 
 def _cat_state(chosen: Selection, fields: str | None) -> None:
-    """Tab-separated, names first."""
+    """Print records, tab-separated, names first."""
     from delfim.logging.ashore.table import table
 
     columns, _ = table(chosen.state(), chosen.span)
@@ -271,7 +272,7 @@ def _fetch(asked: argparse.Namespace) -> int:
 
 
 def _frames(chosen: Selection, what: str) -> Iterator[tuple[str, Frame]]:
-    """Those of the black boxes. Raises DelfimError where there is none."""
+    """The frames of the black boxes. Raises DelfimError where there is none."""
     from delfim.logging.ashore.table import frames
 
     boxes = chosen.black_box()
@@ -287,7 +288,7 @@ def _modes() -> dict[int, str]:
 
 
 def _waypoints(chosen: Selection) -> list[tuple[float, float, float]]:
-    """Of the mission that was sailed last, as the sidecar tells."""
+    """The waypoints of the mission that was sailed last, from the sidecar."""
     from delfim.config import PathTable
     from delfim.console.tapes.loggedmissions import sailed
 
@@ -301,7 +302,7 @@ def _sizes(files: Sequence[LogFile]) -> tuple[float, Callable[[LogFile], float]]
 
 
 def _watched(frames: Iterable[tuple[str, Frame]], files: Sequence[LogFile], what: str) -> Iterator[tuple[str, Frame]]:
-    """Frames, with a progress bar by their time."""
+    """Pass frames on with a progress bar by their time."""
     begin_ns, end_ns = min(file.begin_ns for file in files), max(file.end_ns for file in files)
     told = progress(what, (end_ns - begin_ns) / 1e9)
     for count, each in enumerate(frames):

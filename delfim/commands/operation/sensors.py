@@ -1,4 +1,4 @@
-"""`delfim sensors`: what the boat's sensors say, and the first connection of one (docs/sensors.md)."""
+"""`delfim sensors`: shows the values of the boat's sensors, and makes the first connection of one (docs/sensors.md)."""
 
 import argparse
 import sys
@@ -27,7 +27,7 @@ def options(parser: argparse.ArgumentParser) -> None:
 
 
 def run(asked: argparse.Namespace) -> int:
-    """Returns 1 where a turn was told with the wrong sign, or not at all."""
+    """Run the command. Returns 1 where a turn was reported with the wrong sign, or not at all."""
     from delfim.base.clock import SystemClock
 
     clock = SystemClock()

@@ -1,4 +1,4 @@
-"""`delfim campaign`: sails all runs of a campaign's file, says what came of them, and asks the results by SQL."""
+"""`delfim campaign`: sails all runs of a campaign's file, reports their results, and queries them by SQL."""
 
 import argparse
 import os

@@ -1,4 +1,5 @@
-"""`delfim sim`: the whole suite over a loopback bus, the other nodes modelled, a mission sailed, and pictures at the end.
+"""`delfim sim`: runs the whole suite over a loopback bus with the other nodes modelled, sails a mission, and draws pictures at
+the end.
 
 The boat's program is the same that goes to sea, started the same way; overrides of its file set another
 bus and another place for logs and sockets. In lock step nothing runs in real time and the same seed gives the same bytes.
@@ -71,7 +72,8 @@ def options(parser: argparse.ArgumentParser) -> None:
 
 
 def run(asked: argparse.Namespace) -> int:
-    """Returns 0 when the mission was sailed to its end, the asked time passed or Ctrl-C was typed, 1 when the boat stopped."""
+    """Run the command. Returns 0 when the mission was sailed to its end, the given time passed or Ctrl-C was typed, 1 when the
+    boat stopped."""
     for name in {"SIGINT", "SIGTERM", "SIGHUP"} & {*dir(signal)}:  # our children end with us, also in a script's background
         signal.signal(getattr(signal, name), signal.default_int_handler)
     if asked.scenario:
@@ -143,8 +145,8 @@ def _real_time(asked: argparse.Namespace, settings: config.Vehicle, mission: Mis
 
 
 def _console(asked: argparse.Namespace, settings: config.Vehicle, its: Berth) -> tuple[list[str], str, str]:
-    """The console's words, its address for boats, and that of its page. Its files lie beside the simulation's own. A boat
-    that has a key hears nobody without it."""
+    """The arguments of the console, its address for boats, and that of its page. Its files lie beside the
+    simulation's own. A boat that has a key obeys nobody without it."""
     place, boats = its.folder.resolve() / "console", asked.boats or its.address(BOATS, udp=True)
     page = asked.page or its.address(PAGE)
     words = ["--vehicle", asked.file, "--boats", boats, "--page", page]
@@ -155,7 +157,7 @@ def _console(asked: argparse.Namespace, settings: config.Vehicle, its: Berth) ->
 
 
 def _announced(console: "subprocess.Popen[bytes]") -> str:
-    """The address that the console prints as soon as it listens. Raises DelfimError if it does not."""
+    """Read the address that the console prints as soon as it listens. Raises DelfimError if it does not."""
     assert console.stdout is not None
     ready, _, _ = select.select([console.stdout], [], [], START_S)
     told = console.stdout.readline().decode(errors="replace").strip() if ready else ""
@@ -166,7 +168,7 @@ def _announced(console: "subprocess.Popen[bytes]") -> str:
 
 
 def _report(voyage: Voyage, settings: config.Vehicle, mission: Mission, folder: Path) -> None:
-    """The summary and the pictures."""
+    """Print the summary and draw the pictures."""
     from delfim.logging.statelog import columns
 
     log = Path(settings.log.directory)
@@ -200,7 +202,7 @@ def _code(end: str) -> int:
 
 
 def _alone(interface: str) -> None:
-    """Raises BusError if a boat already sails on this bus: two would obey each other's commands."""
+    """Check that the bus is free. Raises BusError if a boat already sails on it: two would obey each other's commands."""
     with open_can(interface) as bus:
         bus.bind(ANYTHING)
         bus.settimeout(QUIET_S)
@@ -221,7 +223,7 @@ def _mission(asked: argparse.Namespace, settings: config.Vehicle) -> Mission:
 
 @contextlib.contextmanager
 def _process(command: str, *arguments: str, stdout: int | None = None) -> Iterator["subprocess.Popen[bytes]"]:
-    """A child of the same program, ended in order however this one ends."""
+    """Start a child of the same program, ended in order however this one ends."""
     child = subprocess.Popen([sys.executable, "-m", "delfim", command, *arguments], start_new_session=True, stdout=stdout)
     try:
         yield child
@@ -237,7 +239,7 @@ def _process(command: str, *arguments: str, stdout: int | None = None) -> Iterat
 
 
 def _lockstep(asked: argparse.Namespace, settings: config.Vehicle, mission: Mission) -> int:
-    """The same mission as fast as the machine can; the state log's bytes depend on file, mission and seed alone."""
+    """Sail the same mission as fast as the machine can; the state log's bytes depend on file, mission and seed alone."""
     from delfim.logging.statelog import columns
     from delfim.simulator.lockstep import Lockstep
     from delfim.simulator.realtime.external_model import SteppedModel
@@ -262,7 +264,7 @@ def _lockstep(asked: argparse.Namespace, settings: config.Vehicle, mission: Miss
 
 
 def _kept(asked: argparse.Namespace) -> tuple[str, ...]:
-    """Where a run in lock step keeps its log: nothing of one before stays."""
+    """The folder where a run in lock step keeps its log: nothing of one before stays."""
     log = Path(asked.output or SIMULATED).resolve() / f"lockstep-{asked.seed}"
     shutil.rmtree(log, ignore_errors=True)
     log.parent.mkdir(parents=True, exist_ok=True)
@@ -272,7 +274,7 @@ def _kept(asked: argparse.Namespace) -> tuple[str, ...]:
 def _pictures(
     data: dict[str, list[Any]], mission: Mission, settings: config.Vehicle, output: Path, *, timed: bool = True
 ) -> None:
-    """Track of a run, and its latency where time was real, as PNG from the state log."""
+    """Draw the track of a run, and its latency where time was real, as PNG from the state log."""
     from delfim.console.tapes.loggedmissions import sailed
     from delfim.logging.ashore import tree
 
