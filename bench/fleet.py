@@ -28,7 +28,7 @@ from delfim.console.boats.fleet import Fleet
 from delfim.console.gateway.serving import BROKER_FRAMES
 from delfim.console.link.mavlink import Key, keygen
 from delfim.parts.fleet.broker import STATE, UP, BrokerLine, BrokerPlace
-from delfim.parts.fleet.fleetd import told
+from delfim.parts.fleet.fleetd import retained_state
 from delfim.parts.mavlink.codec import wire
 from delfim.parts.mavlink.codec.signing import EPOCH_NS, PER_S, Signing
 from delfim.vehicle.report import BoatReport
@@ -106,7 +106,7 @@ async def _voyage(number: int, system: int, boats: int, line: BrokerLine, key: b
     while True:
         beat = dialect.MAVLink_heartbeat_message(dialect.MAV_TYPE_SURFACE_BOAT, 0, 209, 4, dialect.MAV_STATE_ACTIVE, 3)
         line.put(line.place.topic(name, UP), sender.pack(beat) + sender.pack(_short(number)))
-        line.keep(line.place.topic(name, STATE), msgspec.json.encode(told(state, clock.time_ns())))
+        line.keep(line.place.topic(name, STATE), msgspec.json.encode(retained_state(state, clock.time_ns())))
         await asyncio.sleep(1.0)
 
 

@@ -113,7 +113,7 @@ def tell(database: duckdb.DuckDBPyConnection) -> None:
     """The tables, from the results."""
     tables = ("All runs", TABLE), ("Rules not kept, guard on", RULES), ("Domains entered, guard on", LEFT)
     for title, sql in (*tables, ("Worse than without the guard", WORSE)):
-        names, rows = queries.asked(database, sql)
+        names, rows = queries.selected(database, sql)
         print(f"\n{title}\n\n{markdown(names, rows) if rows else 'none'}")
 
 
@@ -191,7 +191,7 @@ def main() -> None:
         tell(database)
         if asked.keep:
             keep(database, asked.keep)
-        _, rows = queries.asked(database, LEFT)
+        _, rows = queries.selected(database, LEFT)
         if asked.left and rows:
             draw(tracks((story, heard, seed) for story, heard, seed, *_ in rows), asked.left, "Domains entered")
         return

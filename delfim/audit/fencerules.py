@@ -125,7 +125,7 @@ def fence_watched(e: Evidence) -> Iterator[Finding]:
     due = view.known & nears & (view.least_m < view.margin_m - SURE_M) & (view.v_mps > 0.4) & (e.record_modes != IDLE)
     after_s = float(e.setting("failsafe.fence.after_s")) + SURE_S
     for first, last in spells(due):
-        if e.t_s[last] - e.t_s[first] >= after_s and not _told(e, float(e.t_s[first]), after_s):
+        if e.t_s[last] - e.t_s[first] >= after_s and not _is_reported(e, float(e.t_s[first]), after_s):
             words = f"the boat could stop {view.least_m[first]:.1f} m from the fence, and nobody was told"
             yield Finding(e.t_s[first] + after_s, f"{words}; fence.margin_m is {view.margin_m:g}")
     for alarm in e.named("fence"):
@@ -137,7 +137,7 @@ def fence_watched(e: Evidence) -> Iterator[Finding]:
             yield Finding(alarm.begin_s, f"fence ({alarm.told[0].words}): {words}; fence.margin_m is {view.margin_m:g}")
 
 
-def _told(e: Evidence, t_s: float, after_s: float) -> bool:
+def _is_reported(e: Evidence, t_s: float, after_s: float) -> bool:
     return any(each.begin_s <= t_s + after_s and each.end_s >= t_s - SURE_S for each in e.named("fence", "fence_left"))
 
 

@@ -239,10 +239,10 @@ def _refused(value: object, hint: Any, key: str) -> Wrong | None:
         text = str(error).partition(" - at ")[0]
         if kinds := re.fullmatch(r"Expected `(.*)`, got `(.*)`", text):
             wanted, got = (_KINDS.get(kind, kind) for kind in kinds.groups())
-            told = "this" if isinstance(value, list | dict) else _told(value)
+            told = "this" if isinstance(value, list | dict) else _as_written(value)
             return Wrong(key, f"{told} is {got}, not {wanted}", allowed(hint))
         if re.match("Expected|Invalid|Integer|Number|Object", text):
-            return Wrong(key, f"{_told(value)} is not allowed", allowed(hint))
+            return Wrong(key, f"{_as_written(value)} is not allowed", allowed(hint))
         return Wrong(key, text)  # from the table's own check
     return None
 
@@ -251,7 +251,7 @@ _KINDS = {"bool": "true or false", "int": "a whole number", "float": "a number",
 _KINDS |= {"object": "a table", "date": "a date", "datetime": "a date", "time": "a time of day", "null": "nothing"}
 
 
-def _told(value: object) -> str:
+def _as_written(value: object) -> str:
     """Show a value as its file has it, no longer than a line."""
     if isinstance(value, list | dict):
         kind = "list" if isinstance(value, list) else "table"

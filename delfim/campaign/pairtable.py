@@ -21,7 +21,7 @@ Counts = Mapping[tuple[str, str], int]
 
 def counted(database: duckdb.DuckDBPyConnection) -> dict[tuple[str, str], int]:
     """The number of runs in which each pair was met, of those that were."""
-    return {ALL[int(place)]: int(runs) for place, runs in queries.asked(database, SQL)[1]}
+    return {ALL[int(place)]: int(runs) for place, runs in queries.selected(database, SQL)[1]}
 
 
 def part(counts: Counts) -> float:

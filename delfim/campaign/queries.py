@@ -66,7 +66,7 @@ def _locked(database: duckdb.DuckDBPyConnection) -> duckdb.DuckDBPyConnection:
     return database
 
 
-def asked(database: duckdb.DuckDBPyConnection, sql: str) -> tuple[list[str], list[tuple[Any, ...]]]:
+def selected(database: duckdb.DuckDBPyConnection, sql: str) -> tuple[list[str], list[tuple[Any, ...]]]:
     """Run a SELECT; returns its columns and rows. Raises DelfimError with DuckDB's words, and for anything but one SELECT."""
     try:
         if [each.type for each in database.extract_statements(sql)] != [duckdb.StatementType.SELECT]:
@@ -108,7 +108,7 @@ def answered(database: duckdb.DuckDBPyConnection, asked_for: Iterable[Answer]) -
 
 def _named(name: str, database: duckdb.DuckDBPyConnection, sql: str) -> tuple[list[str], list[tuple[Any, ...]]]:
     try:
-        return asked(database, sql)
+        return selected(database, sql)
     except DelfimError as error:
         raise DelfimError(f"{name}: {error}") from None
 
@@ -130,7 +130,7 @@ def quantities(database: duckdb.DuckDBPyConnection) -> list[Quantity]:
     found = list[Quantity]()
     for name in NUMBERS:
         sql = f"select count({name}), {', '.join(f'quantile_cont({name}, {part})' for part in QUANTILES)} from runs"
-        runs, *values = asked(database, sql)[1][0]
+        runs, *values = selected(database, sql)[1][0]
         if runs:
             found.append(Quantity(name, runs, *values))
     return found
@@ -141,29 +141,29 @@ def failed(database: duckdb.DuckDBPyConnection) -> list[tuple[str, int, int, int
     sql = """select regexp_replace(why, '-?[0-9]+(\\.[0-9]+)?', 'N', 'g') as words, count(*), arg_min(point, seed), min(seed)
              from (select point, seed, unnest(if(error = '', failures, [error])) as why from runs where not ok)
              group by words order by count(*) desc, words"""
-    return [(words, many, point, seed) for words, many, point, seed in asked(database, sql)[1]]
+    return [(words, many, point, seed) for words, many, point, seed in selected(database, sql)[1]]
 
 
 def worst(database: duckdb.DuckDBPyConnection, count: int = 10) -> list[tuple[int, int, str]]:
     """The worst runs, (point, seed, why): those that failed, then those with the greatest value of the first of JUDGED that
     there is."""
     words = "case when error <> '' then error else array_to_string(failures, '; ') end"
-    rows = asked(database, f"select point, seed, {words} from runs where not ok order by point, seed limit {count}")[1]
+    rows = selected(database, f"select point, seed, {words} from runs where not ok order by point, seed limit {count}")[1]
     known = {each.name for each in quantities(database)}
     name = next((name for name in JUDGED if name in known), "sailed_s")
     unit = name.rpartition("_")[2]
     sql = f"select point, seed, {name} from runs where ok and {name} is not null order by {name} desc limit {count - len(rows)}"
     return rows + [
-        (point, seed, f"{name.rpartition('_')[0]} {value:.4g} {unit}") for point, seed, value in asked(database, sql)[1]
+        (point, seed, f"{name.rpartition('_')[0]} {value:.4g} {unit}") for point, seed, value in selected(database, sql)[1]
     ]
 
 
 def numeric(database: duckdb.DuckDBPyConnection, keys: Iterable[str]) -> list[str]:
     """Those of the keys whose values are numbers and not all the same."""
     found = list[str]()
-    kinds = dict(asked(database, "select column_name, column_type from (describe runs)")[1])
+    kinds = dict(selected(database, "select column_name, column_type from (describe runs)")[1])
     for key in keys:
-        if kinds.get(key) == "DOUBLE" and asked(database, f'select count(distinct "{key}") from runs')[1][0][0] > 1:
+        if kinds.get(key) == "DOUBLE" and selected(database, f'select count(distinct "{key}") from runs')[1][0][0] > 1:
             found.append(key)
     return found
 
@@ -175,7 +175,7 @@ def sensitivity(database: duckdb.DuckDBPyConnection, keys: Iterable[str]) -> lis
     known = [each.name for each in quantities(database)]
     for key in numeric(database, keys):
         for name in known:
-            rows = np.array(asked(database, f'select "{key}", {name} from runs where {name} is not null')[1], dtype=float)
+            rows = np.array(selected(database, f'select "{key}", {name} from runs where {name} is not null')[1], dtype=float)
             ranks = [np.unique(column, return_inverse=True) for column in rows.T]
             if len(rows) < 3 or any(len(values) < 2 for values, _ in ranks):
                 continue

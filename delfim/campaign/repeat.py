@@ -29,7 +29,7 @@ def sail(plan: Plan, folder: Path, point: int, seed: int) -> int:
 
 def _compare(folder: Path, point: int, seed: int, digest: str) -> int:
     sql = f"select digest, version from runs where point = {point} and seed = {seed}"
-    rows = queries.asked(queries.connect(folder), sql)[1] if any(folder.glob("part-*.parquet")) else []
+    rows = queries.selected(queries.connect(folder), sql)[1] if any(folder.glob("part-*.parquet")) else []
     if not rows:
         print(f"  digest {digest}; this run is not among the results")
         return 0

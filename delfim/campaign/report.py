@@ -16,10 +16,10 @@ from matplotlib.figure import Figure
 from delfim.campaign.queries import (
     Holding,
     Printed,
-    asked,
     failed,
     numeric,
     quantities,
+    selected,
     sensitivity,
     share,
     worst,
@@ -78,7 +78,7 @@ def write(
 
 def _head(folder: Path, plan: Plan, database: duckdb.DuckDBPyConnection, verdicts: Sequence[Holding]) -> Iterator[str]:
     sql = "select count(*), count_if(not ok), sum(sailed_s), sum(cpu_s), string_agg(distinct version, '; ') from runs"
-    runs, bad, sailed_s, cpu_s, versions = asked(database, sql)[1][0]
+    runs, bad, sailed_s, cpu_s, versions = selected(database, sql)[1][0]
     low, high = share(bad, runs)
     head = head_of(folder)
     beside = ", ".join(f"{name} {version}" for name, version in head["packages"].items())
@@ -107,7 +107,7 @@ def _points(plan: Plan, database: duckdb.DuckDBPyConnection) -> Iterator[str]:
         if each.name in ("cross_rms_m", "cross_max_m", "noticed_s", "energy_j", "sailed_s")
     ]
     middles = "".join(f", median({name})" for name in wanted)
-    rows = asked(
+    rows = selected(
         database,
         f"select point, count(*), count_if(ok){middles} from runs group by point order by count_if(ok) / count(*), point",
     )[1]
@@ -175,7 +175,7 @@ def _map(
 ) -> None:
     """Draw a map over two keys. `low` and `high`: ends of the scale of colours, where those of the values do not serve."""
     rows = np.array(
-        asked(database, f'select "{keys[0]}", "{keys[1]}", {sql} from runs where {sql} is not null')[1], dtype=float
+        selected(database, f'select "{keys[0]}", "{keys[1]}", {sql} from runs where {sql} is not null')[1], dtype=float
     ).reshape(-1, 3)
     edges = [_edges(rows[:, i]) for i in (0, 1)]
     sums = np.histogram2d(rows[:, 0], rows[:, 1], bins=edges, weights=rows[:, 2])[0]
@@ -198,7 +198,7 @@ def _edges(values: Any) -> Any:
 
 
 def _ends(database: duckdb.DuckDBPyConnection) -> Iterator[str]:
-    rows = asked(
+    rows = selected(
         database,
         "select end_east_m, end_north_m, ok from runs where end_north_m is not null using sample 20000 rows (reservoir, 1)",
     )[1]
@@ -254,7 +254,7 @@ def _compared(database: duckdb.DuckDBPyConnection, earlier: duckdb.DuckDBPyConne
     """Compare runs of the same point and seed, before and now."""
     yield "<h2>Compared with the earlier campaign</h2>"
     now, was = (
-        {(point, seed): rest for point, seed, *rest in asked(each, "select point, seed, ok, digest from runs")[1]}
+        {(point, seed): rest for point, seed, *rest in selected(each, "select point, seed, ok, digest from runs")[1]}
         for each in (database, earlier)
     )
     both = now.keys() & was.keys()
@@ -268,7 +268,7 @@ def _compared(database: duckdb.DuckDBPyConnection, earlier: duckdb.DuckDBPyConne
     told = list[tuple[object, ...]]()
     for name in sorted({each.name for each in quantities(database)} & {each.name for each in quantities(earlier)}):
         sql = f"select point, seed, {name} from runs where {name} is not null"
-        then, today = ({(p, s): value for p, s, value in asked(each, sql)[1]} for each in (earlier, database))
+        then, today = ({(p, s): value for p, s, value in selected(each, sql)[1]} for each in (earlier, database))
         steps = np.array([today[each] - then[each] for each in today.keys() & then.keys()])
         if len(steps) > 1:
             half = 1.96 * float(steps.std(ddof=1)) / math.sqrt(len(steps))
@@ -277,7 +277,7 @@ def _compared(database: duckdb.DuckDBPyConnection, earlier: duckdb.DuckDBPyConne
 
 
 def _column(database: duckdb.DuckDBPyConnection, name: str) -> Any:
-    return np.array([row[0] for row in asked(database, f"select {name} from runs where {name} is not null")[1]], dtype=float)
+    return np.array([row[0] for row in selected(database, f"select {name} from runs where {name} is not null")[1]], dtype=float)
 
 
 def _table(head: Sequence[str], rows: Sequence[Sequence[object]]) -> str:

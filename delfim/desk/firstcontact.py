@@ -40,7 +40,7 @@ class Turned(NamedTuple):
     rate_dps: float | None  # the largest, with its sign
 
 
-def heard_at(device: str, baud: int, clock: Clock) -> Found:
+def listened_at(device: str, baud: int, clock: Clock) -> Found:
     """Listen at one rate. Raises DelfimError where the port cannot be opened, or not at this rate."""
     strict, lenient, came, began_s = MixedLine(), MixedLine(needs_checksum=False), 0, clock.monotonic_s()
     line = SerialLine(device, baud, clock)
@@ -75,7 +75,7 @@ def find(device: str, clock: Clock) -> Iterator[str]:
     came = 0
     for baud in RATES:
         try:
-            found = heard_at(device, baud, clock)
+            found = listened_at(device, baud, clock)
         except DelfimError as error:
             if "does not run at" not in str(error):
                 raise
@@ -124,7 +124,7 @@ def turned(hearing: Hearing, for_s: float) -> Turned:
     """The turn of the boat while it lasts, until TURN_DEG or this time have passed."""
     turn_deg, last_rad, rates, waited_s = 0.0, None, list[float](), 0.0
     while waited_s < for_s and abs(turn_deg) < TURN_DEG:
-        told = hearing.told(LOOK_S)
+        told = hearing.reports(LOOK_S)
         waited_s += LOOK_S
         heading = next((value[0] for (_, kind), value in told.values.items() if kind == "heading"), None)
         rates += [math.degrees(value[0]) for (_, kind), value in told.values.items() if kind == "rate"][:1]

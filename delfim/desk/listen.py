@@ -45,7 +45,7 @@ class SensorsTold(NamedTuple):
 class Hearing(Protocol):
     where: str
 
-    def told(self, wait_s: float) -> SensorsTold: ...  # after this time
+    def reports(self, wait_s: float) -> SensorsTold: ...  # after this time
     def close(self) -> None: ...
 
 
@@ -66,7 +66,7 @@ class Running:
         self._settings, self._link = settings, link
         self._devices = {name: line_id(_opened(port.device)) for name, port in settings.of(Nmea0183).ports.items()}
 
-    def told(self, wait_s: float) -> SensorsTold:
+    def reports(self, wait_s: float) -> SensorsTold:
         """Request the reports. Raises DelfimError."""
         select.select([], [], [], wait_s)
         state = self._link.ask("state")
@@ -104,7 +104,7 @@ class Opened:
                 self._read(sensors.module(sensor, settings).open_sensor(settings, links))
         self._rebound_s = clock.monotonic_s()
 
-    def told(self, wait_s: float) -> SensorsTold:
+    def reports(self, wait_s: float) -> SensorsTold:
         until_s = self._clock.monotonic_s() + wait_s
         while (now_s := self._clock.monotonic_s()) < until_s:
             if now_s - self._rebound_s >= REOPEN_S:

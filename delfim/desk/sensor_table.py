@@ -28,7 +28,7 @@ def table(settings: config.Vehicle, where: str, before: SensorsTold, now: Sensor
     lines += ["", f"{'heard on':22} {'from':18} {'age':>7}  a second"]
     passed_s = max(now.at_s - before.at_s, 1e-3)
     for name, figures in now.figures.items():
-        lines += _heard(name, figures, before.figures.get(name, {}), passed_s, now.troubles)
+        lines += _devices(name, figures, before.figures.get(name, {}), passed_s, now.troubles)
     if now.measured:
         lines += ["", *(f"{name:24} {value:.3f}" for name, value in sorted(now.measured.items()))]
     return lines
@@ -53,7 +53,9 @@ def _who(told: Any) -> tuple[Any, float | None]:
     return told[0], told[1]
 
 
-def _heard(name: str, now: dict[str, Any], before: dict[str, Any], passed_s: float, troubles: dict[str, str]) -> Iterator[str]:
+def _devices(
+    name: str, now: dict[str, Any], before: dict[str, Any], passed_s: float, troubles: dict[str, str]
+) -> Iterator[str]:
     """Rows of a source: its ports, or the devices on its bus."""
     for port, told in now.get("ports", {}).items():
         counted = before.get("ports", {}).get(port, {})

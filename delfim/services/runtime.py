@@ -29,7 +29,7 @@ from delfim.services.priority.navigation_loop import ACCOUNT, Account, Navigatio
 from delfim.services.priority.window import NavigationWindow
 from delfim.services.servicestatus import ServiceStatus, Stage, status_file
 from delfim.services.supervision.children import LAST_WORD, LEAVES
-from delfim.services.supervision.privileges import asked, real_time, set_privileges
+from delfim.services.supervision.privileges import real_time, requested, set_privileges
 from delfim.services.supervision.supervisor import EXIT_PERMANENT
 from delfim.services.supervision.supervisorfile import last_deadman
 
@@ -372,7 +372,7 @@ class Runtime:
         get it."""
         priority = self.config.runtime.fifo_priority
         if priority and self._place == "runtime":
-            asked(f"fifo_priority = {priority}", lambda: real_time(priority))
+            requested(f"fifo_priority = {priority}", lambda: real_time(priority))
 
     def _beat(self) -> None:
         """Send the supervisor a beat: the loop turns. Before the first one the supervisor is patient, and that is when

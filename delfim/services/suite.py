@@ -312,14 +312,14 @@ def shut_down(file: str, overrides: Sequence[str], word: shutdown.Word) -> int:
     try:
         shutdown.request(shutdown.socket_path(place), word, "command")
         while shutdown.is_listening(shutdown.socket_path(place)):
-            told = _told(record, asked_s, told)
+            told = _outcome(record, asked_s, told)
             time.sleep(SHUTDOWN_LOOK_S)
     except OSError as error:
         raise DelfimError(f"no supervisor at {place}: {error.strerror}; is it running?") from None
-    return 0 if _told(record, asked_s, told) == "safe" else 1
+    return 0 if _outcome(record, asked_s, told) == "safe" else 1
 
 
-def _told(record: Path, since_s: float, last: str) -> str:
+def _outcome(record: Path, since_s: float, last: str) -> str:
     """Print the outcome so far when it is new; returns it, empty while there is none."""
     try:
         found = parse_json(read_file(record))

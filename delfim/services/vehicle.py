@@ -23,7 +23,7 @@ from delfim.lines.forms import Form
 from delfim.lines.opening import AnyLine, OpenedLinks
 from delfim.logging.linelog import LineLog
 from delfim.services import powerd
-from delfim.services.access.guest_listener import GuestDoor
+from delfim.services.access.guest_listener import GuestListener
 from delfim.services.clock import kernel
 from delfim.services.clock.kernel import KernelClock
 from delfim.services.clock.sources import ClockKeeping
@@ -318,7 +318,7 @@ async def _serve_guest(boat: VehicleLoop, table: GuestTable, links: contextlib.E
     if not table.enabled:
         return
     try:
-        door = GuestDoor(table, boat.guest, boat.state, boat.clock)
+        door = GuestListener(table, boat.guest, boat.state, boat.clock)
         links.callback(door.close)
         links.callback((await asyncio.get_running_loop().create_server(door.visitor, *address(table.listen))).close)
     except ConfigError as error:

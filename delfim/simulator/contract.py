@@ -78,7 +78,7 @@ class Wires:
             arb = standard(chance.randrange(1 << 11)) if chance.random() < 0.5 else extended(chance.randrange(1 << 29))
             end.sendto(data[:8], CanAddress(arb))
 
-    def said(self) -> int:
+    def sent(self) -> int:
         """The number of bytes and frames that the part has sent since."""
         count = sum(len(line.written) for line in self.lines.values())
         for line in self.lines.values():
@@ -182,7 +182,7 @@ def _driver(name: str, settings: config.Vehicle) -> Iterator[Tried]:
     wires, timed = Wires(), Stopwatch()
     driver: Actuator | None = timed(open_actuator, name, settings, wires.links)
     yield timed.tried(
-        "opened, it commands nothing: a second one is opened before the start", "it spoke" if wires.said() else ""
+        "opened, it commands nothing: a second one is opened before the start", "it spoke" if wires.sent() else ""
     )
     if driver is None:
         return
@@ -194,12 +194,12 @@ def _driver(name: str, settings: config.Vehicle) -> Iterator[Tried]:
         if driver.period_s is not None:
             took.append(timed(driver.repeat, 0.2 * k + 0.1))
     wrong = next((f"send or repeat returned {each!r}, not 0" for each in took if each != 0), "")
-    yield timed.tried("commands are sent", wrong or ("" if wires.said() else "nothing came on its line or bus"))
+    yield timed.tried("commands are sent", wrong or ("" if wires.sent() else "nothing came on its line or bus"))
     for sensor in driver.inputs:
         yield from _garbage("garbage where its reports come", sensor.read, wires)
     timed = Stopwatch()
     timed(driver.stop)
-    yield timed.tried("stop is sent", "" if wires.said() else "nothing came on its line or bus")
+    yield timed.tried("stop is sent", "" if wires.sent() else "nothing came on its line or bus")
     yield _jsonable("report", driver.report)
     wires.deaf()
     timed = Stopwatch()

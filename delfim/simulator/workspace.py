@@ -38,7 +38,7 @@ RADIOS = ("mavlink.key", "mavlink.serial", "slipd.device")
 HANDS: Final = ("handset.device", "kill.chip", "kill.line", "pwm.cut.chip", "pwm.cut.line")  # none of the real boat's
 
 
-class Berth:
+class Workspace:
     """The resources of one simulation."""
 
     def __init__(self, number: int, folder: Path) -> None:
@@ -71,7 +71,7 @@ HEEDED: Final = {  # of the settings below, those into which what the operator s
 }
 
 
-class BerthSettings(NamedTuple):
+class WorkspaceSettings(NamedTuple):
     """The overrides of a simulated boat's file, and the part of them that is shown."""
 
     overrides: list[str]
@@ -83,7 +83,7 @@ class BerthSettings(NamedTuple):
 
 
 @contextlib.contextmanager
-def berth(folder: str | None) -> Iterator[Berth]:
+def workspace(folder: str | None) -> Iterator[Workspace]:
     """Hold the next free workspace as long as the context lasts; in this folder, or in one named by its number. Raises
     DelfimError if another simulation has the folder, or if the boat's programs cannot run on this system."""
     if not hasattr(select, "epoll"):
@@ -104,10 +104,10 @@ def berth(folder: str | None) -> Iterator[Berth]:
                 break
         for each in (*place.glob(f"{VOYAGE}-*"), *(place / "log").glob(f"{VOYAGE}-*")):
             each.unlink()  # a simulation is a voyage of its own
-        yield Berth(number, place)
+        yield Workspace(number, place)
 
 
-def settings_of(vehicle: config.Vehicle, its: Berth, named: Collection[str]) -> BerthSettings:
+def settings_of(vehicle: config.Vehicle, its: Workspace, named: Collection[str]) -> WorkspaceSettings:
     """The overrides with which a boat sails in simulation. `named` are the keys that the operator set."""
     place, simulation = its.folder.resolve(), vehicle.of(Simulation)
 
@@ -164,10 +164,10 @@ def settings_of(vehicle: config.Vehicle, its: Berth, named: Collection[str]) -> 
         raise DelfimError(f"--set {own[0]}: each simulation has its own; --output DIRECTORY names its folder")
     overrides = [f"{key}={_quoted(text)}" for key, text in texts.items()] + [f"{key}={value}" for key, value in values.items()]
     moved = [f"{key} is {texts[key]}" for key in _beside(vehicle, its) if key in texts]
-    return BerthSettings(overrides, boat_id, page, moved)
+    return WorkspaceSettings(overrides, boat_id, page, moved)
 
 
-def _instruments(vehicle: config.Vehicle, its: Berth) -> dict[str, str]:
+def _instruments(vehicle: config.Vehicle, its: Workspace) -> dict[str, str]:
     """Where instruments on lines are played, and a board that tells the position; its motors are told by pulses here."""
     ports = {f"nmea0183.ports.{name}": (name, port) for name, port in vehicle.table("nmea0183").ports.items()}
     boards = {BOARD: ("board", vehicle.table(BOARD))} if BOARD in vehicle.navigation.sources else {}
@@ -181,7 +181,7 @@ def _of_parts(vehicle: config.Vehicle, place: Path, loop: str) -> dict[str, str]
     return lines | {f"{name}.interface": f"{loop}-{name}" for name, table in tables if hasattr(table, "interface")}
 
 
-def _beside(vehicle: config.Vehicle, its: Berth) -> dict[str, str]:
+def _beside(vehicle: config.Vehicle, its: Workspace) -> dict[str, str]:
     """The overrides for outputs of navigation, and for lines on which a pilot steers the boat. A simulated position on a real
     bridge, or a real plotter that steers a simulated boat, would deceive somebody. On this computer the datagrams' own port
     stays."""
@@ -214,7 +214,7 @@ def _shared(vehicle: config.Vehicle, named: Collection[str]) -> Iterator[str]:
         yield "ros.router"
 
 
-def _device(name: str, device: str, its: Berth) -> str:
+def _device(name: str, device: str, its: Workspace) -> str:
     """The device where a simulated instrument is heard: the real port, or the network, is left alone."""
     if device.startswith("/"):
         return f"{its.folder.resolve()}/nmea0183-{name}"

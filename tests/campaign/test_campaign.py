@@ -44,7 +44,7 @@ def sailed(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
 
 
 def digests(folder: Path) -> dict[tuple[int, int], str]:
-    rows = queries.asked(queries.connect(folder), "select point, seed, digest from runs")[1]
+    rows = queries.selected(queries.connect(folder), "select point, seed, digest from runs")[1]
     assert len(rows) == len({row[:2] for row in rows}), "a run is there twice"
     return {(point, seed): digest for point, seed, digest in rows}
 

@@ -187,7 +187,7 @@ def test_sensors_and_motors_on_one_dronecan_bus_are_told_apart():
         def ask(self, command: str) -> dict:
             return state
 
-    told = Running(settings, Asked()).told(0.0)
+    told = Running(settings, Asked()).reports(0.0)
     lines = table(settings, Running.where, told, told)
     assert f"{'dronecan':10} {'heading':14} {'41':18}   0.1 s  087.0 deg" in lines
     assert f"{'dronecan 41':22} {'':18}   0.3 s  health 1" in lines

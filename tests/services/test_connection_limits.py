@@ -9,11 +9,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from delfim.base.errors import FormatError
-from delfim.services.access.connection_limits import Door, Patience, bulk, hashed, matches
+from delfim.services.access.connection_limits import ConnectionLimits, Patience, bulk, hashed, matches
 
 
 def test_connections_are_counted_and_forgotten():
-    a_door = Door(3, 2)
+    a_door = ConnectionLimits(3, 2)
     assert [a_door.enter(address) for address in ("a", "a", "a", "b", "c")] == [True, True, False, True, False]
     assert a_door.refused == 2
     a_door.leave("a")

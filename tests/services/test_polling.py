@@ -102,7 +102,7 @@ class Air:
 
     def _reads(self, end: int) -> None:
         data, self._buffers[end] = self._buffers[end], b""
-        self.received[end] += ((self.now_s, each) for each in self.ends[end].heard(data, self.now_s))
+        self.received[end] += ((self.now_s, each) for each in self.ends[end].received(data, self.now_s))
         self._speak(end)
 
 
@@ -206,7 +206,7 @@ def test_a_boat_that_is_gone_costs_the_other_little_is_named_and_comes_back() ->
 def test_a_station_that_the_shore_does_not_know_is_told_so() -> None:
     boat = PolledBoat(7, True, 0.0)
     assert boat.silence(1.0) == ""
-    boat.heard(sealed(POLL, b"\1", b"\x04\0"), 6.0)
+    boat.received(sealed(POLL, b"\1", b"\x04\0"), 6.0)
     assert boat.speak(6.0) == b""
     assert boat.silence(6.0) == "the shore polls other boats, but not station 7"
 
@@ -216,13 +216,13 @@ def test_noise_in_place_of_answers_is_told_from_silence() -> None:
     shore, now_s = PollingShore({ADDRESSES[1]: 1}, True, BYTES_PER_S, TURNAROUND_S, 0.1, MTU), 0.0
     for _ in range(MISSES):
         shore.speak(now_s)
-        shore.heard(b"\xc0" + bytes(20) + b"x\xc0", now_s + 0.01)
+        shore.received(b"\xc0" + bytes(20) + b"x\xc0", now_s + 0.01)
         now_s = shore.due_s()
     shore.speak(now_s)
     assert shore.silence(now_s) == "only noise from 10.0.0.1 (station 1): out of reach, or another boat has this station"
     now_s = shore.due_s()
     shore.speak(now_s)
-    shore.heard(sealed(DONE, b"\1", b"\0"), now_s + 0.01)
+    shore.received(sealed(DONE, b"\1", b"\0"), now_s + 0.01)
     assert shore.silence(now_s) == ""
 
 
@@ -230,18 +230,18 @@ def test_noise_in_place_of_answers_is_told_from_silence() -> None:
 def test_a_boat_that_reads_its_poll_too_late_is_silent(more: bytes) -> None:
     poll = sealed(POLL, b"\1", b"\x04\0")
     boat = PolledBoat(1, True, 0.0)
-    boat.heard(poll, 1.0)
+    boat.received(poll, 1.0)
     assert boat.speak(1.0) == sealed(DONE, b"\1", b"\0")
-    boat.heard(poll + more, 2.0)
+    boat.received(poll + more, 2.0)
     assert boat.speak(2.0) == b""
-    boat.heard(poll, 3.0)
-    boat.heard(more, 3.0)
+    boat.received(poll, 3.0)
+    boat.received(more, 3.0)
     assert boat.speak(3.0) == b""
 
 
 def test_a_packet_too_long_for_a_turn_is_dropped_and_keeps_nobody_waiting() -> None:
     boat = PolledBoat(1, True, 0.0)
-    boat.heard(sealed(POLL, b"\1", b"\x02\0"), 1.0)
+    boat.received(sealed(POLL, b"\1", b"\x02\0"), 1.0)
     for each in (packet(0, 1, 1500), packet(0, 2, 100)):
         boat.offer(each, 1.0)
     answer = [body for body in opened(Deframer(), boat.speak(1.0)) if body]
@@ -255,7 +255,7 @@ def test_noise_hurts_nobody(pieces: list[bytes], is_sealed: bool) -> None:
         data = sealed(each[:1], each[1:2], each[2:]) if is_sealed and len(each) > 2 else each
         for end in (boat, shore):
             end.offer(each, float(number))
-            end.heard(data, float(number))
+            end.received(data, float(number))
             assert len(end.speak(float(number))) <= 4000
 
 
@@ -275,7 +275,7 @@ def test_a_boat_speaks_in_its_own_name_and_to_the_shore(forged: bytes) -> None:
     air.run(3.0)
     turn = sealed(ANSWER, b"\1", forged) + sealed(ANSWER, b"\1", packet(0, 2, 100, source=1)) + sealed(DONE, b"\1", b"\0")
     air.shore._turn, dropped = air.shore._peers[ADDRESSES[1]], air.shore.dropped
-    assert air.shore.heard(turn, air.now_s) == [packet(0, 2, 100, source=1)]
+    assert air.shore.received(turn, air.now_s) == [packet(0, 2, 100, source=1)]
     assert air.shore.dropped == dropped + 1
 
 
@@ -294,7 +294,7 @@ def test_whatever_a_boat_sends_ashore_it_reaches_no_other_boat(mutations: int) -
             body[chance.randrange(len(body))] = chance.randrange(256)
         frame = sealed(kind, station, bytes(body[: chance.choice((1, 20, MTU))]))
         noise = chance.choice((b"", b"", b"", chance.randbytes(chance.randrange(5000))))
-        for each in shore.heard(frame + noise + sealed(DONE, b"\1", b"\1"), now_s):
+        for each in shore.received(frame + noise + sealed(DONE, b"\1", b"\1"), now_s):
             assert each[12:16] in ADDRESSES[1:]
             assert each[16:20] not in ADDRESSES[1:]
         assert len(shore._deframer._rest) <= 2 * PACKET_MAX

@@ -13,7 +13,7 @@ from delfim.simulator.faults import fault
 from delfim.simulator.lockstep import Lockstep
 from delfim.simulator.nodes.cansensors import FIRST_NODE, CanSensors
 from delfim.simulator.tables import Sea, Simulation
-from delfim.simulator.workspace import Berth, settings_of
+from delfim.simulator.workspace import Workspace, settings_of
 from delfim.vehicle import console
 from delfim.vehicle.state import NoLog, State
 
@@ -130,7 +130,7 @@ def test_no_sensor_has_the_number_of_the_computer():
 
 def test_the_float_has_motors_and_sensors_on_one_simulated_bus(tmp_path):
     vehicle = config.load(FLOAT)
-    overrides, *_ = settings_of(vehicle, Berth(1, tmp_path), ())
+    overrides, *_ = settings_of(vehicle, Workspace(1, tmp_path), ())
     simulated = config.load(FLOAT, tuple(overrides))
     assert simulated.dronecan.interface == f"{simulated.can.interface}-dronecan"
     run = Lockstep(vehicle, 1, lambda clock: NoLog())

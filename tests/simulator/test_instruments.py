@@ -26,7 +26,7 @@ from delfim.simulator.lockstep import Lockstep
 from delfim.simulator.nodes import Nodes, nodes_of
 from delfim.simulator.realtime.instrument_lines import InstrumentLines
 from delfim.simulator.tables import Sea, Simulation
-from delfim.simulator.workspace import berth, settings_of
+from delfim.simulator.workspace import settings_of, workspace
 from delfim.vehicle import console
 from delfim.vehicle.state import NoLog
 
@@ -224,7 +224,7 @@ def test_real_ports_and_networks_are_left_alone(tmp_path, monkeypatch):
         for name in real:
             lines.say(name, b"nothing", 0.0)
     monkeypatch.chdir(tmp_path)
-    with berth(None) as its:
+    with workspace(None) as its:
         told = settings_of(vehicle(WINDY, real), its, ("nmea0183.ports.mast.device",)).overrides
     overrides = dict(each.split("=", 1) for each in told)
     assert overrides["nmea0183.ports.gnss.device"] == f'"{its.folder.resolve()}/nmea0183-gnss"'

@@ -35,7 +35,7 @@ from delfim.simulator.faults import fault
 from delfim.simulator.lockstep import Lockstep
 from delfim.simulator.nodes import nodes_of
 from delfim.simulator.tables import Simulation
-from delfim.simulator.workspace import Berth, settings_of
+from delfim.simulator.workspace import Workspace, settings_of
 from delfim.vehicle import console
 from delfim.vehicle.state import NoLog, ThrusterReport
 from tests.parts.pwm.test_pulsefiles import rows, written
@@ -241,12 +241,12 @@ def test_in_real_time_the_maker_s_driver_speaks_on_a_bus_of_the_simulation(tmp_p
             file.write_text(written(config.Vehicle(boat=config.BoatTable(name="skiff"), thrusters=rows(name))))
             given = [f'simulation.interface="{interface}"']
             vehicle = config.load(file, given)
-            simulated = config.load(file, [*given, *settings_of(vehicle, Berth(2, tmp_path), ()).overrides])
+            simulated = config.load(file, [*given, *settings_of(vehicle, Workspace(2, tmp_path), ()).overrides])
             assert [row.driver for row in simulated.thrusters] == [name, name]
             bus = getattr(simulated, name).interface
             assert bus.startswith("canloop:")
             assert bus.endswith(f"-{name}")
-            assert bus != getattr(config.load(file, settings_of(vehicle, Berth(3, tmp_path), ()).overrides), name).interface
+            assert bus != getattr(config.load(file, settings_of(vehicle, Workspace(3, tmp_path), ()).overrides), name).interface
 
 
 def test_a_boat_with_four_thrusters_keeps_on_with_three(tmp_path: Path) -> None:

@@ -7,7 +7,7 @@ import pytest
 
 from delfim import config
 from delfim.base.errors import DelfimError
-from delfim.simulator.workspace import berth, folders, settings_of
+from delfim.simulator.workspace import folders, settings_of, workspace
 
 VEHICLE = config.load(Path(__file__).parents[2] / "etc/delfimx.toml")
 
@@ -22,7 +22,7 @@ def changed(overrides: list[str]) -> config.Vehicle:
 
 
 def test_two_share_nothing():
-    with berth(None) as one, berth(None) as two:
+    with workspace(None) as one, workspace(None) as two:
         assert two.number > one.number
         assert folders() == [one.folder, two.folder]
         its = [changed(settings_of(VEHICLE, each, ()).overrides) for each in (one, two)]
@@ -48,14 +48,14 @@ def test_two_share_nothing():
 def test_the_boats_radio_is_left_alone_with_its_key():
     """A file with a serial radio needs a key; its simulation has neither."""
     file = ['mavlink.key="/keys/mavlink"', 'mavlink.serial="/dev/ttyUSB0"']
-    with berth(None) as its:
+    with workspace(None) as its:
         settings = changed(file + settings_of(changed(file), its, ()).overrides)
         assert "mavlink.serial" not in " ".join(settings_of(VEHICLE, its, ("mavlink.key", "mavlink.serial")).overrides)
     assert (settings.mavlink.serial, settings.mavlink.key) == ("", "")
 
 
 def test_a_ros_of_another_computer_is_left_alone():
-    with berth(None) as its:
+    with workspace(None) as its:
         routers = {
             place: changed(
                 [f'ros.router="{place}"', *settings_of(changed([f'ros.router="{place}"']), its, ()).overrides]
@@ -68,7 +68,7 @@ def test_a_ros_of_another_computer_is_left_alone():
 def test_the_fleets_broker_is_left_alone_unless_it_is_named():
     file = ['mavlink.key="/keys/mavlink"', 'mavlink.peers=["127.0.0.1:14560"]', 'fleet.broker="mqtts://sea.example.org:8883"']
     file += ['fleet.credentials="/keys/broker"']
-    with berth(None) as its:
+    with workspace(None) as its:
         settings = changed(file + settings_of(changed(file), its, ()).overrides)
         named = settings_of(changed(file), its, ("fleet.broker", "mavlink.key")).overrides
     assert (settings.fleet.broker, settings.fleet.credentials) == ("", "")
@@ -87,7 +87,7 @@ def test_what_the_boat_tells_others_and_its_pilot_are_not_the_real_ones():
         'corrections.to="/dev/ttyUSB6"',
         'corrections.caster="ntrip://127.0.0.1:2101/NEAR"',
     ]
-    with berth(None) as its:
+    with workspace(None) as its:
         told = settings_of(changed(file), its, ())
         settings, place = changed(file + told.overrides), its.folder.resolve()
         named = settings_of(changed(file), its, ("nmea0183.out.sonar", "nmea0183.out.bridge.to", "nmea0183.guest.device"))
@@ -104,7 +104,7 @@ def test_what_the_boat_tells_others_and_its_pilot_are_not_the_real_ones():
 
 def test_the_boats_hand_set_and_kill_switch_are_left_alone():
     file = ['handset.device="/dev/ttyAMA1"', "handset.mandatory=true", 'kill.chip="/dev/gpiochip0"', 'kill.line="KILL"']
-    with berth(None) as its:
+    with workspace(None) as its:
         settings = changed(file + settings_of(changed(file), its, ()).overrides)
         named = settings_of(changed(file), its, ("handset.device",)).overrides
     assert (settings.handset.device, settings.handset.mandatory, settings.kill.chip) == ("", False, "")
@@ -112,7 +112,7 @@ def test_the_boats_hand_set_and_kill_switch_are_left_alone():
 
 
 def test_a_port_of_another_program_is_passed_over():
-    with socket.socket() as other, berth(None) as its:
+    with socket.socket() as other, workspace(None) as its:
         other.bind(("127.0.0.1", 0))
         other.listen()
         port = other.getsockname()[1] - 10 * (its.number - 1)
@@ -124,24 +124,24 @@ def test_a_port_of_another_program_is_passed_over():
 
 def test_what_the_operator_named_is_taken_as_it_is():
     named = {"simulation.interface", "simulation.httpd", "boat.id", "guest.listen"}
-    with berth(None), berth(None) as two:
+    with workspace(None), workspace(None) as two:
         its = changed(settings_of(VEHICLE, two, named).overrides)
     assert (its.can.interface, its.boat.id) == (VEHICLE.simulation.interface, VEHICLE.boat.id)
     assert (its.httpd.listen, its.guest.listen) == (VEHICLE.simulation.httpd, VEHICLE.guest.listen)
 
 
 def test_a_folder_in_use_is_refused_or_passed_over_and_free_again_afterwards(tmp_path):
-    with berth("run/sim"):
-        with pytest.raises(DelfimError, match="another simulation runs there"), berth("run/sim"):
+    with workspace("run/sim"):
+        with pytest.raises(DelfimError, match="another simulation runs there"), workspace("run/sim"):
             pass
-        with berth(None) as other:
+        with workspace(None) as other:
             assert other.folder != Path("run/sim")
-    with berth("run/sim") as again:
+    with workspace("run/sim") as again:
         assert again.folder == Path("run/sim")
 
 
 def test_what_the_operator_sets_wins_or_is_refused():
-    with berth(None) as its:
+    with workspace(None) as its:
         named = ('ftpd.root="/srv"', 'httpd.listen="127.0.0.1:8123"')
         settings = changed([*named, *settings_of(changed([*named]), its, ("ftpd.root", "httpd.listen")).overrides])
         assert (settings.ftpd.root, settings.httpd.listen) == ("/srv", "127.0.0.1:8123")

@@ -17,7 +17,7 @@ from delfim.base.errors import ConfigError
 from delfim.base.input.keys import new_key, read_key
 from delfim.parts.ros.rossteering import GuestLine
 from delfim.services.access import guest_listener
-from delfim.services.access.guest_listener import GuestDoor
+from delfim.services.access.guest_listener import GuestListener
 from delfim.services.tables import GuestTable
 from delfim.simulator.guest import Zigzag, guest
 from delfim.vehicle.grex import proof
@@ -49,8 +49,8 @@ Opened = Callable[..., Awaitable[Link]]
 
 
 @contextlib.asynccontextmanager
-async def at_the_door(boat, table: GuestTable) -> AsyncIterator[tuple[Opened, GuestDoor, int]]:
-    door = GuestDoor(table, boat.guest, boat.state, boat.clock)
+async def at_the_door(boat, table: GuestTable) -> AsyncIterator[tuple[Opened, GuestListener, int]]:
+    door = GuestListener(table, boat.guest, boat.state, boat.clock)
     server = await asyncio.get_running_loop().create_server(door.visitor, HOME, 0)
     port, links = server.sockets[0].getsockname()[1], []
 

@@ -47,12 +47,12 @@ def run(asked: argparse.Namespace) -> int:
     if asked.sea and _at_sea(vehicle, running):
         return 1
     if vehicle.of(Nmea2000).joins and "nmea2000d" in running:
-        print(_told(vehicle))
+        print(_sent_messages(vehicle))
     print(f"{asked.file}: {vehicle.boat.name}: nothing is wrong with this file")
     return 0
 
 
-def _told(vehicle: config.Vehicle) -> str:
+def _sent_messages(vehicle: config.Vehicle) -> str:
     """The messages that the boat sends as a device of its NMEA 2000 bus."""
     from delfim.canproxy.nmea2000.device import device_name, facts_of
     from delfim.parts.nmea2000.nmea2000rows import pgns_of

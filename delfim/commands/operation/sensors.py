@@ -52,12 +52,12 @@ def run(asked: argparse.Namespace) -> int:
             is_right, words = judged(turned(hearing, asked.for_s or 60.0))
             print(*words, sep="\n")
             return 0 if is_right else 1
-        before = hearing.told(0.5)
+        before = hearing.reports(0.5)
         if asked.once or not sys.stdout.isatty():
-            print(*table(settings, hearing.where, before, hearing.told(asked.for_s or 5.0)), sep="\n")
+            print(*table(settings, hearing.where, before, hearing.reports(asked.for_s or 5.0)), sep="\n")
             return 0
         while True:
-            now = hearing.told(asked.for_s or 2.0)
+            now = hearing.reports(asked.for_s or 2.0)
             print("\x1b[H\x1b[J", *(f"{line}\n" for line in table(settings, hearing.where, before, now)), "Ctrl-C ends", sep="")
             before = now
     finally:

@@ -70,5 +70,5 @@ def _query(asked: argparse.Namespace) -> int:
     folders = [Path(asked.output)] if asked.output else [each.parent for each in newest]
     if not folders:
         raise DelfimError(f"no campaign in {FOLDER}; name its folder with --output")
-    print(queries.shown(*queries.asked(queries.connect(folders[0]), asked.sql)))
+    print(queries.shown(*queries.selected(queries.connect(folders[0]), asked.sql)))
     return 0

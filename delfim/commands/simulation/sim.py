@@ -29,7 +29,7 @@ from delfim.commands import OWN_FILE, example_file, seconds, shipped
 from delfim.console.terminal.onlooker import CTRL_C, START_S, Voyage
 from delfim.parts.mavlink.table import Mavlink
 from delfim.simulator.tables import Simulation
-from delfim.simulator.workspace import BOATS, PAGE, SIMULATED, Berth, berth, settings_of
+from delfim.simulator.workspace import BOATS, PAGE, SIMULATED, Workspace, settings_of, workspace
 from delfim.vehicle.log.logbook import Logbook
 from delfim.vehicle.plans.mission import Mission, canonical, load_mission
 
@@ -110,7 +110,7 @@ def _scenario(asked: argparse.Namespace) -> int:
 
 
 def _real_time(asked: argparse.Namespace, settings: config.Vehicle, mission: Mission) -> int:
-    with berth(asked.output) as its:
+    with workspace(asked.output) as its:
         named = {override.partition("=")[0].strip() for override in asked.set}
         simulated = settings_of(settings, its, named)
         overrides, console = [*asked.set, *simulated.overrides], list[str]()
@@ -144,7 +144,7 @@ def _real_time(asked: argparse.Namespace, settings: config.Vehicle, mission: Mis
         return _code(voyage.end)
 
 
-def _console(asked: argparse.Namespace, settings: config.Vehicle, its: Berth) -> tuple[list[str], str, str]:
+def _console(asked: argparse.Namespace, settings: config.Vehicle, its: Workspace) -> tuple[list[str], str, str]:
     """The arguments of the console, its address for boats, and that of its page. Its files lie beside the
     simulation's own. A boat that has a key obeys nobody without it."""
     place, boats = its.folder.resolve() / "console", asked.boats or its.address(BOATS, udp=True)

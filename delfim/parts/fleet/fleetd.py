@@ -67,7 +67,7 @@ class FleetMember:
         self._silence, now_s = "", self._clock.monotonic_s()
         if now_s >= self._due_s:
             self._due_s = max(self._due_s, now_s - self._period_s) + self._period_s
-            self.line.keep(self._state, msgspec.json.encode(told(state, self._clock.time_ns())))
+            self.line.keep(self._state, msgspec.json.encode(retained_state(state, self._clock.time_ns())))
 
     def silent(self, why: str) -> None:
         self._silence = why
@@ -82,7 +82,7 @@ class FleetMember:
         }
 
 
-def told(state: BoatReport, utc_ns: int) -> dict[str, Any]:
+def retained_state(state: BoatReport, utc_ns: int) -> dict[str, Any]:
     """The retained state. Null is unknown; `utc_s` is when it was published, by the boat's computer."""
     navigation_s = state.age_s.get("navigation")
     return {

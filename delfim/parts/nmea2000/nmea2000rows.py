@@ -129,7 +129,7 @@ def route(t: Telling) -> Iterable[Said]:
 
 
 def alert(t: Telling) -> Iterable[Said]:
-    yield from ((pgn, data, 2) for pgn, data in t.alerts.told(t.state))
+    yield from ((pgn, data, 2) for pgn, data in t.alerts.messages(t.state))
 
 
 TOLD: Final[dict[str, tuple[Row, ...]]] = {
@@ -164,7 +164,7 @@ class Alerts:
         self._present: dict[str, int] = {}  # kind of each
         self._occurrences: dict[str, int] = {}
 
-    def told(self, state: BoatReport) -> Iterable[tuple[int, bytes]]:
+    def messages(self, state: BoatReport) -> Iterable[tuple[int, bytes]]:
         """PGN and data of the troubles that are present, with their words, and of those that have ended."""
         now = {each.name: each for each in state.notices if each.name in self._numbers}
         for name in self._present.keys() - now.keys():

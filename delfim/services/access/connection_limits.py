@@ -23,7 +23,7 @@ ADDRESSES_MAX: Final = 1000
 SCRYPT: Final = {"n": 1 << 14, "r": 8, "p": 1, "dklen": 32}  # RFC 7914; 16 MiB and some 50 ms
 
 
-class Door:
+class ConnectionLimits:
     """Connections that are open, and those that were refused."""
 
     def __init__(self, connections: int, connections_per_address: int) -> None:

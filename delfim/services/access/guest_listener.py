@@ -17,7 +17,7 @@ from delfim.base.clock import Clock
 from delfim.base.input.keys import read_key
 from delfim.base.input.untrusted import UNREADABLE
 from delfim.canproxy.cantcp.access import Networks
-from delfim.services.access.connection_limits import Door
+from delfim.services.access.connection_limits import ConnectionLimits
 from delfim.services.tables import GuestTable
 from delfim.vehicle.grex import Guest, proof
 from delfim.vehicle.state import State
@@ -40,13 +40,13 @@ class GuestAnswer(msgspec.Struct, frozen=True):
 _decode = msgspec.json.Decoder(GuestAnswer).decode
 
 
-class GuestDoor:
+class GuestListener:
     """Admits the guest. Raises ConfigError for a key that cannot be read."""
 
     def __init__(self, table: GuestTable, guest: Guest, state: State, clock: Clock) -> None:
         self.key = read_key(table.key) if table.key else None
         self.guest, self.waiting = guest, set[GuestVisitor]()
-        self.door = Door(WAITING, WAITING_PER_ADDRESS)
+        self.door = ConnectionLimits(WAITING, WAITING_PER_ADDRESS)
         self._networks, self._state, self._clock = Networks(table.networks), state, clock
         self._told_s = -TOLD_S
 
@@ -72,7 +72,7 @@ class GuestDoor:
 class GuestVisitor(asyncio.Protocol):
     """A connection that is not yet the guest's."""
 
-    def __init__(self, door: GuestDoor) -> None:
+    def __init__(self, door: GuestListener) -> None:
         self._door, self._challenge, self._said, self._is_inside = door, secrets.token_hex(16), b"", False
         self._transport: asyncio.Transport | None = None
         self._timer: asyncio.TimerHandle | None = None

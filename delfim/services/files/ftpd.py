@@ -20,7 +20,7 @@ from delfim import config
 from delfim.base.clock import Clock
 from delfim.base.errors import DelfimError, PermanentFailure
 from delfim.base.ranges import address
-from delfim.services.access.connection_limits import Door, Patience, bulk, hashed, matches
+from delfim.services.access.connection_limits import ConnectionLimits, Patience, bulk, hashed, matches
 from delfim.services.files import ftpdata
 from delfim.services.files.ftpfiles import FtpFiles
 from delfim.services.files.threads import worked
@@ -77,7 +77,7 @@ class FtpServer(aioftp.Server):
         )
         self._tls = _tls(table.certificate)
         self._files = FtpFiles(settings, clock, self._work)
-        self.door, self.patience = Door(table.connections, table.connections_per_address), Patience()
+        self.door, self.patience = ConnectionLimits(table.connections, table.connections_per_address), Patience()
         self._is_closing = False
         added: dict[str, Words] = {
             "feat": self.feat, "help": self.help, "noop": self.noop, "opts": self.opts, "allo": self.noop, "clnt": self.noop,

@@ -22,7 +22,7 @@ from delfim import config
 from delfim.base.clock import Clock
 from delfim.base.errors import PermanentFailure
 from delfim.base.ranges import address
-from delfim.services.access.connection_limits import Door, Patience, bulk
+from delfim.services.access.connection_limits import ConnectionLimits, Patience, bulk
 from delfim.services.files.jail import Jail
 from delfim.services.files.sshfiles import SftpFiles
 from delfim.services.files.sshprograms import Programs, SshProcess
@@ -51,7 +51,7 @@ class Daemon:
         self.keys = {name: _public(name, user.keys) for name, user in table.users.items()}
         self.jail, self.uploads = Jail(table.root), Uploads(table.root, settings.log)
         self.workers = ThreadPoolExecutor(2, "sshd")
-        self.door, self.patience = Door(table.connections, table.connections_per_address), Patience()
+        self.door, self.patience = ConnectionLimits(table.connections, table.connections_per_address), Patience()
         self.programs = Programs(table)
         self._visitors: set[Visitor] = set()
 

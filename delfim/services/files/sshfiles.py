@@ -33,7 +33,7 @@ def _in_worker(name: str) -> Any:
 
 
 @contextlib.contextmanager
-def _told() -> Iterator[None]:
+def _as_refusal() -> Iterator[None]:
     """Turn a refusal into SFTP's form: an OSError."""
     try:
         yield
@@ -79,7 +79,7 @@ class SftpFiles(asyncssh.SFTPServer):
 
     def map_path(self, path: bytes) -> bytes:
         """Map a client's path to a real one, in a worker. Raises OSError."""
-        with _told():
+        with _as_refusal():
             return os.fsencode(self._jail.real(_normal(path)))
 
     def _opened(self, path: bytes, pflags: int, attrs: asyncssh.SFTPAttrs) -> object:
@@ -92,7 +92,7 @@ class SftpFiles(asyncssh.SFTPServer):
         ):
             flags |= flag if pflags & asked else 0
         mode = 0o600 | (0o644 if attrs.permissions is None else attrs.permissions) & 0o777  # no set-user-id
-        with _told():
+        with _as_refusal():
             fd = (self._uploads if flags != os.O_RDONLY else self._jail).open(_normal(path), flags, mode)
         if pflags & asyncssh.FXF_TRUNC:
             os.ftruncate(fd, 0)
@@ -130,7 +130,7 @@ class SftpFiles(asyncssh.SFTPServer):
         return found
 
     async def write(self, file_obj: Any, offset: int, data: bytes) -> int:
-        with _told():
+        with _as_refusal():
             if file_obj.failure:
                 raise NoRoom(file_obj.failure)
             try:
@@ -142,7 +142,7 @@ class SftpFiles(asyncssh.SFTPServer):
 
     async def _change(self, did: str, do: Callable[..., None], *paths: bytes) -> None:
         """Change something in the folder of uploads. Raises OSError."""
-        with _told():
+        with _as_refusal():
             await self.work(do, *map(_normal, paths))
         self.note(did, *paths)
 

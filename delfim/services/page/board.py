@@ -10,7 +10,7 @@ import msgspec
 
 from delfim import config
 from delfim.base.errors import DelfimError
-from delfim.services.access.connection_limits import Door
+from delfim.services.access.connection_limits import ConnectionLimits
 from delfim.services.page import page
 from delfim.services.page.api import Computer, Report, Server
 from delfim.services.runtime import Runtime
@@ -142,7 +142,7 @@ class Trail:
 class Board:
     """The data for all visitors: asked for and rendered once for all of them, and never while there is none."""
 
-    def __init__(self, runtime: Runtime, look: Lookout, door: Door) -> None:
+    def __init__(self, runtime: Runtime, look: Lookout, door: ConnectionLimits) -> None:
         self._runtime, self._look, self._door = runtime, look, door
         self._settings, self._clock = runtime.config, runtime.clock
         self.feed = Feed(runtime.config.console.socket)

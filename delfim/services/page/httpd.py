@@ -26,7 +26,7 @@ from delfim.base.errors import DelfimError, FormatError
 from delfim.base.ranges import address
 from delfim.logging import systemlog
 from delfim.logging.ashore.tree import readable
-from delfim.services.access.connection_limits import Door, bulk
+from delfim.services.access.connection_limits import ConnectionLimits, bulk
 from delfim.services.files.jail import Jail
 from delfim.services.files.threads import worked
 from delfim.services.page import api, document, files, metrics, saidlines
@@ -62,7 +62,7 @@ class HttpConnection(web.RequestHandler):
 
     __slots__ = ("_address", "_door")
 
-    def __init__(self, server: web.Server, door: Door) -> None:
+    def __init__(self, server: web.Server, door: ConnectionLimits) -> None:
         loop = asyncio.get_running_loop()
         super().__init__(
             server,
@@ -260,7 +260,7 @@ class Site:
 async def serve(runtime: Runtime) -> None:
     """Run the service until it is cancelled."""
     settings, loop = runtime.config, asyncio.get_running_loop()
-    door = Door(settings.of(Httpd).connections, settings.of(Httpd).connections_per_address)
+    door = ConnectionLimits(settings.of(Httpd).connections, settings.of(Httpd).connections_per_address)
     look = Lookout(settings, runtime.clock.monotonic_s)
     board = Board(runtime, look, door)
     site = Site(settings, board)

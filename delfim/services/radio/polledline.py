@@ -15,7 +15,7 @@ class Talker(Protocol):
     """One end of the line: polling.PolledBoat or polling.PollingShore."""
 
     def offer(self, packet: bytes, now_s: float) -> None: ...
-    def heard(self, data: bytes, now_s: float) -> list[bytes]: ...
+    def received(self, data: bytes, now_s: float) -> list[bytes]: ...
     def speak(self, now_s: float) -> bytes: ...
     def due_s(self) -> float: ...
     def silence(self, now_s: float) -> str: ...
@@ -28,7 +28,7 @@ class PolledLine:
         self, name: str, port: int, tun: int, talker: Talker, runtime: Runtime, loop: asyncio.AbstractEventLoop
     ) -> None:
         self.name = name
-        self._ends = TunPort(port, tun, runtime, self._heard, self._on_packets)
+        self._ends = TunPort(port, tun, runtime, self._received, self._on_packets)
         self._talker, self._loop = talker, loop
 
     def attend(self) -> None:
@@ -48,8 +48,8 @@ class PolledLine:
         self._take()
         self._speak()
 
-    def _heard(self, data: bytes) -> None:
-        for packet in self._talker.heard(data, self._loop.time()):
+    def _received(self, data: bytes) -> None:
+        for packet in self._talker.received(data, self._loop.time()):
             self._ends.deliver(packet)
         self._take()  # answers of this computer to those packets leave in the same turn
         self._speak()

@@ -79,7 +79,7 @@ class PolledBoat:
         else:
             self._route.outbox.put(packet)
 
-    def heard(self, data: bytes, now_s: float) -> list[bytes]:
+    def received(self, data: bytes, now_s: float) -> list[bytes]:
         """Take bytes of the line; return their packets. A poll counts only while nothing was heard after it: the shore waits no
         longer then."""
         packets = []
@@ -197,7 +197,7 @@ class PollingShore:
             peer.route.outbox.put(packet)
             peer.due_s = min(peer.due_s, now_s)
 
-    def heard(self, data: bytes, now_s: float) -> list[bytes]:
+    def received(self, data: bytes, now_s: float) -> list[bytes]:
         """Take bytes of the line; return their packets, which only the boat whose turn it is may send: in its own name, and not
         to another boat, where a computer that forwards would send them on."""
         packets = []

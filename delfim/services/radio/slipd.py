@@ -202,7 +202,7 @@ class TunLine:
         self._compressor = Compressor() if compresses else None
         self._decompressor, self._deframer = Decompressor() if compresses else None, Deframer()
         self._rest = b""
-        self._ends = TunPort(port, open_tun(settings.interface, "", settings.mtu), runtime, self._heard, self._on_packet)
+        self._ends = TunPort(port, open_tun(settings.interface, "", settings.mtu), runtime, self._received, self._on_packet)
         address_interface(self.name, settings)
 
     def attend(self) -> None:
@@ -223,7 +223,7 @@ class TunLine:
             if self._ends.timer is None:
                 self._send()
 
-    def _heard(self, data: bytes) -> None:
+    def _received(self, data: bytes) -> None:
         errors = self._deframer.errors
         for frame in self._deframer.feed(data):
             packet = self._decompressor.decompress(frame) if self._decompressor else frame

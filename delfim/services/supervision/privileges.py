@@ -18,14 +18,14 @@ def set_privileges(settings: config.RuntimeTable) -> None:
     """The requests that hold from the start."""
     sys.setswitchinterval(SWITCH_S)
     if settings.nice:
-        asked(f"nice = {settings.nice}", lambda: os.setpriority(os.PRIO_PROCESS, 0, settings.nice))
+        requested(f"nice = {settings.nice}", lambda: os.setpriority(os.PRIO_PROCESS, 0, settings.nice))
     if settings.cpus:
-        asked(f"cpus = {list(settings.cpus)}", lambda: os.sched_setaffinity(0, settings.cpus))
+        requested(f"cpus = {list(settings.cpus)}", lambda: os.sched_setaffinity(0, settings.cpus))
     if settings.mlockall:
-        asked("mlockall", _mlockall)
+        requested("mlockall", _mlockall)
 
 
-def asked(name: str, do: Callable[[], object]) -> None:
+def requested(name: str, do: Callable[[], object]) -> None:
     """Make a request; if permission is missing, warn and go on."""
     try:
         do()

@@ -37,11 +37,11 @@ def tell(settings: config.Vehicle, kind: str, where: str = "", value: float | No
     words = json.dumps({"kind": kind, "where": where, "value": value, "for_s": for_s}).encode()
     if kind == "end":
         with contextlib.suppress(DelfimError):  # only the nodes run, with another vehicle on the bus
-            _told(place(settings, BOAT), words)
-    return _told(place(settings, BOAT if kind in ABOARD else NODES), words)
+            _answer(place(settings, BOAT), words)
+    return _answer(place(settings, BOAT if kind in ABOARD else NODES), words)
 
 
-def _told(path: str, words: bytes) -> str:
+def _answer(path: str, words: bytes) -> str:
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as asking:
         asking.bind("")  # the kernel chooses an address for the answer
         asking.settimeout(ANSWER_S)

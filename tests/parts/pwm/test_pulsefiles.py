@@ -9,7 +9,7 @@ from delfim.base.errors import DelfimError
 from delfim.parts.pwm import sim as pulsefiles
 from delfim.parts.pwm.table import Pwm
 from delfim.simulator.lockstep import Lockstep
-from delfim.simulator.workspace import Berth, settings_of
+from delfim.simulator.workspace import Workspace, settings_of
 from delfim.vehicle import console
 from delfim.vehicle.state import NoLog
 
@@ -74,7 +74,7 @@ def test_the_motors_of_a_front_seat_are_told_by_pulses_in_a_simulation(tmp_path:
     boat = config.Vehicle(boat=config.BoatTable(name="skiff"), thrusters=rows("otter"))
     file = tmp_path / "boat.toml"
     file.write_text(written(boat))
-    simulated = config.load(file, settings_of(config.load(file), Berth(1, tmp_path), ()).overrides)
+    simulated = config.load(file, settings_of(config.load(file), Workspace(1, tmp_path), ()).overrides)
     assert [(row.driver, row.address, row.thrust_n) for row in simulated.thrusters] == [
         ("pwm", 0, (-100.0, 150.0)),
         ("pwm", 1, (-100.0, 150.0)),
@@ -82,7 +82,7 @@ def test_the_motors_of_a_front_seat_are_told_by_pulses_in_a_simulation(tmp_path:
     assert Path(simulated.pwm.chip).is_relative_to(simulated.runtime.run_directory)
     assert not [
         each
-        for each in settings_of(config.Vehicle(boat=boat.boat), Berth(1, tmp_path), ()).overrides
+        for each in settings_of(config.Vehicle(boat=boat.boat), Workspace(1, tmp_path), ()).overrides
         if "pwm" in each and "pwm.cut" not in each
     ]
 
@@ -101,7 +101,7 @@ def test_more_motors_than_channels_are_refused_in_words(tmp_path: Path) -> None:
     )
     boat = config.Vehicle(boat=config.BoatTable(name="many"), thrusters=(*many, *rows("otter")))
     with pytest.raises(DelfimError, match="16 channels"):
-        settings_of(boat, Berth(1, tmp_path), ())
+        settings_of(boat, Workspace(1, tmp_path), ())
 
 
 @pytest.mark.parametrize("driver", ["dronecan", "vesc", "pwm", "otter", "heron", "mavlink_front_seat"])

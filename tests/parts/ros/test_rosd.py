@@ -23,7 +23,7 @@ from delfim.parts.ros.cdr import HEAD, CdrReader, CdrWriter
 from delfim.parts.ros.rossteering import GOAL_S, TURN_MAX_RAD, TWIST_S, Steering
 from delfim.parts.ros.table import RosTable
 from delfim.services.access.exposure import doors
-from delfim.services.access.guest_listener import GuestDoor
+from delfim.services.access.guest_listener import GuestListener
 from delfim.services.suite import services
 from delfim.services.tables import GuestTable
 from delfim.vehicle.grex import Guest, HeadingReference, reference
@@ -228,7 +228,7 @@ async def guests_door(table: GuestTable) -> AsyncIterator[list[bytes]]:
     state: Any = SimpleNamespace(navigation=None, count=lambda what: None)
     guest, said = Guest(state, SystemClock()), list[bytes]()
     guest.on_line = said.append
-    door = GuestDoor(table, guest, state, SystemClock())
+    door = GuestListener(table, guest, state, SystemClock())
     host, port = address(table.listen)
     server = await asyncio.get_running_loop().create_server(door.visitor, host, port)
     try:

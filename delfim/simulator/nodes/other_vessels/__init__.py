@@ -174,7 +174,7 @@ class Transponder:
         `wrong_m` is how far it may be off."""
         status = self._vessel.row.status if self._is_class_a else None
         if self._is_position_due(t_s):
-            told, is_first = self._told(t_s, wrong_m), self._last is None
+            told, is_first = self._reported(t_s, wrong_m), self._last is None
             self._last = told = self._last if frozen and self._last is not None else told
             if self._is_heard(t_s, is_first):
                 yield Spoken(told, status, self._is_class_a, second)
@@ -189,7 +189,7 @@ class Transponder:
         begin_s, end_s = self._vessel.silent
         return (self._random.random() >= self._lost or is_first) and not begin_s <= t_s < end_s
 
-    def _told(self, t_s: float, wrong_m: float) -> VesselPosition:
+    def _reported(self, t_s: float, wrong_m: float) -> VesselPosition:
         """The position of its antenna, course and speed, with their errors, as coarse as AIS is."""
         vessel, gauss = self._vessel, self._random.gauss
         keep = math.exp((self._said_s - t_s) / WANDER_S)
