@@ -159,7 +159,7 @@ async def test_space_stops_while_a_name_is_typed_and_letters_are_no_modes(it: Co
         while not boat.obeyed:
             await asyncio.sleep(0.02)
     assert {command for command, *_ in boat.obeyed} == {mavlink.MAV_CMD_DO_SET_MODE}
-    assert {mode for _, _, mode, _ in boat.obeyed} == {4}, "idle, and nothing else"
+    assert {mode for _, _, mode in boat.obeyed} == {4}, "idle, and nothing else"
 
 
 async def test_a_refusal_is_shown_once(it: Console) -> None:
@@ -194,12 +194,12 @@ async def test_what_is_aboard_is_drawn_and_a_mode_that_would_sail_it_asks_first(
         await it.page.press("Escape")
     await it.page.press("h")
     await until(it, boat, 1)
-    assert boat.obeyed[0][0] != mavlink.MAV_CMD_MISSION_START
+    assert boat.obeyed[0]["command"] == "heading"
     boat.obeyed.clear()
     await it.page.press("y")
-    await choose(it.page, "Send the plan, then play it")
-    await until(it, boat, 1)
-    assert boat.obeyed[0][0] == mavlink.MAV_CMD_MISSION_START
+    await choose(it.page, "Hold, send the plan, then play it")
+    await until(it, boat, 2)
+    assert boat.obeyed == [{"command": "mode", "mode": "hold"}, {"command": "play"}]
     assert len(boat.aboard[0]) == 4, "it was sent before"
     assert await it.page.value("delfim.drawn().aboard") == 4
 

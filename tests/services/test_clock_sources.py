@@ -3,6 +3,7 @@
 import logging
 from collections import deque
 
+import msgspec
 import pytest
 
 from delfim.base.clock import MADE_NS, ManualClock
@@ -185,7 +186,7 @@ def test_a_clock_that_is_not_ours_is_compared_and_left_alone(why_not, caplog):
     boat = Boat(why_not, time_ns=START_NS)
     boat.heard(40)
     assert boat.steps == boat.kernel.slews == []
-    assert boat.told == (why_not, "the time frame", pytest.approx(-50.0, abs=1e-6), "", False)
+    assert msgspec.structs.astuple(boat.told) == (why_not, "the time frame", pytest.approx(-50.0, abs=1e-6), "", False)
     assert [each.message for each in caplog.records].count(f"clock: {why_not}") == 1
 
 
@@ -227,7 +228,7 @@ def test_under_way_nothing_is_stepped_and_a_refusal_is_told_once(caplog):
 def test_a_clock_that_was_set_by_the_battery_clock_says_so():
     boat = Boat(battery_ns=START_NS, time_ns=START_NS + 1_300_000_000)
     boat.second()
-    assert boat.told == (OURS, "the battery clock", None, "", False)
+    assert msgspec.structs.astuple(boat.told) == (OURS, "the battery clock", None, "", False)
     boat = Boat(battery_ns=0, time_ns=0)
     boat.second()
     assert boat.told.source == ""

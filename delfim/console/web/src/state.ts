@@ -58,8 +58,6 @@ export class State {
     return `the folder ${this.hello?.charts ?? "charts"} of the console’s computer`;
   }
 
-  /** Commands of the gateway that need no form. */
-
   get replaying(): boolean {
     return this.hello?.replay != null;
   }
