@@ -354,11 +354,11 @@ def kept_voyage(here: Path) -> Said:
 
 
 def supervisors_record(here: Path) -> Said:
-    from delfim.services.suite import _told
+    from delfim.services.suite import _outcome
     from delfim.services.supervision.supervisorfile import last_deadman
 
     with contextlib.redirect_stdout(io.StringIO()):
-        return refused(lambda: (last_deadman(here / "record"), _told(here / "record", 0.0, "")))
+        return refused(lambda: (last_deadman(here / "record"), _outcome(here / "record", 0.0, "")))
 
 
 LOG_VERBS = (("ls",), ("info",), ("cat",), ("cat", "--events"), ("export", "csv", "--output", "out"), ("repair",))

@@ -334,7 +334,7 @@ READ_BY = {  # function: the readers above that come by it
     "services/vehiclefile.py: changed": {"vehicle to commission"},
     "simulator/scenarios/encounters.py: read_encounters": {"encounters"},
     "simulator/scenarios/scenario.py: mission_of": {"scenario's mission"},
-    "services/suite.py: _told": {"supervisor's record"},
+    "services/suite.py: _outcome": {"supervisor's record"},
     "parts/mavlink/codec/signing.py: read_stamps": {"stamps"},
 }
 OTHERS = {  # what the kernel tells, and what is only copied or digested
