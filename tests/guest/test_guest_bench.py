@@ -30,4 +30,4 @@ def test_c_programs_on_a_real_bus(can_guest: Guest) -> None:
     lines = frames.read_text().splitlines()
     for identifier in ("040", "041", "042", "043"):
         told = [line.split("#")[1] for line in lines if f" {identifier}#" in line]
-        assert len(set(told)) == 60, "each once; a loop that waited long for its navigation may have repeated one"
+        assert len(set(told)) >= 60, "each once; a loop that waited long repeats its command, with a new number"
