@@ -167,7 +167,6 @@ class BoatReporting:
         self._runtime, self._boat, self._log = runtime, boat, log
         self._board = dict[str, object]()
         self._figures: snapshot.Figures | None = None
-        self.measure()  # before anybody can ask
 
     def measure(self) -> None:
         """Gather the figures. Not for each report, which would be a long callback."""
@@ -212,6 +211,7 @@ async def _attend(
     await _serve_console(commands, settings.console.socket, links)
     await _serve_guest(boat, settings.of(GuestTable), links)
     attend = _attended(runtime, boat, hands, obeyed, links)
+    reporting.measure()
     ticks, computer, keeping = 0, boat.state.computer, _clock_keeping(runtime, opened, log)
     while True:
         await asyncio.sleep(WATCHDOG_S)

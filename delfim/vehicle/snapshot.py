@@ -72,9 +72,9 @@ class Figures(NamedTuple):
 
 
 def figures(board: Mapping[str, object]) -> Figures:
-    """The board as it goes into reports."""
+    """The board as it goes into reports. What it has not yet, they have not either."""
     others = {name: value for name, value in board.items() if name not in _TYPES}
-    return Figures({name: msgspec.convert(board[name], _TYPES[name]) for name in _TYPES}, _encode(others))
+    return Figures({name: msgspec.convert(board[name], _TYPES[name]) for name in _TYPES if name in board}, _encode(others))
 
 
 def in_json(told: LocalReport, others: bytes = b"{}") -> bytes:

@@ -19,7 +19,7 @@ def test_who_asks_before_anything_was_measured_is_answered(tmp_path: Path) -> No
         config=settings,
         board={"traffic light": lambda: {"red": 1}},
         status={},
-        report=lambda: {"services": {"httpd": {"state": "running"}}, "deadman": {}, "window": {"open": 1}},
+        report=lambda: {"services": {"httpd": {"state": "running"}}, "window": {"open": 1}},
     )
     logs = list[Logbook]()
 
@@ -28,7 +28,11 @@ def test_who_asks_before_anything_was_measured_is_answered(tmp_path: Path) -> No
         return logs[-1]
 
     run = Lockstep(settings, 1, log)
-    told = json.loads(BoatReporting(runtime, run.vehicle, logs[-1]).report())
+    reporting = BoatReporting(runtime, run.vehicle, logs[-1])
+    early = json.loads(reporting.report())
+    assert (early["mode"], early["services"], early["deadman"]) == ("idle", {}, {})
+    reporting.measure()
+    told = json.loads(reporting.report())
     run.close()
-    assert (told["mode"], told["services"]["httpd"]["state"]) == ("idle", "running")
-    assert (told["traffic light"], told["window"]) == ({"red": 1}, {"open": 1})
+    assert told["services"]["httpd"]["state"] == "running"
+    assert (told["traffic light"], told["window"], told["deadman"]) == ({"red": 1}, {"open": 1}, {})
