@@ -51,7 +51,9 @@ class WatchKeeper:
         number = boat if isinstance(boat, int) else None
         match asked:
             case page_messages.Command(command=command):
-                numbers = (f"{key}={value}" for key, value in words.items() if key not in page_messages.NO_NUMBERS)
+                said = {key: value for key, value in words.items() if key not in page_messages.NO_NUMBERS}
+                command = str(said.pop("mode", command)) if command == "mode" else command
+                numbers = (f"{key}={value}" for key, value in said.items())
                 order = " ".join((command, *numbers, *(["all boats"] if number is None else [])))[:200]
             case page_messages.Profile(profile=profile):
                 order = f"link profile {profile}"[:200]
