@@ -23,7 +23,6 @@ PLACES = "tests", "bench", "docker", "etc", "manual", "safety"  # of programs be
 PROGRAMS = [*MODULES, *sorted(path for folder in PLACES for path in (ROOT / folder).rglob("*.py"))]
 LINES_PER_FUNCTION = 60
 LINES_PER_FILE = 500
-FILES_PER_FOLDER = 15
 LOOSE = 4  # files at the root of the package
 FILES_PER_FOLDER = 15
 DECLARATIONS = {"config.py"}  # of nothing but tables, as long as what they declare
@@ -346,12 +345,6 @@ def test_the_vehicles_state_is_changed_by_the_loop_alone() -> None:
         and (each.value.id if isinstance(each.value, ast.Name) else each.value.attr) in ("state", "_state")
     ]
     assert changed == []
-
-
-def test_a_folder_of_the_core_is_seen_at_a_glance() -> None:
-    folders = {path.parent for path in MODULES if "vehicle" in path.relative_to(ROOT).parts}
-    counts = {str(folder.relative_to(ROOT)): len([*folder.glob("*.py")]) for folder in folders}
-    assert {folder: count for folder, count in counts.items() if count > FILES_PER_FOLDER} == {}
 
 
 def test_the_loop_is_one_page() -> None:
