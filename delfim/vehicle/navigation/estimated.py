@@ -41,6 +41,7 @@ class Estimated:
         self._period_s, self._stale_s = SOONER / limits.rate_hz, limits.stale_s
         self._zero_ns, self._zero_s, self._now_s = 0, 0.0, 0.0
         self._began_s, self._sent_s = math.inf, -math.inf
+        self._has_begun = self._begins = False  # ever, and in this read
         self._said: Navigation | None = None  # the source's own last message ...
         self._said_ns = 0  # ... and its stamp
         self._due: tuple[Estimate, int] | None = None  # the motion for the next message, and the stamp of its newest value
@@ -57,9 +58,9 @@ class Estimated:
 
     def read(self, now_s: float) -> Fix | None:
         """The motion at the value with which the message was due; None while it is not."""
-        self._now_s, self._due = now_s, None
-        fix = self._source.read(now_s)
+        self._now_s, self._due, self._begins = now_s, None, False
         self._began_s = min(self._began_s, now_s)
+        fix = self._source.read(now_s)
         if now_s - self._began_s < SETTLE_S:
             self._source.heard_s = NEVER_S
             return None
@@ -94,11 +95,14 @@ class Estimated:
         """A value. After a silence, as at the start, everything begins with a position: what came before it was perhaps heard,
         perhaps not, and a replay does not know which."""
         at_s, estimator = self._time_s(self._source.t_ns), self.estimator
-        if not self._now_s - self._source.heard_s <= self._stale_s:
+        if at_s - self._began_s < SETTLE_S:
+            return  # by its stamp: values of that time may be read at once afterwards
+        if not self._has_begun or not self._now_s - self._source.heard_s <= self._stale_s:
             if kind != POSITION:
                 return
             estimator.begin(at_s)
-            self._sent_s = -math.inf
+            self._sent_s, self._due = -math.inf, None
+            self._has_begun = self._begins = True
         late_s = (self._source.t_ns - utc_ns) / 1e9 if utc_ns else -1.0
         told_s = late_s if 0.0 <= late_s <= LATE_MAX_S else None  # the clocks agree, or the settings say it
         if kind == POSITION:
@@ -109,6 +113,8 @@ class Estimated:
             estimator.heading(at_s, value[0], told_s, deviation)
         elif kind == RATE:
             estimator.rate(at_s, value[0])
+        if self._begins and self._due is not None:
+            return  # the first message has the stamp of the position with which everything began, by which a replay finds it
         if at_s - self._sent_s >= self._period_s:  # now, however many values are read at once: a replay reads others together
             self._sent_s, self._due = at_s, (estimator.estimate(at_s), self._source.t_ns)
 
