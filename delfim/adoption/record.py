@@ -15,7 +15,7 @@ from delfim.base.errors import DelfimError
 from delfim.logging.ashore.table import Columns, table
 from delfim.logging.ashore.tree import ALWAYS, LogFile, Span
 
-Array = NDArray[np.float64]
+Array = NDArray[np.floating[Any]]
 
 APART_S: Final = 60.0  # between two starts of a boat's program, whose clocks have nothing in common
 

@@ -1,0 +1,129 @@
+"""What a boat does in calm water by its fitted numbers: speeds, ways to stop, rates of turn, each with its uncertainty."""
+
+from collections.abc import Callable
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from delfim.adoption.fitting import NUDGES, Fit
+from delfim.adoption.model import LOCAL, OF_THE_DAY, PLACE, Array, ModelMotion, Windows, simulate, values_of
+
+STEP_S: Final = 0.1
+PUSH_S, COAST_S = 40.0, 60.0  # until the speed is steady; until she lies
+BACK: Final = 15  # steps before
+RISEN: Final = 0.63  # of the last rate of turn: the time constant of a turn
+MODEL: Final = 0.03  # of a figure: what a model of 39 numbers leaves of a true hull
+BEYOND: Final = 1.1  # times the fastest that was sailed: a figure that is extrapolated ...
+EXTRA: Final = 0.25  # ... is so much of the excess less sure
+
+Parts = tuple[float, float]  # of the starboard and the port motor
+
+
+class Figure(NamedTuple):
+    """A figure of the boat: found, its standard deviation, and what the vehicle's file told."""
+
+    name: str
+    words: str
+    unit: str
+    found: float
+    spread: float
+    told: float
+    is_beyond: bool = False  # faster than she was sailed: extrapolated
+
+
+class CalmRun(NamedTuple):
+    """A manoeuvre in calm water, from rest: these parts for PUSH_S, then motors off."""
+
+    name: str
+    parts: Parts
+
+
+RUNS: Final = (
+    CalmRun("25", (0.25, 0.25)),
+    CalmRun("30", (0.3, 0.3)),
+    CalmRun("50", (0.5, 0.5)),
+    CalmRun("60", (0.6, 0.6)),
+    CalmRun("75", (0.75, 0.75)),
+    CalmRun("100", (1.0, 1.0)),
+    CalmRun("astern 60", (-0.6, -0.6)),
+    CalmRun("turn", (0.3, 0.7)),
+    CalmRun("turn to port", (0.7, 0.3)),
+    CalmRun("spin 50", (-0.5, 0.5)),
+    CalmRun("spin 90", (-0.9, 0.9)),
+)
+_AT: Final = {run.name: index for index, run in enumerate(RUNS)}
+_PUSHED: Final = round(PUSH_S / STEP_S)
+
+
+def _speed(name: str) -> Callable[[ModelMotion], Array]:
+    return lambda motion: motion.surge[_PUSHED - 1, :, _AT[name]]
+
+
+def _rate(name: str) -> Callable[[ModelMotion], Array]:
+    return lambda motion: np.degrees(motion.turn[_PUSHED - 1, :, _AT[name]])
+
+
+def _way(name: str) -> Callable[[ModelMotion], Array]:
+    return lambda motion: np.maximum(motion.surge[_PUSHED:, :, _AT[name]], 0.0).sum(0) * STEP_S
+
+
+def _radius(motion: ModelMotion) -> Array:
+    """The radius of the circle of one motor stronger than the other, at their steady way."""
+    at = _PUSHED - 1, slice(None), _AT["turn"]
+    return np.asarray(np.hypot(motion.surge[at], motion.sway[at]) / np.maximum(np.abs(motion.turn[at]), 1e-3))
+
+
+def _turning(motion: ModelMotion) -> Array:
+    """The time until the rate of a spin is most of what it comes to: between two steps as between two lines."""
+    rates = np.abs(motion.turn[:_PUSHED, :, _AT["spin 50"]])
+    goal = RISEN * rates[-1]
+    after = np.argmax(rates >= goal, 0)
+    lanes = np.arange(len(goal))
+    low, high = rates[np.maximum(after - 1, 0), lanes], rates[after, lanes]
+    return np.asarray(STEP_S * (after - (high - goal) / np.maximum(high - low, 1e-9)))
+
+
+FIGURES: Final[tuple[tuple[str, str, str, Callable[[ModelMotion], Array]], ...]] = (
+    ("full_mps", "speed at full power", "m/s", _speed("100")),
+    ("three_quarters_mps", "speed at 75 % of command", "m/s", _speed("75")),
+    ("half_mps", "speed at 50 % of command", "m/s", _speed("50")),
+    ("quarter_mps", "speed at 25 % of command", "m/s", _speed("25")),
+    ("astern_mps", "speed at 60 % astern", "m/s", _speed("astern 60")),
+    ("stop_full_m", "way with motors off, from full speed", "m", _way("100")),
+    ("stop_60_m", "way with motors off, from 60 % of command", "m", _way("60")),
+    ("stop_30_m", "way with motors off, from 30 % of command", "m", _way("30")),
+    ("turn_dps", "rate of turn, motors at 30 and 70 %", "deg/s", _rate("turn")),
+    ("turn_port_dps", "the same to port", "deg/s", _rate("turn to port")),
+    ("radius_m", "radius of that circle", "m", _radius),
+    ("spin_dps", "rate of a spin at 50 %", "deg/s", _rate("spin 50")),
+    ("spin_full_dps", "rate of a spin at 90 %", "deg/s", _rate("spin 90")),
+    ("turning_s", "until a spin has 63 % of its rate", "s", _turning),
+)
+
+
+def figures(fit: Fit) -> dict[str, Figure]:
+    """The figures of a fit, each with the deviation that follows from the uncertainty of the numbers and of the model."""
+    count = len(fit.theta)
+    lanes = np.concatenate([[fit.theta], fit.theta + np.diag(NUDGES), [fit.prior.centre]])
+    motion = sailed(lanes)
+    found, fastest = dict[str, Figure](), np.nanmax(np.abs(fit.windows.measured[..., :2]).max(2))
+    for name, words, unit, of in FIGURES:
+        every = of(motion)
+        slopes = (every[1 : 1 + count] - every[0]) / NUDGES
+        value, excess = float(every[0]), abs(float(every[0])) / fastest if unit == "m/s" else 1.0
+        vague = MODEL + EXTRA * max(excess - 1.0, 0.0)
+        spread = float(np.sqrt(max(slopes @ fit.covariance @ slopes, 0.0) + (vague * value) ** 2))
+        found[name] = Figure(name, words, unit, value, spread, float(every[-1]), excess > BEYOND)
+    return found
+
+
+def sailed(lanes: Array) -> ModelMotion:
+    """The runs of these internal numbers (lanes, numbers), in calm water: (steps, lanes, runs)."""
+    calm = lanes.copy()
+    calm[:, [PLACE[name] for name in OF_THE_DAY]] = 0.0
+    steps = round((PUSH_S + COAST_S) / STEP_S)
+    commands = np.zeros((len(RUNS), BACK + steps, 2))
+    for index, run in enumerate(RUNS):
+        commands[index, BACK : BACK + _PUSHED] = run.parts
+    windows = Windows(STEP_S, commands, np.empty((steps, len(RUNS), 4)), np.zeros(len(RUNS)), BACK)
+    return simulate(values_of(calm), windows, np.zeros((len(calm), len(RUNS), LOCAL)))

@@ -1,0 +1,81 @@
+"""What a vehicle's file says of its boat, as the prior of a fit; where it says nothing, what the autopilot guesses."""
+
+import math
+from typing import Final, NamedTuple
+
+from delfim import config
+from delfim.adoption.fitting import Prior
+from delfim.adoption.model import NUMBERS, SPREADS, internal
+from delfim.base.errors import DelfimError
+from delfim.vehicle.control.hull import craft, full_mps
+
+LINEAR: Final = 0.2  # of the drag at full speed, that is linear, where the file says a speed alone
+DEAD: Final = 0.04  # of full command: motors have a dead band, whether their file says so or not
+LAG_S, DELAY_S, LATE_S, LOSS = 0.25, 0.15, 0.1, 0.03  # a first guess
+
+
+class Motor(NamedTuple):
+    """A row of the file as the fit sees it."""
+
+    row: int  # its place among the thrusters
+    name: str
+    sign: float  # with which its part pushes the boat ahead
+    aside_m: float  # from the middle, not less than zero
+
+
+class Motors(NamedTuple):
+    starboard: Motor
+    port: Motor
+
+
+def motors_of(vehicle: config.Vehicle) -> Motors:
+    """The motor at each side. Raises DelfimError for boats that have other thrusters."""
+    found = dict[str, Motor]()
+    for index, row in enumerate(vehicle.thrusters):
+        if row.steer is not None or row.angle_deg % 180.0 or not row.y_m:
+            what = "turns" if row.steer is not None else "is in the middle" if not row.y_m else "pushes aside"
+            raise DelfimError(f"{row.name} {what}: only boats with one fixed motor at each side can be identified yet")
+        side = "starboard" if row.y_m > 0.0 else "port"
+        if side in found:
+            raise DelfimError(f"there are two motors to {side}: only boats with one at each side can be identified yet")
+        found[side] = Motor(index, row.name, 1.0 if row.angle_deg % 360.0 == 0.0 else -1.0, abs(row.y_m))
+    if len(found) < 2:
+        raise DelfimError("there is a motor at one side alone: only boats with one at each side can be identified yet")
+    return Motors(**found)
+
+
+def prior(vehicle: config.Vehicle) -> Prior:
+    """The numbers that follow from the file, and how wrong each may be."""
+    hull, (starboard, port) = craft(vehicle), motors_of(vehicle)
+    rows = [vehicle.thrusters[motor.row] for motor in (starboard, port)]
+    ends = [sorted((abs(end) for end in row.ends_n), reverse=True) for row in rows]
+    ahead_n, astern_n = (math.sqrt(max(ends[0][at], 0.05) * max(ends[1][at], 0.05)) for at in (0, 1))
+    full = full_mps(vehicle.boat)
+    square, linear = hull.drag_n_per_mps2, hull.drag_n_per_mps
+    if vehicle.boat.drag_n_per_mps is None and vehicle.boat.drag_n_per_mps2 is None:
+        linear, square = LINEAR * hull.ahead_n / full, (1.0 - LINEAR) * hull.ahead_n / full**2
+    damping = hull.damping_nm_per_radps / hull.inertia_kgm2
+    dead = [row.dead or DEAD for row in rows]
+    values = {number.name: 1.0 if number.is_factor else 0.0 for number in NUMBERS} | {
+        "ahead": ahead_n / hull.mass_kg,
+        "astern": astern_n / ahead_n,
+        "power": 2.0 if rows[0].curve else rows[0].power,
+        "dead_starboard": dead[0],
+        "dead_port": dead[1],
+        "loss": LOSS,
+        "delay": DELAY_S,
+        "lag": LAG_S,
+        "surge": max(linear, 0.02 * hull.ahead_n / full) / hull.mass_kg,
+        "surge2": max(square, 0.02 * hull.ahead_n / full**2) / hull.mass_kg,
+        "sway": 0.3,
+        "sway2": 1.0,
+        "sway_ahead": 0.3,
+        "surge_turning": 1.6,
+        "sway_turning": 0.65,
+        "arm": 0.5 * (starboard.aside_m + port.aside_m) * hull.mass_kg / hull.inertia_kgm2,
+        "yaw": 0.5 * damping,
+        "yaw2": 0.5 * damping,
+        "yaw_ahead": 0.25 * damping,
+        "late": LATE_S,
+    }
+    return Prior(internal(values), SPREADS.copy())

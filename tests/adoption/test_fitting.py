@@ -1,0 +1,122 @@
+"""The fit finds what hulls of another hand do, says what it did not see, and refuses what it does not understand."""
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from delfim import config
+from delfim.adoption.figures import figures
+from delfim.adoption.fitting import Fit, fitted
+from delfim.adoption.foretold import motors_of, prior
+from delfim.adoption.model import said, values_of
+from delfim.adoption.record import BoatRecord, Series
+from delfim.adoption.windows import windows_of
+from delfim.base.errors import DelfimError
+from delfim.simulator.tables import Sea
+from tests.adoption import hulls
+from tests.adoption.hulls import Hidden, Sensors, after, sailed, stopping_m
+
+ROOT = Path(__file__).parents[2]
+SEA = Sea(current_mps=0.2, current_to_deg=70.0)
+HULLS = hulls.otter, hulls.heron, hulls.slim
+
+
+def fit_of(hidden: Hidden, record: BoatRecord) -> Fit:
+    motors = motors_of(hidden.told)
+    windows = windows_of(record, (motors.starboard.row, 1.0), (motors.port.row, 1.0))
+    return fitted(windows, prior(hidden.told))
+
+
+def compass_error_deg(fit: Fit, sensors: Sensors) -> float:
+    headings = np.radians(np.arange(0.0, 360.0, 10.0))
+    off = said(values_of(fit.theta[None]), headings)[0] - [sensors.said(each) for each in headings]
+    return float(np.degrees(np.sqrt(np.mean((np.remainder(off + np.pi, 2.0 * np.pi) - np.pi) ** 2))))
+
+
+def judge(hidden: Hidden, fit: Fit) -> None:
+    """The figures within the bounds that 95 of 100 trials must keep."""
+    assert fit.refusal == ""
+    found = {name: each.found for name, each in figures(fit).items()}
+    true = {
+        "half_mps": after(hidden, 0.5, 0.5).surge_mps,
+        "quarter_mps": after(hidden, 0.25, 0.25).surge_mps,
+        "turn_dps": math.degrees(after(hidden, 0.3, 0.7).yaw_rate_radps),
+        "spin_dps": math.degrees(after(hidden, -0.5, 0.5).yaw_rate_radps),
+    }
+    assert {name: found[name] for name in true} == pytest.approx(true, rel=0.10)
+    assert found["full_mps"] == pytest.approx(after(hidden, 1.0, 1.0).surge_mps, rel=0.15)
+    assert found["stop_full_m"] == pytest.approx(stopping_m(hidden, 1.0), rel=0.25)
+    assert fit.values["delay"] + fit.values["lag"] == pytest.approx(hidden.delay_s + hidden.hull.motor_s, abs=0.1)
+    assert compass_error_deg(fit, Sensors()) < 1.5
+
+
+@pytest.mark.parametrize("hull", HULLS)
+def test_a_hull_of_another_hand_is_found(hull: Callable[[], Hidden]) -> None:
+    hidden = hull()
+    judge(hidden, fit_of(hidden, sailed(hidden, SEA)))
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("seed", range(2, 12))
+@pytest.mark.parametrize("hull", HULLS)
+def test_hulls_of_another_hand_are_found_in_many_trials(hull: Callable[[], Hidden], seed: int) -> None:
+    hidden = hull()
+    sea = Sea(current_mps=0.03 * seed, current_to_deg=33.0 * seed, wind_mps=0.3 * seed, wind_from_deg=250.0)
+    judge(hidden, fit_of(hidden, sailed(hidden, sea, seed)))
+
+
+@pytest.fixture(scope="module")
+def heron() -> Hidden:
+    return hulls.heron()
+
+
+@pytest.fixture(scope="module")
+def trial(heron: Hidden) -> BoatRecord:
+    return sailed(heron, SEA)
+
+
+def test_the_same_record_gives_the_same_numbers(heron: Hidden, trial: BoatRecord) -> None:
+    first, second = (fit_of(heron, trial) for _ in range(2))
+    assert first.theta.tobytes() == second.theta.tobytes()
+    assert first.covariance.tobytes() == second.covariance.tobytes()
+
+
+def test_what_the_record_does_not_show_stays_as_the_file_has_it(heron: Hidden) -> None:
+    steps = [("ahead", 0.5 + 0.2 * way, 0.5 - 0.2 * way, 3.0) for _ in range(15) for way in (1.0, -1.0)]
+    fit = fit_of(heron, sailed(heron, SEA, steps=steps))
+    assert {"astern", "wind_turning"} <= set(fit.unseen)
+    assert "arm" not in fit.unseen
+    assert "yaw" not in fit.unseen or "yaw2" not in fit.unseen
+
+
+def test_exchanged_motors_are_refused(heron: Hidden, trial: BoatRecord) -> None:
+    crossed = trial._replace(told=Series(trial.told.at_s, trial.told.values[:, ::-1]))
+    assert "the motion does not follow from the commands" in fit_of(heron, crossed).refusal
+
+
+def test_too_little_is_refused_in_words(heron: Hidden, trial: BoatRecord) -> None:
+    short = trial._replace(told=Series(trial.told.at_s[:300], trial.told.values[:300]))
+    with pytest.raises(DelfimError, match=r"only \d windows of 12 s .* 5 are needed"):
+        fit_of(heron, short)
+    drifting = trial._replace(told=Series(trial.told.at_s, 0.0 * trial.told.values))
+    with pytest.raises(DelfimError, match=r"has no window .* in which the motors ran"):
+        fit_of(heron, drifting)
+    blind = trial._replace(velocity=Series.of((), 2))
+    with pytest.raises(DelfimError, match="no velocity over ground was measured"):
+        fit_of(heron, blind)
+
+
+def test_motors_that_always_run_alike_say_nothing_of_turning(heron: Hidden, trial: BoatRecord) -> None:
+    alike = trial._replace(told=Series(trial.told.at_s, trial.told.values[:, :1].repeat(2, 1)))
+    with pytest.raises(DelfimError, match="both motors always ran alike"):
+        fit_of(heron, alike)
+
+
+def test_a_boat_with_other_thrusters_is_refused_by_name() -> None:
+    with pytest.raises(DelfimError, match="propeller turns: only boats with one fixed motor at each side"):
+        motors_of(config.load(ROOT / "etc/boats/bait-boat.toml"))
+    with pytest.raises(DelfimError, match="bow_starboard pushes aside"):
+        motors_of(config.load(ROOT / "etc/boats/float.toml"))
