@@ -39,6 +39,7 @@ PartVersion = Annotated[str, text("[0-9A-Za-z.+!_-]{1,40}", "the version of its 
 StickPulse = Annotated[float, msgspec.Meta(ge=800.0, le=2200.0)]  # us, of a channel of a hand-set
 STICK_US = 100.0  # the least way of a stick to either side
 Gain = Annotated[float, msgspec.Meta(ge=0.0, le=1e7)]
+Inertia = Annotated[float, msgspec.Meta(gt=0.0, le=1e9)]
 Nice = Annotated[int, msgspec.Meta(ge=-20, le=19)]
 NodeName = Literal["gps", "propeller_starboard", "propeller_port", "batteries_starboard", "batteries_port"]
 SOURCES, HEARD = (tuple(of_kind(OWN.values(), kind)) for kind in ("source", "vessels"))
@@ -99,6 +100,9 @@ class BoatTable(Table, frozen=True):
     full_mps: Speed | None = None  # speed at full thrust, calm water; without it, guessed from the length
     drag_n_per_mps: Gain | None = None  # ahead; with the next one, instead of full_mps
     drag_n_per_mps2: Gain | None = None  # and with the square of the speed
+    inertia_kgm2: Inertia | None = None  # of a turn, with the water's; without it, guessed from mass and length
+    yaw_nm_per_radps: Gain | None = None  # of the water against a slow turn at cruising speed; without it, from the length
+    yaw_nm_per_radps2: Gain | None = None  # and with the square of the rate of turn; counts beside the key above
 
 
 class Can(Table, frozen=True):
@@ -209,6 +213,8 @@ class ThrusterTable(Table, frozen=True):
     rpm_max: Revolutions = 0.0  # that it reports at full command; 0: not known, or the driver's table has it
     rate_per_s: Annotated[float, msgspec.Meta(gt=0.0, le=100.0)] = 1.0  # steepest change of the command, of full a second
     reversed: bool = False  # mounted so that what its driver calls ahead pushes astern
+    delay_s: Annotated[float, msgspec.Meta(ge=0.0, le=2.0)] = 0.0  # measured, from a command until the motor begins to obey
+    lag_s: Annotated[float, msgspec.Meta(ge=0.01, le=10.0)] | None = None  # measured time constant of the motor
     steer: Steer | None = None  # what turns it; a fixed thruster has none
 
     def __post_init__(self) -> None:

@@ -102,8 +102,15 @@ def hull_of(vehicle: Vehicle) -> Hull:
         propeller_m=max(arms, default=same.propeller_m),
         frontal_m2=same.frontal_m2 * long**2,
         lateral_m2=same.lateral_m2 * long**2,
+        motor_s=lag_s(vehicle, same.motor_s),
     )
     return _dragged(hull, vehicle)
+
+
+def lag_s(vehicle: Vehicle, otherwise_s: float) -> float:
+    """The time constant of the motors, the mean of those that the file knows."""
+    known = [row.lag_s for row in vehicle.thrusters if row.lag_s is not None]
+    return sum(known) / len(known) if known else otherwise_s
 
 
 def _dragged(hull: Hull, vehicle: Vehicle) -> Hull:

@@ -19,6 +19,11 @@ RATE_PER_S: Final = 4.0  # of full command: such a motor changes no faster
 W_PER_N: Final = 8.0  # assumed: such a motor draws this, as a T200 does
 
 
+def curve_of(row: ThrusterTable) -> Curve:
+    """The force of a thruster for its part of full command, as the file has it."""
+    return Points(row.curve) if row.curve else Law(*row.thrust_n, row.power, row.dead)
+
+
 class Drive:
     """A thruster: motor controller, motor, propeller, batteries, and what turns it. Without a curve it is a propeller of
     DelfimX, whose thrust falls with the speed of the water; with one its force is the curve's."""
@@ -34,7 +39,7 @@ class Drive:
         self.curve: Curve | None = None
         self.rpm_max, self.rpm_per_s_max = rpm_max, rpm_per_s_max
         if row.driver != OWN_NODES:
-            self.curve = Points(row.curve) if row.curve else Law(*row.thrust_n, row.power, row.dead)
+            self.curve = curve_of(row)
             self.rpm_max = row.rpm_max or RPM
             self.rpm_per_s_max = RATE_PER_S * self.rpm_max
         self.angle_rad = self.reference_rad = 0.0  # from the row's own direction, clockwise

@@ -7,6 +7,7 @@ import msgspec
 from delfim.base.ranges import PORT, Endpoint, Fraction, Interface
 from delfim.base.tables import Table, text
 
+Coefficient = Annotated[float, msgspec.Meta(ge=-1e7, le=1e7)]
 InstrumentRate = Annotated[float, msgspec.Meta(ge=0.0, le=50.0)]
 INSTRUMENTS = ("receiver", "compass", "gyro", "sounder", "wind", "ais")
 InstrumentName = Annotated[
@@ -81,6 +82,31 @@ class SimulatedTraffic(Table, frozen=True):
     vessel: Vessels = ()  # each a table of its own, below
 
 
+class SimulatedHull(Table, frozen=True):
+    """The hull that is simulated, where it was measured. Without it, it is that of DelfimX in the size of this boat
+    (docs/simulator.md)."""
+
+    mass_kg: Annotated[float, msgspec.Meta(ge=0.0, le=1e6)] = 0.0  # ahead, with the water's; 0: nothing here counts
+    mass_aside_kg: Annotated[float, msgspec.Meta(ge=0.0, le=1e7)] = 0.0  # sideways, with the water's
+    mass_turning_kg: Annotated[float, msgspec.Meta(ge=0.0, le=1e7)] = 0.0  # of leeway in a turn, that pushes ahead
+    inertia_kgm2: Annotated[float, msgspec.Meta(ge=0.0, le=1e9)] = 0.0  # of a turn, with the water's
+    surge_n_per_mps: Coefficient = 0.0  # drag ahead, with the speed ...
+    surge_n_per_mps2: Coefficient = 0.0  # ... and its square
+    sway_n_per_mps: Coefficient = 0.0  # drag sideways, with the speed ...
+    sway_n_per_mps2: Coefficient = 0.0  # ... its square ...
+    sway_ahead_n_per_mps2: Coefficient = 0.0  # ... and its product with the way ahead
+    sway_yaw_n_per_radps: Coefficient = 0.0  # force to port of a turn to starboard
+    yaw_nm_per_radps: Coefficient = 0.0  # moment against a turn, with its rate ...
+    yaw_nm_per_radps2: Coefficient = 0.0  # ... its square ...
+    yaw_ahead_nm_s_per_m: Coefficient = 0.0  # ... and its product with the way ahead
+    munk_nm_per_mps2: Coefficient = 0.0  # moment of the way ahead and leeway
+    thrust_loss_s_per_m: Annotated[float, msgspec.Meta(ge=0.0, le=1.0)] = 0.0  # part of full thrust lost for each m/s of way
+
+    def __post_init__(self) -> None:
+        if self.mass_kg and not (self.mass_aside_kg and self.inertia_kgm2):
+            raise ValueError("mass_kg, mass_aside_kg and inertia_kgm2 go together")
+
+
 class Simulation(Table, frozen=True):
     """Settings for simulation alone: `delfim sim`, `delfim nodes`."""
 
@@ -106,4 +132,5 @@ class Simulation(Table, frozen=True):
     instruments: Annotated[tuple[InstrumentName, ...], msgspec.Meta(max_length=32)] = ()  # empty: all on the first port
     external: Annotated[str, text(rf"([^ :]+:{PORT})?", "ADDRESS:PORT, or empty")] = ""  # of a model in another program
     sea: Sea = Sea()
+    hull: SimulatedHull = SimulatedHull()
     traffic: SimulatedTraffic = SimulatedTraffic()

@@ -212,6 +212,8 @@ class DerivedGains:
         self._limits, boat = limits, self._settings.boat
         if boat.mass_kg is None or boat.full_mps is None or boat.drag_n_per_mps is not None or boat.drag_n_per_mps2 is not None:
             return
+        if boat.inertia_kgm2 is not None or boat.yaw_nm_per_radps is not None:
+            return
         ahead_n, sides = sum(self._pair.most_n), list(zip(*self._pair[:3], strict=True))
         most_nm = min(sum(max(k * n * low, k * n * high) for n, low, high in sides) for k in (1.0, -1.0))
         inertia, water = boat.mass_kg * (0.465 * boat.length_m) ** 2, 10.0 * boat.length_m**3

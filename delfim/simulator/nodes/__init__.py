@@ -5,7 +5,6 @@ Every node is a clocked object without socket or task: `step(now_s, utc_ns)` ret
 `feed(frame, now_s)` hands it a frame, `due_s` is when it sends next. `now_s` is monotonic and never goes back.
 """
 
-import math
 from importlib import import_module
 from operator import itemgetter
 from typing import Final, Protocol, runtime_checkable
@@ -14,13 +13,13 @@ from delfim import config
 from delfim.base import parts
 from delfim.base.frames import Frame
 from delfim.canproxy.socket import CanAddress
-from delfim.simulator.model import Model, hull_of
+from delfim.simulator.measured import model_of
+from delfim.simulator.model import Model
 from delfim.simulator.nodes.cansensors import CanSensors
 from delfim.simulator.nodes.devices import Devices
 from delfim.simulator.nodes.navigation import NavigationNode
 from delfim.simulator.nodes.other_vessels import Shipping
 from delfim.simulator.nodes.talkers import SimulatedInstruments, instruments_of
-from delfim.simulator.tables import Simulation
 
 NODES: Final = ("gps", "navigation", "propeller", "batteries")  # files of this folder, with `nodes` in each
 OTHER_BUSES: Final = ("devices", "cansensors", "sounders", "other_vessels")  # files for other buses, with `devices_of` in each
@@ -111,10 +110,7 @@ class Nodes:
 
 def nodes_of(settings: config.Vehicle, seed: int, model: Model | None = None) -> Nodes:
     """The nodes that a vehicle's file describes, around its model or another one."""
-    there = settings.of(Simulation)
-    if model is None:
-        start = math.radians(there.latitude_deg), math.radians(there.longitude_deg)
-        model = Model(hull_of(settings), there.sea, seed, *start, math.radians(there.heading_deg), settings.thrusters)
+    model = model_of(settings, seed) if model is None else model
     own = (part for part in parts.OWN.values() if part.name in settings.drivers)
     of_parts = [parts.load(part, part.played) for part in (*own, *settings.aboard) if part.played]
     *first, last = (import_module(f"{__name__}.{kind}") for kind in NODES)

@@ -18,6 +18,7 @@ KG_PER_M2: Final = 20.0  # mass of a light boat per length times beam
 GYRATION: Final = 0.465  # radius of gyration in yaw, added mass included, per length
 ADDED: Final = 1.05  # mass with its added mass in surge, per mass
 DAMPING: Final = 10.0  # N m per rad/s, for the cube of the length: against a turn at cruising speed
+TURN_RADPS: Final = 0.15  # of a usual turn, where the damping's square is known
 FROUDE: Final = 0.45  # speed at full thrust, per root of g times length, at most
 NATURAL_RADPS: Final = 0.83  # of the heading, for a boat of 4.5 m; a shorter one is quicker, up to the next
 NATURAL_RADPS_MAX: Final = 1.0  # at a navigation rate of 5 Hz, with motors that need 0.3 s
@@ -64,13 +65,15 @@ def craft(vehicle: config.Vehicle) -> Craft:
     propellers' loss of thrust, too."""
     boat, thrusters = vehicle.boat, Allocation([thruster(row) for row in vehicle.thrusters])
     mass_kg = KG_PER_M2 * boat.length_m * boat.beam_m if boat.mass_kg is None else boat.mass_kg
-    inertia_kgm2 = mass_kg * (GYRATION * boat.length_m) ** 2
+    inertia_kgm2 = mass_kg * (GYRATION * boat.length_m) ** 2 if boat.inertia_kgm2 is None else boat.inertia_kgm2
     ahead_n = thrusters.surge_n[1]
     if boat.drag_n_per_mps is None and boat.drag_n_per_mps2 is None:
         linear, square = 0.0, ahead_n / full_mps(boat) ** 2
     else:
         linear, square = boat.drag_n_per_mps or 0.0, boat.drag_n_per_mps2 or 0.0
     damping = DAMPING * boat.length_m**3
+    if boat.yaw_nm_per_radps is not None:
+        damping = boat.yaw_nm_per_radps + TURN_RADPS * (boat.yaw_nm_per_radps2 or 0.0)
     return Craft(ADDED * mass_kg, inertia_kgm2, damping, linear, square, ahead_n, thrusters.yaw_nm, _aside_n(thrusters))
 
 
