@@ -463,6 +463,25 @@ def test_a_transfer_without_end_is_dropped():
     assert receiver.errors["malformed frame"] == 1
 
 
+@given(st.data(), st.lists(st.binary(min_size=8, max_size=300), min_size=1, max_size=4), st.booleans())
+def test_transfers_that_mix_on_the_bus_arrive_each_as_it_was_sent(
+    data: st.DataObject, payloads: list[bytes], loses: bool
+) -> None:
+    receiver = TransferReceiver(HEARD)
+    left = [told(RAW_IMU, payload, source, number=source) for source, payload in enumerate(payloads, 1)]
+    whole = dict(enumerate(payloads, 1))
+    if loses:
+        source = data.draw(st.integers(1, len(payloads)))
+        del whole[source], left[source - 1][data.draw(st.integers(0, len(left[source - 1]) - 1))]
+    found = {}
+    while any(left):
+        frame = data.draw(st.sampled_from([frames for frames in left if frames])).pop(0)
+        if (transfer := receiver.feed(frame, 0.0)) is not None:
+            found[transfer.source] = transfer.payload
+    assert found == whole
+    assert bool(receiver.errors) <= loses
+
+
 @given(
     st.lists(st.tuples(st.sampled_from([*HEARD, RAW_COMMAND]), st.integers(0, 127), st.integers(0, 31), st.binary(max_size=8))),
     st.integers(0, CAN_ERR | CAN_RTR | CAN_IDE),

@@ -93,6 +93,17 @@ class TransferReceiver:
     def feed(self, frame: Frame, now_s: float) -> Transfer | None:
         """The transfer that this frame completes."""
         arb, data = frame[0], frame[1]
+        stream = self._streams.get(arb)
+        if (  # most frames: in the midst of a transfer
+            stream is not None
+            and len(data) == 8
+            and data[7] == stream.next
+            and len(stream.payload) <= self.LENGTH_MAX - 5
+            and now_s - stream.started_s <= self.TIMEOUT_S
+        ):
+            stream.payload += data[:7]
+            stream.next ^= TOGGLE
+            return None
         if arb & (SERVICE << 3 | 7) != CAN_IDE or not data:
             self.errors["not a message"] += 1
             return None
@@ -105,7 +116,6 @@ class TransferReceiver:
                 return _new(Transfer, (kind.id, source, data[:-1]))
             self._start(arb, data, now_s)
             return None
-        stream = self._streams.get(arb)
         if stream is None or tail & ~END != stream.next or now_s - stream.started_s > self.TIMEOUT_S:
             self._refuse(arb, stream, tail, now_s)
             return None
