@@ -1,7 +1,5 @@
 """Framing of NMEA 0183: bytes of a line to sentences, with their checksum and a count of everything that is refused."""
 
-from functools import reduce
-from operator import xor
 from typing import Final, NamedTuple
 
 from delfim.base.errors import FormatError
@@ -10,6 +8,7 @@ from delfim.lines.nmea0183.sentences import ENCAPSULATED, READERS, Message
 LONGEST: Final = 200  # characters; the standard says 82, receivers with many decimals and multiplexers go beyond
 NAMES_MAX, NAME_MAX = 64, 6  # addresses that are counted one by one, and characters of each
 OTHERS: Final = "others"
+_FOLDED: Final = 256  # characters that a checksum is made of at once
 _DIGITS: Final = tuple(b"%02X" % each for each in range(256))
 _new = tuple.__new__  # in half the time of Sentence(...)
 
@@ -24,13 +23,23 @@ class Sentence(NamedTuple):
 
 def checksum(body: bytes) -> int:
     """The checksum of the characters between "$" and "*"."""
-    return reduce(xor, body, 0)
+    if len(body) > _FOLDED:
+        return checksum(body[:_FOLDED]) ^ checksum(body[_FOLDED:])
+    folded = int.from_bytes(body, "big")  # as one number, whose halves are laid on each other: a third of the time of a loop
+    folded ^= folded >> 1024
+    folded ^= folded >> 512
+    folded ^= folded >> 256
+    folded ^= folded >> 128
+    folded ^= folded >> 64
+    folded ^= folded >> 32
+    folded ^= folded >> 16
+    return (folded ^ folded >> 8) & 0xFF
 
 
 def framed(body: str) -> bytes:
     """Frame a sentence as it goes over a line."""
     raw = body.encode("ascii")
-    return b"$%b*%b\r\n" % (raw, _DIGITS[reduce(xor, raw)])
+    return b"$%b*%b\r\n" % (raw, _DIGITS[checksum(raw)])
 
 
 class Sentences:

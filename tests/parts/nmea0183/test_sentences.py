@@ -1,6 +1,8 @@
 """Sentences of NMEA 0183 to values: each trap of real receivers, against two independent libraries, and against damage."""
 
+import functools
 import math
+import operator
 import random
 import tracemalloc
 from datetime import UTC, datetime
@@ -12,7 +14,7 @@ from hypothesis import strategies as st
 from pynmeagps import NMEAReader
 
 from delfim.canproxy.dsor.messages import Navigation
-from delfim.lines.nmea0183.framing import LONGEST, NAMES_MAX, Sentences, framed
+from delfim.lines.nmea0183.framing import LONGEST, NAMES_MAX, Sentences, checksum, framed
 from delfim.lines.nmea0183.sentences import (
     KNOT,
     READERS,
@@ -245,6 +247,11 @@ def test_a_sentence_may_come_in_pieces_and_behind_noise():
     tagged = b"\\s:GP0001,c:1390000000*4F\\" + framed("GPHDT,1.0,T")
     assert line.feed(tagged)[0].talker == "GP"
     assert line.refused == {}
+
+
+@given(st.binary(max_size=3 * LONGEST))
+def test_the_checksum_is_that_of_all_characters_one_by_one(body: bytes) -> None:
+    assert checksum(body) == functools.reduce(operator.xor, body, 0)
 
 
 def test_a_checksum_may_lack_only_where_the_file_says_so_and_never_be_wrong():
