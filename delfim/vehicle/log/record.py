@@ -5,7 +5,7 @@ and a function for each of some fifty fields took a tenth of it.
 """
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Final, NamedTuple
 
 from delfim import config
@@ -16,7 +16,7 @@ from delfim.vehicle.failsafe.nodehealth import NAMES
 from delfim.vehicle.state import State, ThrusterReport
 
 NAN = math.nan
-Values = Callable[[State, float], tuple[object, ...]]  # None: unknown
+Values = Callable[[State, float], Sequence[float]]
 
 
 class Field(NamedTuple):
@@ -44,7 +44,7 @@ _NO_BATTERIES: Final = BatteriesStatus(Status.GOOD, Fault(0), None, None, None, 
 _STARBOARD, _PORT = NAMES[Node.BATTERIES_STARBOARD], NAMES[Node.BATTERIES_PORT]
 
 
-def _cycle(s: State, now_s: float) -> tuple[object, ...]:
+def _cycle(s: State, now_s: float) -> Sequence[float]:
     p = s.profile
     utc_ns = s.navigation.utc_ns if s.navigation else 0
     return now_s, utc_ns, p.t0, p.t1, p.t2, p.t3, p.t4, p.t5, s.cycles, s.mode.value, bits(s.notices)
@@ -61,11 +61,11 @@ _CYCLE = (
 )
 
 
-def _navigation(s: State, now_s: float) -> tuple[object, ...]:
+def _navigation(s: State, now_s: float) -> Sequence[float]:
     n, m = s.navigation or _NO_NAVIGATION, s.motion
     place = (m.north_m, m.east_m) if "position" in m.has else (NAN, NAN)
     moving = n.north_mps, n.east_mps, n.heading_rad, n.yaw_rate_radps, n.roll_rad, n.pitch_rad
-    return n.latitude_rad, n.longitude_rad, *place, *moving, n.fix, n.satellites, n.accuracy_m, n.corrections_s
+    return _known((n.latitude_rad, n.longitude_rad, *place, *moving, n.fix, n.satellites, n.accuracy_m, n.corrections_s))
 
 
 _NAVIGATION = (
@@ -86,9 +86,9 @@ _NAVIGATION = (
 )
 
 
-def _control(s: State, now_s: float) -> tuple[object, ...]:
+def _control(s: State, now_s: float) -> Sequence[float]:
     r = s.reference
-    return r.heading_rad, r.speed_mps, r.cross_track_m, r.distance_m, r.leg & 0xFFFF, s.actuation.run
+    return _known((r.heading_rad, r.speed_mps, r.cross_track_m, r.distance_m, r.leg & 0xFFFF, s.actuation.run))
 
 
 _CONTROL = (
@@ -101,13 +101,13 @@ _CONTROL = (
 )
 
 
-def _batteries(s: State, now_s: float) -> tuple[object, ...]:
+def _batteries(s: State, now_s: float) -> Sequence[float]:
     starboard, port = s.sysstat.get(_STARBOARD, _NO_BATTERIES)[0], s.sysstat.get(_PORT, _NO_BATTERIES)[0]
     if not isinstance(starboard, BatteriesStatus):
         starboard = _NO_BATTERIES[0]
     if not isinstance(port, BatteriesStatus):
         port = _NO_BATTERIES[0]
-    return starboard.voltage_v, port.voltage_v, starboard.charge, port.charge
+    return _known((starboard.voltage_v, port.voltage_v, starboard.charge, port.charge))
 
 
 _BATTERIES = (
@@ -118,7 +118,7 @@ _BATTERIES = (
 )
 
 
-def _traffic(s: State, now_s: float) -> tuple[object, ...]:
+def _traffic(s: State, now_s: float) -> Sequence[float]:
     t = s.traffic
     return len(t.targets), *((NAN, NAN) if t.order is None else (t.order.course_rad, t.order.speed_mps)), t.nearness
 
@@ -131,8 +131,8 @@ _TRAFFIC = (
 )
 
 
-def _replay(s: State, now_s: float) -> tuple[object, ...]:
-    return s.console_s, s.guest_s, s.setpoint.guest_heading_rad, s.setpoint.guest_speed_mps, s.watchdog_s
+def _replay(s: State, now_s: float) -> Sequence[float]:
+    return _known((s.console_s, s.guest_s, s.setpoint.guest_heading_rad, s.setpoint.guest_speed_mps, s.watchdog_s))
 
 
 _REPLAY = (  # with the black box and the commands in the sidecar, these suffice to replay the cycle bit by bit
@@ -160,12 +160,16 @@ def of(settings: config.Vehicle) -> Record:
     return Record(tuple(field for group in groups for field in group.fields), tuple(group.values for group in groups))
 
 
-def values(record: Record, state: State, now_s: float) -> tuple[object, ...]:
+def values(record: Record, state: State, now_s: float) -> list[float]:
     """The record of this cycle, in the order of the fields."""
-    found, nan = list[object](), NAN
+    found = list[float]()
     for of_group in record.groups:
         found += of_group(state, now_s)
-    return tuple([nan if value is None else value for value in found])
+    return found
+
+
+def _known(values: Iterable[float | None], nan: float = NAN) -> list[float]:
+    return [nan if value is None else value for value in values]
 
 
 def _of_payloads(settings: config.Vehicle) -> Iterator[Group]:
@@ -173,7 +177,7 @@ def _of_payloads(settings: config.Vehicle) -> Iterator[Group]:
     if not names:
         return
 
-    def heard(s: State, now_s: float) -> tuple[object, ...]:
+    def heard(s: State, now_s: float) -> Sequence[float]:
         return *[s.payloads_s.get(name, -1e9) for name in names], names.index(s.helmsman) + 1 if s.helmsman else 0
 
     fields = [Field(f"payload_{name}_s", "d", "s", f"time since boot of the last word of payload {name}") for name in names]
@@ -192,7 +196,7 @@ def _of_sensors(settings: config.Vehicle) -> Group:
     told, stale_s = sensors.values(settings), settings.sensors.stale_s
     names = [each.name for each in told]
 
-    def measured(s: State, now_s: float) -> tuple[object, ...]:
+    def measured(s: State, now_s: float) -> Sequence[float]:
         fresh = [s.measured.get(name, (NAN, now_s)) for name in names]
         return tuple([value if now_s - at_s <= stale_s else NAN for value, at_s in fresh])
 
@@ -205,14 +209,14 @@ def _of_thrusters(settings: config.Vehicle) -> Iterator[Group]:
 
 
 def _of_row(index: int, name: str, rpm_max: float, turns: bool) -> Group:
-    def told(s: State, now_s: float) -> tuple[object, ...]:
+    def told(s: State, now_s: float) -> Sequence[float]:
         report, sent = s.thrusters.get(name, _NO_REPORT), s.actuation
         thrust = sent.thrust[index] if sent.thrust else NAN
         command = (thrust, thrust * rpm_max) if rpm_max else (thrust,)
         if not turns:
-            return *command, report.rpm, report.current_a
+            return _known((*command, report.rpm, report.current_a))
         angle_rad = sent.angle_rad[index] if sent.angle_rad else NAN
-        return *command, report.rpm, report.current_a, angle_rad, report.angle_rad
+        return _known((*command, report.rpm, report.current_a, angle_rad, report.angle_rad))
 
     return Group(tuple(_row_fields(name, rpm_max, turns)), told)
 
