@@ -19,7 +19,7 @@ from delfim.base.errors import DelfimError
 from delfim.campaign.measures import MEASURES, RunTape, Sailed, Truth
 from delfim.campaign.runplan import Batch, Plan, broken_of, laid, parted
 from delfim.simulator.invariants.onlooker import TruePlace
-from delfim.simulator.lockstep import Lockstep
+from delfim.simulator.lockstep import Lockstep, uncollected
 from delfim.simulator.scenarios.encounters import OWN_MPS, RANDOM, drawn, staged
 from delfim.simulator.scenarios.pairs import PairTape
 from delfim.simulator.scenarios.random_faults import mixed_mission
@@ -91,13 +91,10 @@ def sail_batch(plan: Plan, batch: Batch, version: str) -> list[dict[str, Any]]:
     if version != VERSION:
         raise DelfimError(f"this worker has {VERSION}, the campaign {version}")
     rows = list[dict[str, Any]]()
-    gc.disable()  # a run leaves little garbage: to look for it meanwhile costs a twelfth of the time
-    try:
+    with uncollected():
         for point, seed in batch.runs:
             rows.append(one(plan, batch.number, point, seed))
             gc.collect(1)
-    finally:
-        gc.enable()
     return rows
 
 

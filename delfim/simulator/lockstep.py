@@ -4,7 +4,9 @@ Nothing waits and nothing runs beside: navigation is due, the nodes speak, the h
 same seed gives the same bytes. It leaves out event loop, sockets and processes, which exist only in real time.
 """
 
+import gc
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Final, NamedTuple, Protocol, Self, runtime_checkable
 
 import msgspec
@@ -52,6 +54,18 @@ class Ordered(NamedTuple):
     refused: str  # why, in words; empty: it was obeyed
 
 
+@contextmanager
+def uncollected() -> Iterator[None]:
+    """Look for no garbage meanwhile, as the boat does not in its loop: a cycle leaves none, and looking costs a twelfth."""
+    was_on = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if was_on:
+            gc.enable()
+
+
 class Lockstep:
     """A boat and its world, stepped by navigation cycles. `log` is made for the clock of the simulation, as the loop's is.
     Without a `model` the vehicle's file describes it. Without rows for its hand-set the boat has none."""
@@ -67,13 +81,12 @@ class Lockstep:
         self.settings = settings
         self.clock = ManualClock()
         bus = self.bus = LockstepBus(self.clock)
-        self._world = bus.socket("nodes")
         self.nodes = nodes_of(settings, seed, model)
         buses = self.buses = {settings.can.interface: bus}  # by the interfaces of the vehicle's file
         for each in self.nodes.beside:
             buses.setdefault(each.interface, LockstepBus(self.clock, each.interface))
-        self._beside = [(each, buses[each.interface].bound(*each.hears, computer="devices")) for each in self.nodes.beside]
-        self._world.bind(*self.nodes.hears)
+        self._beside = [(each, buses[each.interface].end("devices", *each.hears)) for each in self.nodes.beside]
+        self._world = bus.end("nodes", *self.nodes.hears)
         self.faults = Faults(self.nodes, seed)
         self.log = make_log(self.clock)
         self.lines = dict[str, LockstepLine]()  # by device
@@ -134,16 +147,14 @@ class Lockstep:
     def _drift(self) -> None:
         """Let one navigation period pass without the boat's program."""
         now_s, nodes = self.elapsed_s, self.faults if self.faults.busy else self.nodes
-        self._world.send_many([frame[:2] for frame in nodes.step(now_s, self.clock.time_ns())])
+        self._world.send_many(nodes.step(now_s, self.clock.time_ns()))
         for devices, end in self._beside:
-            end.send_many([frame[:2] for frame in devices.step(now_s, self.clock.time_ns())])
+            end.send_many(devices.step(now_s, self.clock.time_ns()))
         if self.nodes.instruments is not None:
             self.nodes.instruments.step(now_s, self.clock.time_ns())
-        while self._world.receive_many():
-            pass
+        self._world.queue.clear()
         for _, end in self._beside:
-            while end.receive_many():
-                pass
+            end.queue.clear()
         self.clock.advance(self._cycle_s)
 
     def _bus(self, name: str, filters: tuple[CanAddress, ...]) -> CanSocket:
@@ -198,10 +209,10 @@ class Lockstep:
             self._changes, self.nodes.navigation.is_heard = self.bus.changes, self.bus.takes(MESSAGES)
         frames = nodes.step(now_s, utc_ns)
         self.bus.off = "bus_off" in faults.on
-        world.send_many([frame[:2] for frame in frames])
+        world.send_many(frames)
         for devices, end in self._beside:
             if said := devices.step(now_s, utc_ns):
-                end.send_many([frame[:2] for frame in said])
+                end.send_many(said)
         if self.nodes.instruments is not None:
             for port, data in self.nodes.instruments.step(now_s, utc_ns):
                 self._ports[port].put(data)
@@ -230,13 +241,11 @@ class Lockstep:
         for actuator in vehicle.propulsion.actuators:
             if actuator.period_s:
                 vehicle.on_outlet(actuator)
-        while heard := world.receive_many():
-            for frame in heard:
-                nodes.feed(frame, now_s)
+        while world.queue:
+            nodes.feed(world.queue.popleft(), now_s)
         for devices, end in self._beside:
-            while heard := end.receive_many():
-                for frame in heard:
-                    devices.feed(frame, now_s)
+            while end.queue:
+                devices.feed(end.queue.popleft(), now_s)
         sent = self.state.actuation
         if self._outlet is not None and "outlet_silent" not in faults.on:
             self._answer(self._outlet)
@@ -267,6 +276,7 @@ class Lockstep:
             self.cycle()
             yield self.state
 
+    @uncollected()
     def sail(self, mission: str, limit_s: float, look: Callable[[Self], object] = lambda run: None) -> str:
         """Load a mission's text, play it as soon as the boat is fit, and sail until it ends. Returns how it ended, in words.
         `look` is called after each cycle."""

@@ -28,18 +28,24 @@ class LockstepBus:
         self.off = False  # bus-off, as after too many errors: nothing is sent or received
         self.queues: dict[CanSocket, deque[Frame]] = {}  # the frames that wait in each open socket
         self.changes = 0  # of its sockets and what they take
-        self._ends: list[_End] = []
-        self._routes: dict[int, tuple[_End, ...]] = {}  # by arbitration field: the ends that accept it
+        self._ends: list[End] = []
 
     def socket(self, computer: str = "vehicle") -> CanSocket:
         """Open a socket, not bound and not blocking: waiting here would never end. Frames between sockets of the same
         `computer` are marked `sent_here`."""
-        end = _End(self, computer)
-        self._ends.append(end)
+        end = self.end(computer)
         socket = CanSocket(end)
         socket.setblocking(False)
         self.queues[socket] = end.queue
         return socket
+
+    def end(self, computer: str, *filters: CanAddress) -> "End":
+        """Open an end for simulated devices, which send whole frames."""
+        end = End(self, computer)
+        self._ends.append(end)
+        if filters:
+            end.filter(filters)
+        return end
 
     def bound(self, *filters: CanAddress, computer: str = "vehicle") -> CanSocket:
         """Open a socket that receives what the filters accept; without filters, nothing."""
@@ -48,46 +54,47 @@ class LockstepBus:
             socket.bind(*filters)
         return socket
 
-    def deliver(self, sender: "_End", messages: Sequence[tuple[int, bytes]]) -> None:
+    def deliver(self, sender: "End", messages: Sequence[tuple[int, bytes] | Frame]) -> None:
         """Deliver messages to all other ends that accept them. Raises FormatError for one that is no frame; those before it
         were sent."""
-        routes, room, t_ns, computer = self._routes, self.queue_max, self.clock.time_ns(), sender.computer
-        for arb, data in messages:
+        routes, room, t_ns = sender.routes, self.queue_max, self.clock.time_ns()
+        for message in messages:
+            arb, data = message[0], message[1]
             if len(data) > 8:
                 raise FormatError(f"{len(data)} bytes of data do not fit a CAN frame of 8")
             route = routes.get(arb)
             if route is None:
-                route = self._route(arb)
-            for end in route:
-                if end is sender:
-                    continue
-                if len(end.queue) < room:
-                    end.queue.append(_new(Frame, (arb, data, t_ns, _IFINDEX, end.computer == computer)))
+                route = self._route(sender, arb)
+            for end, queue, sent_here in route:
+                if len(queue) < room:
+                    queue.append(_new(Frame, (arb, data, t_ns, _IFINDEX, sent_here)))
                 else:
                     end.dropped += 1
 
-    def _route(self, arb: int) -> "tuple[_End, ...]":
-        if len(self._routes) >= _ROUTES_MAX:
-            self._routes.clear()
-        route = tuple(end for end in self._ends if any(accepts(address, arb) for address in end.addresses))
-        self._routes[arb] = route
-        return route
+    def _route(self, sender: "End", arb: int) -> "tuple[Way, ...]":
+        routes = sender.routes
+        if len(routes) >= _ROUTES_MAX:
+            routes.clear()
+        others = (end for end in self._ends if end is not sender and any(accepts(each, arb) for each in end.addresses))
+        routes[arb] = tuple((end, end.queue, end.computer == sender.computer) for end in others)
+        return routes[arb]
 
     def takes(self, frames: CanAddress) -> bool:
         """Whether any socket takes any of these frames."""
         taken = (address for end in self._ends for address in end.addresses)
         return any(not (frames.arb ^ each.arb) & ~frames.mask & ~each.mask for each in taken)
 
-    def changed(self, closed: "_End | None" = None) -> None:
+    def changed(self, closed: "End | None" = None) -> None:
         """Note that an end was bound or closed."""
-        self._routes.clear()
+        for end in self._ends:
+            end.routes.clear()
         self.changes += 1
         if closed in self._ends:
             self._ends.remove(closed)
             self.queues = {socket: queue for socket, queue in self.queues.items() if queue is not closed.queue}
 
 
-class _End:
+class End:
     """One socket's end of the bus, as a transport of CanSocket."""
 
     outlets: Callable[[], Sequence[int]] | None = None
@@ -97,6 +104,7 @@ class _End:
         self.name, self.computer, self.dropped = bus.name, computer, 0
         self.addresses: tuple[CanAddress, ...] = ()
         self.queue: deque[Frame] = deque()
+        self.routes: dict[int, tuple[Way, ...]] = {}  # by arbitration field: the other ends that accept it
         self._bus: LockstepBus | None = bus
 
     def fileno(self) -> int:
@@ -116,7 +124,7 @@ class _End:
         queue = self.queue
         return [queue.popleft() for _ in range(min(len(queue), BATCH))] if queue else []
 
-    def send_many(self, messages: Sequence[tuple[int, bytes]]) -> int:
+    def send_many(self, messages: Sequence[tuple[int, bytes] | Frame]) -> int:
         bus = self._bus
         if bus is None or bus.off:
             return len(messages)
@@ -150,3 +158,6 @@ class _End:
         if self._bus is None:
             raise BusError(f"{self.name}: this socket is closed")
         return self._bus
+
+
+Way = tuple[End, deque[Frame], bool]  # to an end: its queue, and whether its computer is the sender's

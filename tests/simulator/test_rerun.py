@@ -184,7 +184,7 @@ def test_what_was_said_before_the_boat_listened_is_not_its_input(tmp_path):
     day = Day(tmp_path)
     sailing = day.sailing
     for frame in sailing.nodes.step(day.clock.monotonic_s(), day.clock.time_ns()):
-        sailing._world.sendmsg(frame)
+        sailing._world.send_many([frame])
     day.boxed()
     for source in sailing.vehicle.sources:
         assert source.read(day.clock.monotonic_s()) is not None

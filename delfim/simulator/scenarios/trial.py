@@ -19,7 +19,7 @@ from delfim.base.clock import ManualClock
 from delfim.base.errors import ConfigError
 from delfim.base.modes import Mode
 from delfim.simulator.invariants.onlooker import TURNS, Onlooker, TruePlace
-from delfim.simulator.lockstep import Lockstep
+from delfim.simulator.lockstep import Lockstep, uncollected
 from delfim.simulator.nodes.other_vessels import Vessel
 from delfim.simulator.payloadprogram import PayloadProgram
 from delfim.simulator.scenarios.encounters import OWN_MPS, RANDOM, drawn, staged, staged_of
@@ -90,6 +90,7 @@ class Recorder:
             self.nearest_m[number] = min(self.nearest_m[number], away_m)
 
 
+@uncollected()
 def sail(
     scenario: Scenario,
     settings: config.Vehicle,
