@@ -4,7 +4,7 @@ Equations: Fossen, Handbook of Marine Craft Hydrodynamics and Motion Control, 20
 through the water in an irrotational current of constant speed (8.3), wind (8.1.2), bilinear thruster. `docs/simulator.md`
 writes them out, says how to describe another hull, and shows what the numbers give.
 
-Not modelled: waves as a force (roll and pitch are for show), shallow water, wind shadow, ropes, the sea bottom.
+Not modelled: waves as a force (roll and pitch are for show), shallow water, wind shadow, ropes, running aground.
 """
 
 import math
@@ -16,6 +16,7 @@ from delfim.base.geodesy import from_plane, origin
 from delfim.base.parts import OWN_NODES
 from delfim.config import DELFIMX, ThrusterTable, Vehicle
 from delfim.simulator.propulsor import AMBIENT_C, VOLTAGE_V, W_PER_N, Drive
+from delfim.simulator.seabed import SeaBed
 from delfim.simulator.tables import Sea
 from delfim.vehicle.control.hull import full_mps
 
@@ -25,7 +26,7 @@ STEP_S: Final = 0.1  # longest integration step; `advance` divides longer times
 WATER: Final = 1025.0  # kg/m3
 AIR: Final = 1.225  # kg/m3
 GUST_S: Final = 5.0  # time constant of the wind's changes, as the VRX simulator has it
-DEPTH_M: Final = 12.0  # of the water
+DEPTH_M: Final = 12.0  # of the water without a bed
 BANK_M: Final = 15.0  # radius of a bank
 LENGTH_M, BEAM_M, MASS_KG = 4.5, 2.45, 210.0  # of DelfimX
 
@@ -179,6 +180,7 @@ class Model:
         self.origin = origin(latitude_rad, longitude_rad)
         self.time_s = 0.0
         self.north_m = self.east_m = 0.0  # from where it started
+        self.bed: SeaBed | None = None
         self.bank: Bank | None = None
         self.heading_rad = heading_rad % math.tau  # 0..2 pi, true north
         self.surge_mps = self.sway_mps = 0.0  # through the water, positive ahead and to starboard
@@ -196,10 +198,11 @@ class Model:
 
     @property
     def depth_m(self) -> float:
-        """The depth of the water here, m: the bottom is flat but for the bank."""
-        bank = self.bank
-        is_on = bank is not None and math.hypot(self.north_m - bank.north_m, self.east_m - bank.east_m) <= BANK_M
-        return bank.depth_m if bank is not None and is_on else DEPTH_M
+        """The depth of the water here, m: on the bank, else over the bed, else the same everywhere."""
+        bank, bed = self.bank, self.bed
+        if bank is not None and math.hypot(self.north_m - bank.north_m, self.east_m - bank.east_m) <= BANK_M:
+            return bank.depth_m
+        return DEPTH_M if bed is None else bed.depth_at(self.latitude_rad, self.longitude_rad, self.time_s)
 
     def command(self, name: str, rpm: float, run: bool) -> None:
         """Set the reference of a thruster's motor controller, which limits it. NaN is motor off."""

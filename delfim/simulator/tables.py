@@ -25,6 +25,24 @@ class Sea(Table, frozen=True):
     gusts: Fraction = 0.2  # standard deviation of the wind, as a part of its mean
 
 
+class SimulatedBed(Table, frozen=True):
+    """The bottom of the simulated sea, which its sounders find (docs/simulator.md). Without it there are 12 m of water."""
+
+    mean_m: Annotated[float, msgspec.Meta(ge=0.0, le=1000.0)] = 0.0  # depth that it rises and falls about; 0: it is flat
+    seed: Annotated[int, msgspec.Meta(ge=0, le=1 << 31)] = 1  # of its slope, hills, channel, shallows and boulders
+    latitude_deg: Annotated[float, msgspec.Meta(ge=-89.0, le=89.0)] | None = (
+        None  # of its middle; absent: where the boat starts
+    )
+    longitude_deg: Annotated[float, msgspec.Meta(ge=-180.0, le=180.0)] | None = None  # of its middle
+    tide_m: Annotated[float, msgspec.Meta(ge=0.0, le=10.0)] = 0.0  # of high water above the mean; it begins at the mean, rising
+    tide_s: Annotated[float, msgspec.Meta(ge=60.0, le=1e6)] = 44_712.0  # from high water to high water
+    bad_echoes: Fraction = 0.0  # part of the soundings that are of fish or weed above the bottom, or of its second echo
+
+    def __post_init__(self) -> None:
+        if (self.latitude_deg is None) is not (self.longitude_deg is None):
+            raise ValueError("latitude_deg and longitude_deg go together")
+
+
 MeetingName = Literal["", "head-on", "give-way", "stand-on", "overtaking", "overtaken", "parallel"]
 
 
@@ -132,5 +150,6 @@ class Simulation(Table, frozen=True):
     instruments: Annotated[tuple[InstrumentName, ...], msgspec.Meta(max_length=32)] = ()  # empty: all on the first port
     external: Annotated[str, text(rf"([^ :]+:{PORT})?", "ADDRESS:PORT, or empty")] = ""  # of a model in another program
     sea: Sea = Sea()
+    sea_bed: SimulatedBed = SimulatedBed()
     hull: SimulatedHull = SimulatedHull()
     traffic: SimulatedTraffic = SimulatedTraffic()

@@ -20,6 +20,8 @@ from delfim.simulator.nodes.devices import Devices
 from delfim.simulator.nodes.navigation import NavigationNode
 from delfim.simulator.nodes.other_vessels import Shipping
 from delfim.simulator.nodes.talkers import SimulatedInstruments, instruments_of
+from delfim.simulator.seabed import bed_of
+from delfim.simulator.tables import Simulation
 
 NODES: Final = ("gps", "navigation", "propeller", "batteries")  # files of this folder, with `nodes` in each
 OTHER_BUSES: Final = ("devices", "cansensors", "sounders", "other_vessels")  # files for other buses, with `devices_of` in each
@@ -111,6 +113,7 @@ class Nodes:
 def nodes_of(settings: config.Vehicle, seed: int, model: Model | None = None) -> Nodes:
     """The nodes that a vehicle's file describes, around its model or another one."""
     model = model_of(settings, seed) if model is None else model
+    model.bed = bed_of(settings.of(Simulation))
     own = (part for part in parts.OWN.values() if part.name in settings.drivers)
     of_parts = [parts.load(part, part.played) for part in (*own, *settings.aboard) if part.played]
     *first, last = (import_module(f"{__name__}.{kind}") for kind in NODES)

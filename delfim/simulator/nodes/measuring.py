@@ -11,6 +11,7 @@ from delfim.base.geodesy import from_plane
 from delfim.simulator.model import Model
 from delfim.simulator.nodes.navigation import POSITION_ERROR_S, SATELLITES, YAW_RATE_NOISE_RADPS
 from delfim.simulator.nodes.period import Period
+from delfim.simulator.seabed import Echoes
 from delfim.simulator.tables import Simulation
 
 LEAST_HZ: Final = 1.0  # of a sensor that is not there, and says nothing
@@ -123,6 +124,7 @@ class Sounder:
     def __init__(self, model: Model, here: Simulation, seed: int) -> None:
         self._model, self._random = model, Random(f"sounder {seed}")
         self._noise, self._due = DEPTH_NOISE if here.noise else 0.0, Period(1.0 / here.sounder_hz)
+        self._echoes = Echoes(here, seed, "sounder")
         self.silent = False
 
     @property
@@ -132,7 +134,7 @@ class Sounder:
     def step(self, now_s: float) -> float | None:
         if not self._due.passed(now_s) or self.silent:
             return None
-        return self._model.depth_m * (1.0 + self._random.gauss(0.0, self._noise))
+        return self._echoes.heard(self._model.depth_m * (1.0 + self._random.gauss(0.0, self._noise)))
 
 
 class Vane:

@@ -9,6 +9,8 @@ from delfim.canproxy.nmea2000.instruments import WATER_DEPTH
 from delfim.canproxy.socket import CanAddress
 from delfim.simulator.model import Model
 from delfim.simulator.nodes.period import Period
+from delfim.simulator.seabed import Echoes
+from delfim.simulator.tables import Simulation
 
 SOUNDER: Final = 35  # its address
 PERIOD_S: Final = 1.0
@@ -21,8 +23,8 @@ class EchoSounder:
 
     hears: tuple[CanAddress, ...] = ()
 
-    def __init__(self, interface: str, model: Model) -> None:
-        self.interface, self._model, self._period = interface, model, Period(PERIOD_S)
+    def __init__(self, interface: str, model: Model, echoes: Echoes) -> None:
+        self.interface, self._model, self._echoes, self._period = interface, model, echoes, Period(PERIOD_S)
 
     @property
     def due_s(self) -> float:
@@ -34,8 +36,11 @@ class EchoSounder:
     def step(self, now_s: float, utc_ns: int) -> list[Frame]:
         if not self._period.passed(now_s):
             return []
-        return [Frame(_FRAME, struct.pack("<BIhB", _UNKNOWN, round(self._model.depth_m * 100.0), 0, _UNKNOWN))]
+        depth_m = self._echoes.heard(self._model.depth_m)
+        return [Frame(_FRAME, struct.pack("<BIhB", _UNKNOWN, round(depth_m * 100.0), 0, _UNKNOWN))]
 
 
 def devices_of(settings: config.Vehicle, model: Model, seed: int) -> EchoSounder | None:
-    return EchoSounder(settings.table("nmea2000").interface, model) if "nmea2000" in settings.sensors.names else None
+    if "nmea2000" not in settings.sensors.names:
+        return None
+    return EchoSounder(settings.table("nmea2000").interface, model, Echoes(settings.of(Simulation), seed, "nmea2000"))
