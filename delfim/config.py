@@ -47,7 +47,9 @@ DRIVERS = tuple(sorted(of_kind(OWN.values(), "driver")))
 DEFAULT_SENSOR, *_OTHERS = of_kind(OWN.values(), "sensor")
 SENSORS = DEFAULT_SENSOR, *sorted(_OTHERS)
 
-STEERED = tuple(mode.name.lower() for mode in Mode if mode not in (Mode.IDLE, Mode.MANUAL))  # those that may keep clear
+STEERED = tuple(
+    mode.name.lower() for mode in Mode if mode not in (Mode.IDLE, Mode.MANUAL, Mode.TRIAL)
+)  # those that may keep clear
 
 
 def guarded(modes: tuple[str, ...]) -> Any:
@@ -551,11 +553,14 @@ class Restarted(_AfterRestart, frozen=True):
     within_s: Annotated[float, msgspec.Meta(ge=1.0, le=86_400.0)] = 600.0  # a boat that was off for longer stays idle
     action: Literal["hold", "resume", "home", "idle"] = "hold"  # resume: the mode of before, from where it was
     manual: ReturnName = "idle"
+    trial: ReturnName = "idle"
     home: ReturnName = "resume"
 
     def __post_init__(self) -> None:
         if self.after("manual") == "resume":
             raise ValueError("thrust by hand is not resumed: manual is hold, home or idle")
+        if self.after("trial") == "resume":
+            raise ValueError("a trial is not resumed: trial is hold, home or idle")
 
     def after(self, mode: str) -> str:
         """What follows for the mode before, by its name in the vehicle's file."""
@@ -624,6 +629,12 @@ class FenceTable(Zones, frozen=True):
     mission_margin_m: Metres = 6.0  # missions keep this distance from it
     reaction_s: Annotated[float, msgspec.Meta(ge=0.0, le=60.0)] = 1.0  # from the command to stop until the boat slows down
     deceleration_mps2: Annotated[float, msgspec.Meta(gt=0.0, le=10.0)] = 0.3  # of the boat with propellers off, as measured
+
+
+class AdoptedTable(Table, frozen=True):
+    """What `delfim adopt` found out about the boat (docs/adopt.md)."""
+
+    proven: bool = True  # its motors do what the file says; false: no failsafe steers, and only manual and trial are allowed
 
 
 class Checks(Table, frozen=True):
@@ -878,6 +889,7 @@ class Vehicle(Table, frozen=True):
     control: ControlTable = ControlTable()
     failsafe: Failsafe = Failsafe()
     fence: FenceTable = FenceTable()
+    adopted: AdoptedTable = AdoptedTable()
     checks: Checks = Checks()
     clock: ClockTable = ClockTable()
     sensors: Sensors = Sensors()

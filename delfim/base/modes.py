@@ -20,6 +20,7 @@ class Mode(IntEnum):
     PATH = 100
     GREX = 101
     COURSE = 102
+    TRIAL = 103
 
 
 PAYLOADS = 200  # on the console's link, from this number on: a payload program has the boat, by its place in the vehicle's file

@@ -91,6 +91,8 @@ class Lockstep:
         self.log = make_log(self.clock)
         self.lines = dict[str, LockstepLine]()  # by device
         self._aboard = settings if handset else msgspec.structs.replace(settings, handset=config.HandsetTable())
+        if model is None:  # its motors are those of the file
+            self._aboard = msgspec.structs.replace(self._aboard, adopted=config.AdoptedTable())
         self._opened = list[CanSocket]()
         self._start()
         self._ports = {name: self.lines[device] for name, device in port_devices(settings).items() if device in self.lines}

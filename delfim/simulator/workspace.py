@@ -153,6 +153,7 @@ def settings_of(vehicle: config.Vehicle, its: Workspace, named: Collection[str])
         "runtime.fifo_priority": "0",
         **({} if "handset.device" in named else {"handset.mandatory": "false"}),
         "simulation.faults": "true",
+        **({} if "adopted.proven" in named else {"adopted.proven": "true"}),  # its motors are those of the file
     }
     given = tuple(f"{key}." for key in named)  # a table is given with all its keys
     texts = {key: text for key, text in texts.items() if not (key.startswith("nmea0183.") and f"{key}.".startswith(given))}

@@ -25,6 +25,8 @@ Latitude = Annotated[float, msgspec.Meta(ge=-89.0, le=89.0)]
 Longitude = Annotated[float, msgspec.Meta(ge=-180.0, le=180.0)]
 Speed = Annotated[float, msgspec.Meta(ge=0.0, le=30.0)]
 Thrust = Annotated[float, msgspec.Meta(ge=-1.0, le=1.0)]
+PieceTime = Annotated[float, msgspec.Meta(gt=0.0, le=30.0)]  # s
+Parts = Annotated[tuple[Thrust, ...], msgspec.Meta(min_length=1, max_length=16)]
 Short = Annotated[str, msgspec.Meta(max_length=100)]
 Key = Annotated[str, msgspec.Meta(max_length=64)]
 Values = Annotated[dict[Key, int | float | bool | Short], msgspec.Meta(max_length=20, description="a table of up to 20 values")]
@@ -90,6 +92,22 @@ class Manual(Command, frozen=True):
 
     starboard: Thrust
     port: Thrust
+
+
+class Try(Command, frozen=True, tag="trial"):
+    """Play a manoeuvre, which tries the motors; `begin` enters trial mode. The next one replaces it, the same number again is a
+    sign of life: without one it ends. `pieces`: seconds, with a part of full command for each row of the vehicle's file."""
+
+    ENTERS = "trial"
+    number: Annotated[int, msgspec.Meta(ge=0, le=1_000_000)]
+    pieces: Annotated[tuple[tuple[PieceTime, Parts], ...], msgspec.Meta(min_length=1, max_length=16)]
+    latitude_deg: Latitude  # middle of the circle in which the boat stays
+    longitude_deg: Longitude
+    radius_m: Annotated[float, msgspec.Meta(ge=5.0, le=200.0)]
+    name: Short = ""  # for people and the log
+    turn_dps: Annotated[float, msgspec.Meta(gt=0.0, le=90.0)] = 50.0  # a faster turn ends it
+    begin: bool = False  # otherwise it is refused in any other mode
+    comes_back: bool = False  # from the edge of the circle: only a quarter beyond it ends it
 
 
 class Actuate(Command, frozen=True):

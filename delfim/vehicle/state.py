@@ -29,6 +29,7 @@ class Wanted(NamedTuple):
     yaw_nm: float = 0.0  # positive clockwise, to starboard
     run: bool = True
     hand: tuple[float, float] | None = None  # manual mode, instead of forces: starboard and port, -1..1 of full command
+    parts: tuple[float, ...] | None = None  # a trial, instead of forces: of each thruster, -1..1 of full command
 
 
 class ThrusterReport(NamedTuple):
@@ -109,6 +110,18 @@ class Plan(NamedTuple):
     number: int = 0  # of the plans aboard, from 1: one that changes while it is sailed keeps it
 
 
+class TrialPieces(NamedTuple):
+    """A manoeuvre of a trial: what each thruster does, piece by piece, and what ends it."""
+
+    number: int  # of the order; the same again is a sign of life
+    pieces: tuple[tuple[float, tuple[float, ...]], ...]  # s; of each thruster, -1..1 of full command
+    north_m: float  # middle of the circle in which the boat stays
+    east_m: float
+    radius_m: float
+    turn_radps: float  # a faster turn ends it
+    comes_back: bool = False  # it leads the boat back from the edge of the circle
+
+
 class Setpoint(NamedTuple):
     """The set points of operator, guest and mission; each mode uses its part."""
 
@@ -127,6 +140,7 @@ class Setpoint(NamedTuple):
     override_mps: float | None = None  # the operator's speed in place of the plan's, while the mode lasts
     end: str = "hold"  # the mode at the end of goto: hold or idle
     alone: float = 0.0  # thrust of the one thruster that is tried in idle (`alone.py`)
+    trial: TrialPieces | None = None
 
 
 class Reference(NamedTuple):
@@ -140,7 +154,7 @@ class Reference(NamedTuple):
     east_m: float | None = None
     leg: int = 0
     done: bool = False  # the mode has reached its end: the loop goes to hold
-    reason: str = ""  # why control stopped the propellers, in words; empty while it drives
+    reason: str = ""  # why control stopped the propellers, in words; empty while it drives. With `done`: how a trial ended
     course_rad: float | None = None  # over ground
 
 

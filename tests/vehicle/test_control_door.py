@@ -16,14 +16,17 @@ from delfim.vehicle.control.control import MODES, Memory, Settings, admit, contr
 from delfim.vehicle.control.safe import STOP
 from delfim.vehicle.helm.setpoints import first
 from delfim.vehicle.propulsion.propulsion import Propulsion
-from delfim.vehicle.state import NOWHERE, Arc, Line, Motion, Plan, Reference, Setpoint, State, Wanted, Waypoint
+from delfim.vehicle.state import NOWHERE, Arc, Line, Motion, Plan, Reference, Setpoint, State, TrialPieces, Wanted, Waypoint
 from tests.vehicle.closed_loop import ALL, DELFIMX, DT_S, SETTINGS
 
 DOCS = Path(__file__).parents[2] / "docs"
 T = TypeVar("T")
 INPUTS = ("position", "heading", "velocity")
 PLAN = Plan("plan", (Waypoint(50.0, 0.0, 1.5, 5.0),), (Line(0.0, 0.0, 50.0, 0.0, 1.5), Arc(50.0, 20.0, 20.0, -1.57, 3.0, 1.0)))
-READY = Setpoint(1.0, 1.0, 0.5, 0.5, plan=PLAN, guest_heading_rad=1.0, guest_speed_mps=1.0, track=((0.0, 0.0), (9.0, 9.0)))
+TRIAL = TrialPieces(1, ((2.0, (0.2, 0.0)), (1.0, (0.0, 0.1))), 0.0, 0.0, 30.0, 0.9)
+READY = Setpoint(
+    1.0, 1.0, 0.5, 0.5, plan=PLAN, guest_heading_rad=1.0, guest_speed_mps=1.0, track=((0.0, 0.0), (9.0, 9.0)), trial=TRIAL
+)
 KNOWN = Motion(ALL, 1.0, 2.0, 0.5, 0.0, 1.0, 0.0)
 FLOATS = st.floats() | st.sampled_from([math.nan, math.inf, -math.inf, 1e308, -1e308, 5e-324, 0.0, -0.0])
 SUBSETS = [frozenset(c) for n in range(4) for c in itertools.combinations(INPUTS, n)]
@@ -42,6 +45,11 @@ def plans() -> st.SearchStrategy[Plan]:
     return st.builds(Plan, st.just("mad"), rows(waypoints()), rows(pieces))
 
 
+def trials() -> st.SearchStrategy[TrialPieces]:
+    pieces = st.lists(st.tuples(FLOATS, st.tuples(FLOATS, FLOATS)), min_size=1, max_size=3).map(tuple)
+    return st.builds(TrialPieces, st.just(1), pieces, *[FLOATS] * 4)
+
+
 SETPOINTS = st.builds(
     Setpoint,
     FLOATS,
@@ -55,6 +63,7 @@ SETPOINTS = st.builds(
     guest_heading_rad=st.none() | FLOATS,
     guest_speed_mps=FLOATS,
     track=rows(st.tuples(FLOATS, FLOATS)),
+    trial=st.none() | trials(),
 )
 MOTIONS = st.builds(Motion, st.sampled_from(SUBSETS), *[FLOATS] * 6)
 FRACTIONS = st.tuples(*[st.floats(-1.0, 1.0)] * 2)

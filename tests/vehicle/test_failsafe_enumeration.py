@@ -32,7 +32,7 @@ from delfim.vehicle.plans import fence
 from delfim.vehicle.propulsion.actuators import Actuator
 from delfim.vehicle.propulsion.propulsion import Propulsion
 from delfim.vehicle.report import HandsetReport
-from delfim.vehicle.state import Actuation, Line, NoLog, Plan, State, ThrusterReport, Waypoint
+from delfim.vehicle.state import Actuation, Line, NoLog, Plan, State, ThrusterReport, TrialPieces, Waypoint
 from delfim.vehicle.target import Danger, Traffic
 
 SECONDS, NAVIGATION_S = 1.6, 0.2
@@ -113,6 +113,9 @@ class Sensors:
     def rehearse(self, last: Navigation) -> None: ...
 
 
+TRIAL = TrialPieces(1, ((900.0, (0.7, 0.7)),), 0.0, 0.0, 1e5, 99.0)
+
+
 class Boat:
     """A vehicle in a mode, its propellers at some thrust already, and the list of all it sends."""
 
@@ -134,7 +137,14 @@ class Boat:
         self.vehicle.on_navigation(self.source)
         state = self.state
         state.setpoint = state.setpoint._replace(
-            plan=PLAN, guest_heading_rad=0.5, guest_speed_mps=1.0, speed_mps=1.5, track=((-20.0, 0.0),), starboard=0.7, port=0.7
+            plan=PLAN,
+            guest_heading_rad=0.5,
+            guest_speed_mps=1.0,
+            speed_mps=1.5,
+            track=((-20.0, 0.0),),
+            starboard=0.7,
+            port=0.7,
+            trial=TRIAL,
         )
         state.console_s = state.manual_s = state.guest_s = 0.0
         self.vehicle.helm.enter(mode, "test")

@@ -96,6 +96,8 @@ def _doubts(file: str, vehicle: config.Vehicle) -> Iterator[str]:
     for key, path in files.items():
         if path and not path.startswith(NETWORKED) and not Path(path).exists():
             yield f"{key}: there is no file {path} on this computer"
+    if not vehicle.adopted.proven:
+        yield "adopted.proven: the motors are not proven: manual and trial only, and a failsafe stops; delfim adopt finds them"
     for name, payload in vehicle.table("payload").items():
         if not os.access(payload.command[0], os.X_OK):
             yield f"payload.{name}.command: there is no program {payload.command[0]} on this computer"

@@ -24,6 +24,13 @@ OF_OWN: Final = ("length", "beam", "mass", "motors", "thrust", "speed", "sensors
 Motors = dict[str, tuple[str, MotorsAnswer]]  # by word: the part's name, and what it says of it
 Positions = dict[str, tuple[str, PositionsAnswer]]
 
+UNPROVEN = """\
+# Nobody has seen yet which motor does what: manual and trial only, and a failsafe stops. `delfim adopt` finds them; or try each
+# by hand (docs/bench.md), and write true.
+[adopted]
+proven = false
+"""
+
 
 def asked_of_parts() -> tuple[Motors, Positions]:
     """The words for motors and for position and heading, of all the boat's own parts: first what is usual."""
@@ -133,7 +140,7 @@ def _copied(ask: "_Asking", place: Path, stem: str, mission: str) -> tuple[str, 
     values: dict[str, Any] = {"boat.name": name, "boat.id": number, "simulation.mission": mission}
     values |= {"simulation.latitude_deg": latitude_deg, "simulation.longitude_deg": longitude_deg}
     length_m = config.load(place).boat.length_m
-    return changed(str(place), values), _mission_text(name, length_m, latitude_deg, longitude_deg)
+    return f"{changed(str(place), values)}\n{UNPROVEN}", _mission_text(name, length_m, latitude_deg, longitude_deg)
 
 
 def _number_of(ask: "_Asking") -> int:
@@ -269,6 +276,7 @@ interface = "canloop:nodes"  # a bus within the computer: no node of DelfimX is 
 after_s = 10.0
 action = "home"  # back the way it came; or "hold", "stop"
 
+{UNPROVEN}
 # For `delfim sim` alone: where the boat starts, what it sails, and in which sea.
 [simulation]
 latitude_deg = {of.latitude_deg:.6f}

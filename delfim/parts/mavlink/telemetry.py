@@ -29,7 +29,7 @@ PROFILES: Final[tuple[Profile, ...]] = ("lean", "radio", "wifi")
 COMPONENT: Final = 1
 
 GUIDED: Final = frozenset({Mode.HEADING, Mode.COURSE, Mode.GOTO, Mode.GREX})
-BY_HAND: Final = frozenset({Mode.MANUAL, Mode.IDLE})
+BY_HAND: Final = frozenset({Mode.MANUAL, Mode.TRIAL, Mode.IDLE})
 NEVER_S: Final = 0.0  # an interval: not at all
 _U16, _I16, _I8 = 0xFFFF, 0x7FFF, -1
 _AHEAD: Final = 500.0  # of pulses between stop and full, us

@@ -84,6 +84,15 @@ def passing_by(around: Domain, legs: Sequence[Leg], until_s: float, after_s: flo
     return math.sqrt(least2), entered_s if least2 < 1.0 else nearest_s, ahead, starboard
 
 
+def into(north_m: float, east_m: float, radius_m: float, target: Target, within_s: float) -> float | None:
+    """When a target comes nearest to the middle of a circle, s, if it, or a place where it may be, comes into it by then."""
+    _, tcpa_s = closest(north_m, east_m, 0.0, 0.0, target)
+    at_s = min(max(tcpa_s, 0.0), within_s)
+    n = target.north_m + at_s * target.speed_mps * math.cos(target.course_rad) - north_m
+    e = target.east_m + at_s * target.speed_mps * math.sin(target.course_rad) - east_m
+    return at_s if math.hypot(n, e) < radius_m + target.margin_m + target.length_m else None
+
+
 def closest(north_m: float, east_m: float, north_mps: float, east_mps: float, target: Target) -> tuple[float, float]:
     """(CPA m, TCPA s) of the own boat, which keeps its velocity, and a target. TCPA is negative where they draw apart, and zero
     where neither gains on the other."""

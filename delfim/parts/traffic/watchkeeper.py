@@ -16,6 +16,7 @@ from delfim.base.geodesy import wrap
 from delfim.base.modes import Mode
 from delfim.parts.traffic import alarm, keepclear
 from delfim.parts.traffic.beside import Company, company, danger_beside
+from delfim.parts.traffic.cpa import into
 from delfim.parts.traffic.judged import judged
 from delfim.parts.traffic.keepclear import PassedBy, deciding
 from delfim.parts.traffic.leash import Leash, paid_out
@@ -26,6 +27,7 @@ from delfim.vehicle.control.autopilot import steer
 from delfim.vehicle.control.control import Stepped, control
 from delfim.vehicle.control.guidance import course_to_steer
 from delfim.vehicle.control.memory import LineOfSight, Memory, Settings
+from delfim.vehicle.control.modes.trial import FAR
 from delfim.vehicle.failsafe.failsafe import Action
 from delfim.vehicle.failsafe.troubles import Trigger
 from delfim.vehicle.helm import setpoints
@@ -94,6 +96,7 @@ class Watchkeeper:
         return traffic_told(self._state.traffic, now_s, self._awaits)
 
     def _watch(self, helm: Helm, now_s: float) -> Work[None]:
+        self._end_trial(helm)
         yield from self._decide(helm, now_s)
         yield SLICE  # what follows has a slice of its own
         yield from self._tell(helm, now_s)
@@ -134,6 +137,17 @@ class Watchkeeper:
         words = f"cannot avoid: {failing}" if failing and state.traffic.targets else is_guarded
         state.traffic = state.traffic._replace(order=order, guard=words, unjudged=unjudged)
         self._act(helm, order, failing if state.traffic.targets else "", now_s)
+
+    def _end_trial(self, helm: Helm) -> None:
+        """A trial stops for a vessel on its way into the circle, whether or not the guard is on: it turns for nobody."""
+        trial, look_s = self._state.setpoint.trial, self._guard.look_s
+        if self._state.mode is not Mode.TRIAL or trial is None:
+            return
+        for each in self._watched():
+            if (at_s := into(trial.north_m, trial.east_m, FAR * trial.radius_m, each, look_s)) is not None:
+                when = f"will come into the circle, in {at_s:.0f} s" if at_s else "is in the circle"
+                helm.stop(f"trial ended: {each.name} {when}")
+                return
 
     def _denied(self, helm: Helm) -> str:
         """Why the guard must leave the boat alone, in words: near the fence its mode alone steers it, and others move it no

@@ -19,7 +19,7 @@ CRAB_MAX_RAD: Final = math.radians(60.0)
 NEAR: Final = 0.25
 STOPS_S: Final = 3.0  # a hold begins so far ahead of the boat
 BEHIND_RAD: Final = math.radians(120.0)
-STEERED: Final = frozenset(Mode) - {Mode.IDLE, Mode.MANUAL}
+STEERED: Final = frozenset(Mode) - {Mode.IDLE, Mode.MANUAL, Mode.TRIAL}
 Point = tuple[float, float]
 
 

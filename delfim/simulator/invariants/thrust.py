@@ -152,7 +152,7 @@ class ControlLaw:
         state, pair, after = cycle.state, self._pair, cycle.memory.integrals
         if not cycle.steered or pair is None or state.failed or state.reference.reason:
             return
-        if state.mode is Mode.IDLE or state.reference.done:
+        if state.mode in (Mode.IDLE, Mode.TRIAL) or state.reference.done:  # the pieces of a trial obey no law
             return
         if not state.actuation.run:
             if state.mode is not Mode.GREX or state.setpoint.guest_heading_rad is not None:

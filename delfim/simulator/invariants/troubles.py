@@ -21,7 +21,7 @@ BATTERIES: Final = ("batteries_starboard", "batteries_port")
 SEVERITY: Final = ("warn", "hold", "back", "home", "stop", "disconnect")
 NAVIGATES: Final = frozenset({"position", "heading", "velocity"})
 NEEDS: Final = {  # docs/control.md
-    **dict.fromkeys((Mode.GOTO, Mode.PLAY, Mode.PATH, Mode.HOLD, Mode.HOME), NAVIGATES),
+    **dict.fromkeys((Mode.GOTO, Mode.PLAY, Mode.PATH, Mode.HOLD, Mode.HOME, Mode.TRIAL), NAVIGATES),
     **dict.fromkeys((Mode.HEADING, Mode.GREX), frozenset({"heading"})),
     Mode.COURSE: frozenset({"heading", "velocity"}),
 }
@@ -59,6 +59,7 @@ def control(look: Glance) -> bool | None:
         Mode.PLAY: setpoint.plan is not None,
         Mode.PATH: setpoint.plan is not None,
         Mode.HOME: bool(setpoint.track),
+        Mode.TRIAL: setpoint.trial is not None,
     }.get(look.mode, True)
     is_sane = (
         abs(m.north_m) + abs(m.east_m) < 1e6 and abs(m.north_mps) + abs(m.east_mps) < 50.0 and abs(m.yaw_rate_radps) < 100.0
@@ -400,4 +401,7 @@ def _followed(action: str, cycle: CycleSeen, mode: Mode) -> Iterator[str]:
 def _by_itself(cycle: CycleSeen) -> bool:
     """Whether a mode ended or began without a trouble: at its end, after a restart, by a hand aboard, or on a detour."""
     reason, was = cycle.state.reason, cycle.was.mode.name.lower()
-    return reason.startswith((f"{was} done", "restarted: ", "operator", "kill: ")) or cycle.run.vehicle is not cycle.was.handed
+    return (
+        reason.startswith((f"{was} done", f"{was} ended: ", "restarted: ", "operator", "kill: "))
+        or cycle.run.vehicle is not cycle.was.handed
+    )

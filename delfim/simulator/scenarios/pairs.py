@@ -18,11 +18,13 @@ from delfim.vehicle.loop import HELD_BY_HAND
 
 REFUSED: Final = " refused"
 NO_ORDERS: Final = (  # words of a console, and of the program, that ask nothing of the boat; of payloads, which campaigns lack
-    *("alive", "state", "watch", "return", "payload", "sight", "ordered"),
+    *("alive", "state", "watch", "return", "payload", "sight", "ordered", "trial"),
 )
 OBEYED_ALWAYS: Final = ("stop", "kill", "leave", "speed", "rally", "take", "shutdown")  # by the helm, whatever happens
 
-MODES: Final = {mode: f"mode {mode.name.lower()}" for mode in Mode}
+MODES: Final[dict[Mode, str]] = {  # campaigns try no motors
+    mode: f"mode {mode.name.lower()}" for mode in Mode if mode is not Mode.TRIAL
+}
 TROUBLES: Final = {number: f"trouble {name}" for name, number in NUMBERS.items() if number not in OF_LABORATORIES}
 ACTIONS: Final = tuple(f"action {action.name.lower()}" for action in Action if action is not Action.NONE)
 OBEYED: Final = tuple(f"order {name}" for name in console.KINDS if name not in NO_ORDERS)

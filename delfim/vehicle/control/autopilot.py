@@ -66,7 +66,7 @@ def steer(
     if not turns_away and lag_mps * short_n <= 0.0:
         push_n = clamp(push_n + i_n * lag_mps * dt_s, -i_limit_n, i_limit_n)
     memory = _new(Integrals, (held_nm, push_n, asked_mps, 0.0, 0.0, 0.0, 0.0))
-    return memory, _new(Wanted, (surge_n, 0.0, yaw_nm, True, None))
+    return memory, _new(Wanted, (surge_n, 0.0, yaw_nm, True, None, None))
 
 
 def clamp(value: float, low: float, high: float) -> float:

@@ -16,6 +16,7 @@ from delfim.vehicle.state import HANDSET, State
 
 EARLIEST_NS = 1_230_768_000_000_000_000  # 2009: a clock before that was never set
 STARTING = "the program is still starting and the dead-man does not watch it yet; wait a few seconds"
+UNPROVEN = "the motors are not proven: manual and trial only, and a failsafe stops; delfim adopt finds them"
 HEARD_S = 5.0  # a console silent for longer counts as lost
 
 
@@ -48,6 +49,7 @@ def checks(rules: Rules, state: State, inputs: Inputs, now_s: float, time_ns: in
         Check("log", not inputs.log_reason, f"no log, no start: {inputs.log_reason}" if inputs.log_reason else "being written"),
         Check("battery", not critical, critical or _level(rules.settings, state, now_s)),
         _fence(state, inputs),
+        *_adopted(rules),
         Check("mission", True, f"{plan.name}, {len(plan.waypoints)} waypoints" if plan is not None else "none loaded"),
         Check("hand-set", not missed, missed or _handset(rules.settings.handset, state)),
         Check("link", heard_s < HEARD_S and not state.namesakes, state.namesakes or heard),
@@ -81,6 +83,8 @@ def _allowed(rules: Rules, name: str, mode: Mode, is_at_sea: bool) -> bool:
         return True
     if name == "fence":
         return mode is Mode.MANUAL
+    if name == "adopted":
+        return mode in (Mode.MANUAL, Mode.TRIAL)
     if name == "parts":
         return is_at_sea
     if name == "gnss":
@@ -92,6 +96,11 @@ def _allowed(rules: Rules, name: str, mode: Mode, is_at_sea: bool) -> bool:
     if name == "hand-set":
         return not rules.settings.handset.mandatory
     return name == "log" and (not rules.settings.log.required or mode in (Mode.MANUAL, Mode.HOME))
+
+
+def _adopted(rules: Rules) -> list[Check]:
+    """A line where nobody knows yet what the motors do."""
+    return [] if rules.settings.adopted.proven else [Check("adopted", False, UNPROVEN)]
 
 
 def _parts(state: State) -> list[Check]:

@@ -70,7 +70,10 @@ class Rules:
         every: tuple[AnyTrigger, ...] = (*Trigger, *self.of_parts)
         self.names = {trigger: trigger.name.lower() for trigger in every}  # as the vehicle's file has them
         self.lasting_s = {trigger: _lasting_s(self.table, trigger) for trigger in every}
-        self.actions = {trigger: {mode: _action(self.table, trigger, mode) for mode in Mode} for trigger in every}
+        actions = {trigger: {mode: _action(self.table, trigger, mode) for mode in Mode} for trigger in every}
+        if not settings.adopted.proven:
+            actions = {trigger: {mode: unsteered(each) for mode, each in row.items()} for trigger, row in actions.items()}
+        self.actions = actions
 
 
 def _lasting_s(table: config.Failsafe, trigger: AnyTrigger) -> float:
@@ -114,6 +117,11 @@ def failsafe(rules: Rules, memory: Memory, state: State, inputs: Inputs, now_s: 
         answers.append((action, Notice(rules.names[trigger], why, episode.since_s, _DONE[action])))
     answers.sort(key=itemgetter(0), reverse=True)
     return Verdict(after, worst, reason, tuple([notice for _, notice in answers]))
+
+
+def unsteered(action: Action) -> Action:
+    """The action of a boat whose motors are not proven: with port and starboard exchanged a hold drives in circles."""
+    return action if action < Action.HOLD else max(action, Action.STOP)
 
 
 def fallback(action: Action, reason: str, has: frozenset[str], setpoint: Setpoint) -> tuple[Mode, str]:

@@ -89,7 +89,8 @@ def handset_missed(settings: config.HandsetTable, told: HandsetReport | None, no
 
 
 def control(look: Look) -> str | None:
-    return look.state.reference.reason if look.state.mode is not Mode.IDLE else None
+    reference = look.state.reference
+    return reference.reason if look.state.mode is not Mode.IDLE and not reference.done else None
 
 
 def navigation_jumping(look: Look) -> str | None:

@@ -115,6 +115,7 @@ class Helm:
         state = self.state
         if words := state.relieve(f"failsafe: {reason}"):
             self.note(words)
+        action = self.possible(action)
         if action >= Action.STOP:
             self.propulsion.disconnect(state.overdue)
         if action is Action.DISCONNECT:
@@ -128,6 +129,10 @@ class Helm:
             self.steer(now_s)
         if action is Action.BACK and mode is Mode.HOLD:
             self._go_back()
+
+    def possible(self, action: Action) -> Action:
+        """This action, or a stop where nobody knows yet what the motors do."""
+        return action if self.settings.adopted.proven else failsafe.unsteered(action)
 
     def _go_back(self) -> None:
         """Hold some way back along the driven track, and further back once the boat is there and still in trouble."""
@@ -152,6 +157,8 @@ class Helm:
         held = state.mode is Mode.MANUAL and (state.setpoint.starboard or state.setpoint.port)
         if held and silent_s > self.settings.failsafe.manual_silent.thrust_s:
             self.release(f"no thrust: no manual command for {silent_s:.1f} s", now_s)
+        if state.mode is Mode.TRIAL and silent_s > self.settings.failsafe.manual_silent.thrust_s:
+            self.stop(f"trial ended: nobody asks for it for {silent_s:.1f} s")
 
     def release(self, reason: str, now_s: float) -> None:
         """No thrust by hand from now on."""
@@ -176,8 +183,12 @@ class Helm:
             self.memory = self.memory._replace(north_m=north_m, east_m=east_m, room=room)
 
     def finish(self) -> None:
-        """The mode is at its end: home if the mission says so, else hold, or idle if it cannot or was told to stop there."""
+        """The mode is at its end: home if the mission says so, else hold, or idle if it cannot or was told to stop there. After
+        a trial idle."""
         state, end = self.state, f"{self.state.mode.name.lower()} done"
+        if state.mode is Mode.TRIAL:
+            self.stop(state.reference.reason)
+            return
         if state.mode in (Mode.PLAY, Mode.PATH) and state.setpoint.plan is not None and state.setpoint.plan.then_home:
             setpoint = state.setpoint._replace(track=self.track.way_home())
             if (reason := admit(Mode.HOME, state.motion.has, setpoint)) is None:
@@ -225,7 +236,7 @@ class Helm:
         state = self.state
         if entered is not Mode.HOLD:
             self.paused = None
-        elif state.mode not in (Mode.IDLE, Mode.MANUAL, Mode.HOLD) and not state.reference.done:
+        elif state.mode not in (Mode.IDLE, Mode.MANUAL, Mode.TRIAL, Mode.HOLD) and not state.reference.done:
             plan = state.setpoint.plan
             self.paused = Paused(state.mode, self.memory, plan.number if plan is not None else 0)
         if state.mode is Mode.PLAY and entered is not Mode.PLAY and not state.reference.done:

@@ -14,7 +14,7 @@ from delfim.base.modes import Mode
 from delfim.logging.liblog import event_line
 from delfim.logging.openlog import open_log
 from delfim.logging.statelog import Schema, StateWriter
-from delfim.vehicle.console import Alive, Commands, Manual, TellState, Watch
+from delfim.vehicle.console import Alive, Commands, Manual, TellState, Try, Watch
 from delfim.vehicle.log import record
 from delfim.vehicle.orders.entrusting import payload_of
 from delfim.vehicle.state import State
@@ -72,7 +72,7 @@ class Logbook:
             what["operator"] = operator
             self._note(what)
             level = logging.INFO
-            if isinstance(command, Manual) or payload_of(operator):  # several a second: only when the answer changes
+            if isinstance(command, Manual | Try) or payload_of(operator):  # several a second: only when the answer changes
                 level = logging.INFO if refused and refused != self._manual else logging.DEBUG
                 self._manual = refused or ""
             outcome = f"refused: {refused}" if refused else "done"

@@ -1,9 +1,11 @@
 """The operator's orders: what each does at the helm. A row in OBEYED for each command."""
 
+import math
 from collections.abc import Callable
 from typing import Any, Final
 
 from delfim import config
+from delfim.base import geodesy
 from delfim.base.errors import ConfigError, Refused, did_you_mean
 from delfim.base.modes import Mode, mode_named
 from delfim.vehicle import console
@@ -15,7 +17,7 @@ from delfim.vehicle.helm import detour, setpoints
 from delfim.vehicle.helm.helm import Helm
 from delfim.vehicle.orders import kills
 from delfim.vehicle.plans.underway import SAILS
-from delfim.vehicle.state import Setpoint
+from delfim.vehicle.state import Setpoint, TrialPieces
 
 PUSHED_S = 1.0  # manual commands at shorter intervals are one push of the joystick
 
@@ -58,6 +60,8 @@ def _change_mode(helm: Helm, command: console.SetMode, now_s: float) -> None:
         setpoint = setpoints.onwards(wanted, helm.state, helm.settings.control.speed)
     elif wanted is Mode.GOTO:  # waits for a point
         setpoint = setpoint._replace(target=None, via=())
+    elif wanted is Mode.TRIAL:  # an old manoeuvre is not played again
+        setpoint = setpoint._replace(trial=None)
     elif command.piece is None and (way := helm.under_way()) is not None and way.is_paused and way.mode is wanted:
         _continue(helm, None, now_s)
         return
@@ -103,7 +107,7 @@ def _pause(helm: Helm, command: console.Pause, now_s: float) -> None:
         return
     leg = f" on leg {helm.memory.leg + 1}" if state.mode is Mode.PLAY else ""
     why = f"{state.orderer} paused {state.mode.name.lower()}{leg}"
-    mode, reason = failsafe.fallback(Action.HOLD, why, state.motion.has, state.setpoint)
+    mode, reason = failsafe.fallback(helm.possible(Action.HOLD), why, state.motion.has, state.setpoint)
     if not state.helmsman:
         helm.troubles, helm.taken = failsafe.overruled(helm.troubles), False
     helm.enter(mode, reason)
@@ -159,6 +163,29 @@ def _push(helm: Helm, command: console.Manual, now_s: float) -> None:
     state.setpoint = state.setpoint._replace(starboard=starboard, port=port)
 
 
+def _try(helm: Helm, command: console.Try, now_s: float) -> None:
+    """A manoeuvre of a trial. One that does not begin the mode is refused once anything ended it."""
+    state, rows = helm.state, helm.settings.thrusters
+    if state.mode is not Mode.TRIAL and not command.begin:
+        raise Refused(f"trial refused: the boat is in mode {state.mode.name.lower()}: {state.reason}")
+    if any(len(parts) != len(rows) for _, parts in command.pieces):
+        raise Refused(f"trial refused: each piece has a part for each of {len(rows)} thrusters")
+    played = state.setpoint.trial
+    if state.mode is Mode.TRIAL and played is not None and played.number == command.number:
+        state.manual_s = now_s
+        return
+    if state.origin is None:
+        raise Refused("trial refused: no position yet")
+    middle = geodesy.to_plane(state.origin, math.radians(command.latitude_deg), math.radians(command.longitude_deg))
+    turn_radps = math.radians(command.turn_dps)
+    trial = TrialPieces(command.number, command.pieces, *middle, command.radius_m, turn_radps, command.comes_back)
+    setpoint = state.setpoint._replace(trial=trial)
+    if state.mode is not Mode.TRIAL:
+        helm.request(Mode.TRIAL, setpoint, now_s)
+    state.manual_s, state.setpoint = now_s, setpoint
+    helm.memory = MODES[Mode.TRIAL].enter(state.motion, setpoint, helm.limits)
+
+
 def _arm(helm: Helm, command: console.Arm, now_s: float) -> None:
     if helm.state.mode is Mode.IDLE and (reason := helm.unfit()) is not None:
         raise Refused(f"arm refused: {reason}")
@@ -198,6 +225,7 @@ OBEYED: Final[dict[type[console.Command], Callable[[Helm, Any, float], None]]] =
     console.Leave: _leave,
     console.SetMode: _change_mode,
     console.Manual: _push,
+    console.Try: _try,
     console.Actuate: lambda helm, command, now_s: helm.alone.ask(command, now_s),
     console.Heading: _head,
     console.Course: _head,

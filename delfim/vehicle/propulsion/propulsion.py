@@ -41,11 +41,13 @@ class Propulsion:
         dt_s, was = now_s - self.sent_s, self._sent  # plain statements: this is on the critical path
         if not 0.0 <= dt_s <= 1.0:
             dt_s = 1.0 if dt_s > 1.0 else 0.0
-        surge_n, sway_n, yaw_nm, run, hand = wanted
+        surge_n, sway_n, yaw_nm, run, hand, parts = wanted
         if not run:
             asked, self.short = self.still, None
         elif hand is not None:
             asked, self.short = self._driven(*hand), None
+        elif parts is not None:
+            asked, self.short = self.still._replace(thrust=parts, run=True), None
         else:
             forces, angles, self.short = self._allocate(surge_n, sway_n, yaw_nm, was.angle_rad, dt_s)
             asked = _new(Actuation, (tuple(map(call, self._commands, forces)), angles, True))
