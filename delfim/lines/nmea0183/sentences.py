@@ -8,6 +8,7 @@ import math
 import re
 from collections.abc import Callable
 from datetime import UTC, datetime
+from functools import lru_cache
 from typing import Final, NamedTuple
 
 from delfim.base.errors import FormatError
@@ -23,6 +24,7 @@ _NUMBER: Final = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)").fullmatch
 _CLOCK: Final = re.compile(r"\d{6}(\.\d*)?").fullmatch
 _QUALITY: Final = {"0": 0, "1": 3, "2": 4, "3": 3, "4": 5, "5": 6}  # GGA; reckoned, typed and simulated (6, 7, 8) are no fix
 _MODE: Final = {"A": 3, "D": 4, "P": 3, "R": 5, "F": 6, "E": 0, "M": 0, "S": 0, "N": 0}  # RMC, VTG, GLL, GNS
+_once = lru_cache(4)  # of an instant that a receiver tells in several sentences: one is parsed, the others are looked up
 _new = tuple.__new__  # in half the time of Located(...): for the sentences that come ten times a second
 _SPEED_UNIT: Final = {"N": KNOT, "M": 1.0, "K": 1.0 / 3.6, "S": 1609.344 / 3600.0}
 
@@ -184,12 +186,14 @@ def _half(text: str, side: str, sides: str, limit_rad: float) -> float:
     return -angle_rad if side == sides[1] else angle_rad
 
 
+@_once
 def _position(latitude: str, ns: str, longitude: str, ew: str) -> tuple[float, float] | tuple[None, None]:
     if not latitude and not longitude:
         return None, None
     return _half(latitude, ns, "NS", math.pi / 2.0), _half(longitude, ew, "EW", math.pi)
 
 
+@_once
 def _day_s(text: str) -> float | None:
     """Parse hhmmss.ss to seconds of the day."""
     if not text:
@@ -205,11 +209,15 @@ def _day_s(text: str) -> float | None:
 def _utc_ns(day_s: float | None, year: str, month: str, day: str) -> int | None:
     if day_s is None or not (year and month and day):
         return None
+    return _midnight_s(year, month, day) * 1_000_000_000 + round(day_s * 1e9)
+
+
+@_once
+def _midnight_s(year: str, month: str, day: str) -> int:
     try:
-        midnight = datetime(int(year), int(month), int(day), tzinfo=UTC)
+        return round(datetime(int(year), int(month), int(day), tzinfo=UTC).timestamp())
     except (ValueError, OverflowError):
         raise FormatError("not a date") from None
-    return round(midnight.timestamp()) * 1_000_000_000 + round(day_s * 1e9)
 
 
 def _mode(fields: list[str], index: int) -> int | None:
@@ -256,12 +264,12 @@ def _rmc(f: list[str]) -> Located:
     if not fix:
         return Located(day_s, None, None, 0, movement=Movement(None, None, None))
     latitude_rad, longitude_rad = _position(*f[3:7])
-    movement = Movement(_angle(f[8]), None, _speed(f[7], "N"))
+    movement = _new(Movement, (_angle(f[8]), None, _speed(f[7], "N"), 0.0))
     if f[9] and not (len(f[9]) == 6 and f[9].isdigit()):
         raise FormatError("not a date")
     century = "19" if f[9][4:] >= "80" else "20"
     utc_ns = _utc_ns(day_s, century + f[9][4:], f[9][2:4], f[9][:2]) if f[9] else None
-    return Located(day_s, latitude_rad, longitude_rad, fix, None, None, utc_ns, movement, variation_rad)
+    return _new(Located, (day_s, latitude_rad, longitude_rad, fix, None, None, utc_ns, movement, variation_rad, None))
 
 
 def _vtg(f: list[str]) -> Movement:
@@ -310,7 +318,7 @@ def _zda(f: list[str]) -> DateTime:
 
 
 def _gst(f: list[str]) -> Spread:
-    return Spread(_within(f[6], 1e6), _within(f[7], 1e6))
+    return _new(Spread, (_within(f[6], 1e6), _within(f[7], 1e6)))
 
 
 def _gsa(f: list[str]) -> ActiveSatellites:

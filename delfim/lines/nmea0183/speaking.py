@@ -63,7 +63,12 @@ def _place(n: Navigation) -> str | None:
     """Position as four fields, minutes with six decimals (2 mm)."""
     if n.latitude_rad is None or n.longitude_rad is None or not n.utc_ns or not n.fix:
         return None
-    return f"{_half(n.latitude_rad, 2, 'NS')},{_half(n.longitude_rad, 3, 'EW')}"
+    return _halves(n.latitude_rad, n.longitude_rad)
+
+
+@lru_cache(1)  # GGA and RMC tell the same place and time
+def _halves(latitude_rad: float, longitude_rad: float) -> str:
+    return f"{_half(latitude_rad, 2, 'NS')},{_half(longitude_rad, 3, 'EW')}"
 
 
 def _half(angle_rad: float, digits: int, sides: str) -> str:
@@ -91,5 +96,10 @@ def _date(day: int) -> str:
 
 def clock(n: Navigation) -> str:
     """The time of day as a field."""
-    seconds, hundredths = divmod(n.utc_ns % _DAY_NS // 10_000_000, 100)
+    return _clock(n.utc_ns % _DAY_NS // 10_000_000)
+
+
+@lru_cache(1)
+def _clock(day_cs: int) -> str:
+    seconds, hundredths = divmod(day_cs, 100)
     return f"{seconds // 3600:02d}{seconds // 60 % 60:02d}{seconds % 60:02d}.{hundredths:02d}"

@@ -39,6 +39,8 @@ class UbxFrames:
 
     def feed(self, data: bytes) -> list[UbxFrame | bytes]:
         """The frames that end in these bytes, and between them all that belongs to none, in their order."""
+        if data and not self._rest and SYNC[:1] not in data:  # all of a line that has sentences alone
+            return [data]
         data, found, at = self._rest + data, list[UbxFrame | bytes](), 0
         while (start := data.find(SYNC, at)) >= 0:
             if start > at:

@@ -140,7 +140,8 @@ class SimulatedInstruments:
 
 def _position(receiver: GnssReceiver, moved: AntennaMotion, utc_ns: int) -> bytes:
     """The sentences GGA, RMC and GST, as a receiver of several systems sends them."""
-    n = Navigation(utc_ns, *moved, None, None, None, None, FIX, receiver.satellites, HDOP, 0, None, receiver.corrections_s)
+    told = *(None,) * 4, FIX, receiver.satellites, HDOP, 0, None, receiver.corrections_s
+    n = tuple.__new__(Navigation, (utc_ns, *moved, *told))  # half the time of Navigation(...)
     sigma = f"{receiver.stated_m:.2f}"
     return gga(n) + rmc(n) + framed(f"GPGST,{clock(n)},{sigma},,,,{sigma},{sigma},")
 

@@ -249,6 +249,15 @@ def test_a_sentence_may_come_in_pieces_and_behind_noise():
     assert line.refused == {}
 
 
+def test_what_was_read_before_changes_nothing():
+    """The sentences of an instant share its time and place, which are parsed once."""
+    good, wrong = "GPGLL,3841.44,N,00912.92,W,101010.00,A,A", "GPGLL,3861.44,N,00912.92,W,101010.00,A,A"
+    line = Sentences()
+    found = [each.message for each in line.feed(b"".join(map(framed, (good, wrong, good, wrong))))]
+    assert found == [one(good)] * 2
+    assert line.refused == {"GLL: no such position": 2}
+
+
 @given(st.binary(max_size=3 * LONGEST))
 def test_the_checksum_is_that_of_all_characters_one_by_one(body: bytes) -> None:
     assert checksum(body) == functools.reduce(operator.xor, body, 0)
