@@ -3,7 +3,8 @@ and tests hand in their own.
 """
 
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
+from itertools import islice
 from typing import Final, NamedTuple, Protocol
 
 from delfim.base.errors import BusError
@@ -60,17 +61,14 @@ class Links(NamedTuple):
     """A pin of the computer; None: there are none, as in lock step, and in a replay, whose log has the orders of a switch."""
 
 
-def received(socket: CanSocket, state: State, name: str) -> Iterator[Frame]:
-    """The frames that wait, FRAMES_PER_READ at most. A bus that fails is counted, as NAME_bus_errors."""
-    for _ in range(FRAMES_PER_READ):
-        try:
-            frame = socket.receive()
-        except BusError:
-            state.count(f"{name}_bus_errors")
-            return
-        if frame is None:
-            return
-        yield frame
+def received(socket: CanSocket, state: State, name: str) -> list[Frame]:
+    """Receive the frames that wait, FRAMES_PER_READ at most. A bus that fails is counted, as NAME_bus_errors."""
+    frames: list[Frame] = []
+    try:
+        frames.extend(islice(iter(socket.receive, None), FRAMES_PER_READ))  # those before a failure stay
+    except BusError:
+        state.count(f"{name}_bus_errors")
+    return frames
 
 
 class SecondEnd:
