@@ -51,7 +51,7 @@ def framed(arb: int, seed: int, number: int, payload: bytes) -> list[tuple[int, 
         return [(arb, payload + _TAILS[START | END | number])]
     sent = checksum(payload, seed).to_bytes(2, "little") + payload
     last, tail = (len(sent) - 1) // 7 * 7, START | number
-    frames = list[tuple[int, bytes]]()
+    frames: list[tuple[int, bytes]] = []
     for at in range(0, last, 7):
         frames.append((arb, sent[at : at + 7] + _TAILS[tail]))
         tail = (tail & TOGGLE ^ TOGGLE) | number
@@ -66,7 +66,7 @@ class _Stream:
 
     def __init__(self, number: int, started_s: float, payload: bytes) -> None:
         self.next = TOGGLE | number  # the last byte of its next frame, but for END
-        self.started_s, self.payload = started_s, bytearray(payload)
+        self.started_s, self.payload = started_s, payload
 
 
 class TransferReceiver:
@@ -119,8 +119,7 @@ class TransferReceiver:
         if stream is None or tail & ~END != stream.next or now_s - stream.started_s > self.TIMEOUT_S:
             self._refuse(arb, stream, tail, now_s)
             return None
-        payload = stream.payload
-        payload += data[:-1]
+        payload = stream.payload = stream.payload + data[:-1]
         if not tail & END:
             stream.next = tail ^ TOGGLE
             if len(data) != 8 or len(payload) > self.LENGTH_MAX + 2:
@@ -130,8 +129,8 @@ class TransferReceiver:
             self._drop(arb, "malformed frame")
             return None
         del self._streams[arb]
-        told = bytes(payload[2:])
-        if checksum(told, kind.seed) != payload[0] | payload[1] << 8:
+        told = payload[2:]
+        if crc_hqx(told, kind.seed) != payload[0] | payload[1] << 8:
             self.errors[f"{kind.name}: wrong checksum"] += 1
             return None
         return _new(Transfer, (kind.id, source, told))
