@@ -41,7 +41,8 @@ class UbxFrames:
         """The frames that end in these bytes, and between them all that belongs to none, in their order."""
         if data and not self._rest and SYNC[:1] not in data:  # all of a line that has sentences alone
             return [data]
-        data, found, at = self._rest + data, list[UbxFrame | bytes](), 0
+        found: list[UbxFrame | bytes] = []
+        data, at = self._rest + data, 0
         while (start := data.find(SYNC, at)) >= 0:
             if start > at:
                 found.append(data[at:start])

@@ -128,7 +128,7 @@ class DronecanMotors:
         if speakers is None:
             speakers = self._speakers[status.motor] = {}
         speakers[node] = now_s
-        faults = list[str]()
+        faults: list[str] = []
         if len(speakers) > 1:
             for other in [each for each, at_s in speakers.items() if now_s - at_s > TWINS_S]:
                 del speakers[other]

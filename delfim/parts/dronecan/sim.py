@@ -137,7 +137,7 @@ class Escs:
         for esc in self._motors.values():
             if now_s - esc.commanded_s > self._silent_s + TOLERANCE_S:
                 esc.stop()
-        said = list[tuple[int, bytes]]()
+        said: list[tuple[int, bytes]] = []
         if self._reports.passed(now_s):
             said += [frame for esc in self._motors.values() for frame in esc.reports()]
         if self._words.passed(now_s):

@@ -81,7 +81,7 @@ class CanSensors:
     def step(self, now_s: float, utc_ns: int) -> list[Frame]:
         """The frames that the sensors send now; the model was advanced by the nodes."""
         self._began_s = now_s if self._began_s is None else self._began_s
-        frames = list[Frame]()
+        frames: list[Frame] = []
         if self._navigates:
             if (turn := self.compass.step(now_s)) is not None:
                 frames += self._turning(turn, now_s)

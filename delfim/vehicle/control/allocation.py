@@ -216,7 +216,8 @@ class Allocation:
     def _turned(self, surge_n: float, sway_n: float, yaw_nm: float, angles_rad: Sequence[float], dt_s: float) -> Allotted:
         """Two passes: where to point, then the forces for where everything points after `dt_s`."""
         free = iter(self._exactly(self._columns, surge_n, sway_n, yaw_nm, angles_rad)[0])
-        columns, angles = list[Column](), list[float]()
+        columns: list[Column] = []
+        angles: list[float] = []
         for thruster, (low, high), angle_rad in zip(self.thrusters, self._ends, angles_rad, strict=True):
             along_n, pivot = next(free), thruster.pivot
             if pivot is None:

@@ -48,7 +48,8 @@ def solved(columns: list[Column], tx: float, ty: float, tn: float, x: float, y: 
     for _ in range(STEPS):
         xx, xy, xn, yy, yn, nn = qx, 0.0, 0.0, qy, 0.0, qn
         gx, gy, gn = tx - qx * x, ty - qy * y, tn - qn * n
-        forces, asked = list[float](), list[float]()
+        forces: list[float] = []  # not list[float](), which takes ten times as long
+        asked: list[float] = []
         for bx, by, bn, wx, wy, wn, low, high, _ in columns:
             ask = f = wx * x + wy * y + wn * n
             if f < low:

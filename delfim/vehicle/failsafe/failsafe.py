@@ -104,7 +104,7 @@ def failsafe(rules: Rules, memory: Memory, state: State, inputs: Inputs, now_s: 
         return _WELL
     after = _remembered(rules, memory, found, now_s)
     worst, reason = Action.NONE, ""
-    answers = list[tuple[Action, Notice]]()
+    answers: list[tuple[Action, Notice]] = []
     for trigger in sorted(after):
         episode = after[trigger]
         if episode.acting_s == _NEVER_S:

@@ -340,7 +340,8 @@ def low(
 def astray(settings: config.Vehicle, state: State, now_s: float) -> dict[str, str]:
     """The thrusters that do not do as commanded, by name, each with the reason in words. One that never reported
     does not count."""
-    found, reports, (thrusts, angles_rad, runs) = dict[str, str](), state.thrusters, state.actuation
+    found: dict[str, str] = {}
+    reports, (thrusts, angles_rad, runs) = state.thrusters, state.actuation
     for row, thrust, angle_rad in zip(settings.thrusters, thrusts, angles_rad, strict=False):
         report = reports.get(row.name)
         if report is None:

@@ -162,7 +162,7 @@ def of(settings: config.Vehicle) -> Record:
 
 def values(record: Record, state: State, now_s: float) -> list[float]:
     """The record of this cycle, in the order of the fields."""
-    found = list[float]()
+    found: list[float] = []
     for of_group in record.groups:
         found += of_group(state, now_s)
     return found
