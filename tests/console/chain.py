@@ -299,8 +299,11 @@ class Sea:
         await self.page.until(f"document.querySelectorAll('.chip').length === {len(self.boats)}", PATIENCE_S)
         for number, boat in enumerate(self.boats, 1):
             await boat.until(lambda state: state["age_s"]["navigation"] is not None and state["age_s"]["navigation"] < 1)
-            trouble = f"document.querySelector('[data-boat=\"{number}\"] .trouble:not(.weak):not([hidden])')"
-            await self.page.until(f"{trouble} === null", PATIENCE_S)  # a link that was cut is weak for a while
+            trouble = f"document.querySelector('[data-boat=\"{number}\"] .trouble:not(.weak):not([hidden])')?.textContent ?? ''"
+            said = (
+                f"({trouble}).replace(/^stopped: no manual command.*/, '')"  # a stop that was forced stands until somebody acts
+            )
+            await self.page.until(f"{said} === ''", PATIENCE_S)  # a link that was cut is weak for a while
 
     async def close(self) -> None:
         await self._tabs.aclose()

@@ -63,6 +63,126 @@ async def pressed(page: Page, boat: Boat, key: str, mode: str) -> None:
     await boat.until(lambda state: state["mode"] == mode)
 
 
+# Missions, of boats that have none yet.
+
+
+@pytest.mark.long
+async def test_missions_by_touch_and_by_mouse_are_kept_sent_and_sailed_to_their_ends(sea: Sea) -> None:
+    page, one = await sea.at_rest(1)
+    ends = [await by_touch(page, one)]
+    await sea.load()
+    page, two = await sea.at_rest(2)
+    await loaded(page, "Mission-2")  # what was drawn for the other boat, and before the page was opened anew
+    await sent(page)
+    await page.until("document.querySelector('.selected .mission').textContent === 'Mission-2: 2 waypoints'")
+    await mission(page, "New mission")
+    ends.append(await drawn(page, two, ahead(two, [(12, 0), (24, 8), (34, -2)])))
+    await mission(page, "Save")
+    await page.until("document.getElementById('messages').textContent.includes('saved: Mission 2')")
+    await sent(page)
+    await pressed(page, two, "p", "path")
+    await select(page, 1)
+    await loaded(page, "Mission-2")
+    await sent(page)
+    await pressed(page, one, "y", "play")
+    for leg in (1, 2):
+        await page.until(f"document.querySelector('.selected .mission').textContent === 'Mission-2: waypoint {leg} of 2'", 60)
+    await page.until("document.getElementById('messages').textContent.includes('hold: play done')", 60)
+    for boat, end, done in zip((one, two), ends, ("play done", "path done"), strict=True):
+        await boat.until(lambda state: state["mode"] == "hold")
+        await shown_mode(page, boat.number, "hold")
+        state = await boat.sails_on(WATCHED)
+        assert (state["mode"], state["reason"]) == ("hold", done)
+        assert distance_m(state, end) < WITHIN_M
+
+
+def ahead(boat: Boat, places: list[tuple[float, float]]) -> list[tuple[float, float]]:
+    """Metres north and east of the boat, for metres ahead and to starboard of it."""
+    heading = math.radians(boat.state()["heading_deg"])
+    c, s = math.cos(heading), math.sin(heading)
+    return [(a * c - b * s, a * s + b * c) for a, b in places]
+
+
+def distance_m(state: dict[str, Any], end: tuple[float, float]) -> float:
+    east = math.cos(math.radians(end[0]))
+    return math.hypot(state["latitude_deg"] - end[0], (state["longitude_deg"] - end[1]) * east) / NORTH_M
+
+
+async def shown(page: Page, boat: Boat, places: list[tuple[float, float]]) -> list[tuple[float, float]]:
+    """Bring these places, metres north and east of the boat, onto the screen: latitude and longitude, degrees."""
+    state = boat.state()
+    here = state["latitude_deg"], state["longitude_deg"]
+    east = NORTH_M / math.cos(math.radians(here[0]))
+    found = [(here[0] + north_m * NORTH_M, here[1] + east_m * east) for north_m, east_m in places]
+    lats, lons = zip(here, *found, strict=True)
+    await page.value(f"delfim.fit({min(lats)}, {min(lons)}, {max(lats)}, {max(lons)})")
+    return found
+
+
+async def drawn(page: Page, boat: Boat, places: list[tuple[float, float]]) -> tuple[float, float]:
+    """Waypoints by mouse, metres north and east of the selected boat; where the last one is."""
+    found = await shown(page, boat, places)
+    for place in found:
+        x, y = await page.value(f"delfim.pixel({place[0]}, {place[1]})")
+        await page.until(f"document.elementFromPoint({x}, {y}).tagName === 'CANVAS'")  # no message covers it any more
+        await page.mouse((x, y))
+        await choose(page, "Add waypoint")
+    return found[-1]
+
+
+async def by_touch(page: Page, boat: Boat) -> tuple[float, float]:
+    """The same by a finger: long presses, taps, and the name under which it is saved."""
+    found = await shown(page, boat, ahead(boat, [(12, 0), (24, 6)]))
+    await page.call("Emulation.setTouchEmulationEnabled", enabled=True, maxTouchPoints=1)
+    for place in found:
+        await page.touch("Start", await page.value(f"delfim.pixel({place[0]}, {place[1]})"))
+        await page.until("!document.querySelector('.popup').hidden")
+        await page.touch("End")
+        await tapped(page, "Add waypoint")
+    await tap(page, "document.querySelector('.selected .head')")
+    await tapped(page, "Mission")
+    await tapped(page, "Save under a new name…")
+    await page.value(f"new Promise(done => setTimeout(done, {READ_MS}))")
+    await tap(page, "document.querySelector('.choice .main')")
+    await page.until("document.getElementById('messages').textContent.includes('saved: Mission-2')")
+    await page.call("Emulation.setTouchEmulationEnabled", enabled=False)
+    return found[-1]
+
+
+async def tapped(page: Page, title: str) -> None:
+    """Tap on an item of the open menu, once it was there long enough to be read."""
+    await page.until(f"Boolean({ITEM.format(title)})")
+    await page.value(f"new Promise(done => setTimeout(done, {READ_MS}))")
+    await tap(page, ITEM.format(title))
+
+
+async def tap(page: Page, element: str) -> None:
+    await page.until(f"Boolean({element})")
+    x, y = await page.value(f"(r => [r.x + r.width / 2, r.y + r.height / 2])({element}.getBoundingClientRect())")
+    await page.touch("Start", (x, y))
+    await page.touch("End")
+
+
+async def mission(page: Page, *titles: str) -> None:
+    """From the menu of the selected boat."""
+    await page.press("Escape")
+    await page.press("Enter")
+    await choose(page, "Mission", *titles)
+
+
+async def loaded(page: Page, name: str) -> None:
+    """Another mission than the one aboard."""
+    await mission(page, "Load", name)
+    await page.until("['differs', 'unread', 'not sent'].includes(document.querySelector('.selected .badge').textContent)")
+
+
+async def sent(page: Page) -> None:
+    """To the selected boat, which has another one or none, and read back."""
+    await page.until("document.querySelector('.selected .badge').textContent !== 'same'")
+    await mission(page, "Send to the boat")
+    await page.until("document.querySelector('.selected .badge').textContent === 'same'", 60)
+
+
 # Keys.
 
 
@@ -198,126 +318,6 @@ window.WebSocket = class extends WebSocket {
   }
 };
 """
-
-
-# Missions.
-
-
-@pytest.mark.long
-async def test_missions_by_touch_and_by_mouse_are_kept_sent_and_sailed_to_their_ends(sea: Sea) -> None:
-    page, one = await sea.at_rest(1)
-    ends = [await by_touch(page, one)]
-    await sea.load()
-    page, two = await sea.at_rest(2)
-    await loaded(page, "Mission-2")  # what was drawn for the other boat, and before the page was opened anew
-    await sent(page)
-    await page.until("document.querySelector('.selected .mission').textContent === 'Mission-2: 2 waypoints'")
-    await mission(page, "New mission")
-    ends.append(await drawn(page, two, ahead(two, [(12, 0), (24, 8), (34, -2)])))
-    await mission(page, "Save")
-    await page.until("document.getElementById('messages').textContent.includes('saved: Mission 2')")
-    await sent(page)
-    await pressed(page, two, "p", "path")
-    await select(page, 1)
-    await loaded(page, "Mission-2")
-    await sent(page)
-    await pressed(page, one, "y", "play")
-    for leg in (1, 2):
-        await page.until(f"document.querySelector('.selected .mission').textContent === 'Mission-2: waypoint {leg} of 2'", 60)
-    await page.until("document.getElementById('messages').textContent.includes('hold: play done')", 60)
-    for boat, end, done in zip((one, two), ends, ("play done", "path done"), strict=True):
-        await boat.until(lambda state: state["mode"] == "hold")
-        await shown_mode(page, boat.number, "hold")
-        state = await boat.sails_on(WATCHED)
-        assert (state["mode"], state["reason"]) == ("hold", done)
-        assert distance_m(state, end) < WITHIN_M
-
-
-def ahead(boat: Boat, places: list[tuple[float, float]]) -> list[tuple[float, float]]:
-    """Metres north and east of the boat, for metres ahead and to starboard of it."""
-    heading = math.radians(boat.state()["heading_deg"])
-    c, s = math.cos(heading), math.sin(heading)
-    return [(a * c - b * s, a * s + b * c) for a, b in places]
-
-
-def distance_m(state: dict[str, Any], end: tuple[float, float]) -> float:
-    east = math.cos(math.radians(end[0]))
-    return math.hypot(state["latitude_deg"] - end[0], (state["longitude_deg"] - end[1]) * east) / NORTH_M
-
-
-async def shown(page: Page, boat: Boat, places: list[tuple[float, float]]) -> list[tuple[float, float]]:
-    """Bring these places, metres north and east of the boat, onto the screen: latitude and longitude, degrees."""
-    state = boat.state()
-    here = state["latitude_deg"], state["longitude_deg"]
-    east = NORTH_M / math.cos(math.radians(here[0]))
-    found = [(here[0] + north_m * NORTH_M, here[1] + east_m * east) for north_m, east_m in places]
-    lats, lons = zip(here, *found, strict=True)
-    await page.value(f"delfim.fit({min(lats)}, {min(lons)}, {max(lats)}, {max(lons)})")
-    return found
-
-
-async def drawn(page: Page, boat: Boat, places: list[tuple[float, float]]) -> tuple[float, float]:
-    """Waypoints by mouse, metres north and east of the selected boat; where the last one is."""
-    found = await shown(page, boat, places)
-    for place in found:
-        x, y = await page.value(f"delfim.pixel({place[0]}, {place[1]})")
-        await page.until(f"document.elementFromPoint({x}, {y}).tagName === 'CANVAS'")  # no message covers it any more
-        await page.mouse((x, y))
-        await choose(page, "Add waypoint")
-    return found[-1]
-
-
-async def by_touch(page: Page, boat: Boat) -> tuple[float, float]:
-    """The same by a finger: long presses, taps, and the name under which it is saved."""
-    found = await shown(page, boat, ahead(boat, [(12, 0), (24, 6)]))
-    await page.call("Emulation.setTouchEmulationEnabled", enabled=True, maxTouchPoints=1)
-    for place in found:
-        await page.touch("Start", await page.value(f"delfim.pixel({place[0]}, {place[1]})"))
-        await page.until("!document.querySelector('.popup').hidden")
-        await page.touch("End")
-        await tapped(page, "Add waypoint")
-    await tap(page, "document.querySelector('.selected .head')")
-    await tapped(page, "Mission")
-    await tapped(page, "Save under a new name…")
-    await page.value(f"new Promise(done => setTimeout(done, {READ_MS}))")
-    await tap(page, "document.querySelector('.choice .main')")
-    await page.until("document.getElementById('messages').textContent.includes('saved: Mission-2')")
-    await page.call("Emulation.setTouchEmulationEnabled", enabled=False)
-    return found[-1]
-
-
-async def tapped(page: Page, title: str) -> None:
-    """Tap on an item of the open menu, once it was there long enough to be read."""
-    await page.until(f"Boolean({ITEM.format(title)})")
-    await page.value(f"new Promise(done => setTimeout(done, {READ_MS}))")
-    await tap(page, ITEM.format(title))
-
-
-async def tap(page: Page, element: str) -> None:
-    await page.until(f"Boolean({element})")
-    x, y = await page.value(f"(r => [r.x + r.width / 2, r.y + r.height / 2])({element}.getBoundingClientRect())")
-    await page.touch("Start", (x, y))
-    await page.touch("End")
-
-
-async def mission(page: Page, *titles: str) -> None:
-    """From the menu of the selected boat."""
-    await page.press("Escape")
-    await page.press("Enter")
-    await choose(page, "Mission", *titles)
-
-
-async def loaded(page: Page, name: str) -> None:
-    """Another mission than the one aboard."""
-    await mission(page, "Load", name)
-    await page.until("['differs', 'unread', 'not sent'].includes(document.querySelector('.selected .badge').textContent)")
-
-
-async def sent(page: Page) -> None:
-    """To the selected boat, which has another one or none, and read back."""
-    await page.until("document.querySelector('.selected .badge').textContent !== 'same'")
-    await mission(page, "Send to the boat")
-    await page.until("document.querySelector('.selected .badge').textContent === 'same'", 60)
 
 
 async def test_two_pages_of_one_console_see_who_drives(sea: Sea) -> None:

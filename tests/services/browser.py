@@ -132,7 +132,9 @@ class Page:
                 while not await self.value(expression):
                     await asyncio.sleep(0.05)
         except TimeoutError:
-            raise AssertionError(f"it never was so: {expression}") from None
+            left = expression.rpartition(" === ")[0]
+            was = f"; at last it was {await self.value(f'String({left})')!r}" if left else ""
+            raise AssertionError(f"it never was so: {expression}{was}") from None
 
     async def press(self, key: str, modifiers: tuple[str, ...] = ()) -> None:
         """A key, as KeyboardEvent.key calls it, down and up again."""
