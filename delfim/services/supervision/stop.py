@@ -21,9 +21,9 @@ from delfim.vehicle.propulsion.actuators import Actuator
 log = logging.getLogger(__name__)
 
 
-def _limit(settings: config.Vehicle) -> Callable[[], contextlib.AbstractContextManager[object]]:
-    """What breaks off the call of a laboratory's driver, loaded before it is needed."""
-    if not settings.aboard:
+def _limit(settings: config.Vehicle, name: str) -> Callable[[], contextlib.AbstractContextManager[object]]:
+    """What breaks off the call of a laboratory's driver, loaded before it is needed; nothing breaks off one of our own."""
+    if find(settings.aboard, name) is None:
         return nullcontext
     from delfim.vehicle.foreign import breaking_off
 
@@ -34,8 +34,8 @@ class PropellerStop:
     """Stops all actuators when called. A link that failed is opened anew the next time."""
 
     def __init__(self, settings: config.Vehicle) -> None:
-        self._settings, self._names, self._limit = settings, settings.drivers, _limit(settings)
-        for name in self._names:
+        self._settings, self._limits = settings, {name: _limit(settings, name) for name in settings.drivers}
+        for name in self._limits:
             try:
                 actuators.module(name, settings)
             except PermanentFailure as error:  # the vehicle does not start either; the others must be stopped all the same
@@ -46,10 +46,9 @@ class PropellerStop:
     def __call__(self) -> None:
         """Stop all actuators. Raises DelfimError if one of them took no stop; the others did."""
         refused = list[str]()
-        for name in self._names:
-            limit = nullcontext() if find(self._settings.aboard, name) is None else self._limit()
+        for name, limit in self._limits.items():
             try:
-                with limit:
+                with limit():
                     if name not in self._opened:
                         self._opened[name] = opened_driver(self._settings, name)
                     self._opened[name][0].stop()
