@@ -174,6 +174,15 @@ def test_a_stop_says_why_once_and_a_kill_stays_the_reason(boat):
     assert boat.log.notes == ["idle: a", "idle: b", "idle: kill: pressed"]
 
 
+def test_a_stop_ends_the_thrust_at_once(boat):
+    boat.ready()
+    push(boat, 0.5, 0.5)
+    boat.vehicle.helm.steer(boat.clock.monotonic_s())
+    assert [each.run for each in boat.propellers()] == [True, True]
+    boat.vehicle.helm.stop("test")
+    assert (boat.state.actuation.run, [each.run for each in boat.propellers()]) == (False, [False, False])
+
+
 def test_a_mode_begins_once_and_the_voyage_is_remembered(boat):
     boat.ready()
     boat.vehicle.on_command(console.SetMode("hold"))
@@ -435,17 +444,28 @@ def test_a_speed_is_the_operators_until_it_is_given_up(boat):
     ):
         boat.vehicle.on_command(console.SetSpeed(asked_mps))
         assert (boat.state.setpoint.speed_mps, boat.state.setpoint.override_mps) == (speed_mps, override_mps)
+    boat.vehicle.on_command(console.SetSpeed(speed_pct=25.0))
+    assert (boat.state.setpoint.speed_mps, boat.state.setpoint.override_mps) == (0.25 * speeds.max_mps,) * 2
 
 
 def test_only_what_is_paused_is_continued_by_its_name(boat):
     under_way(boat)
     assert boat.vehicle.on_command(console.SetMode("play")) is None
     assert boat.state.reason == "operator", "it was under way"
+    boat.vehicle.on_command(console.Pause())
+    assert boat.vehicle.on_command(console.SetMode("play")) is None
+    assert boat.state.reason == "operator continues"
     for name, mode in (("path", Mode.PATH), ("home", Mode.HOME)):
         boat.vehicle.on_command(console.Pause())
         assert boat.vehicle.on_command(console.SetMode(name)) is None
         assert (boat.state.mode, boat.state.reason) == (mode, "operator")
         boat.vehicle.on_command(console.SetMode("play"))
+
+
+def test_a_point_that_is_too_far_away_is_refused(boat):
+    boat.ready()
+    assert boat.vehicle.on_command(console.Goto(39.6925, -9.2150)) == "goto refused: 111.0 km to go; up to 20 km are allowed"
+    assert boat.state.mode is Mode.IDLE
 
 
 def test_goto_goes_on_straight_and_home_along_the_track_as_it_is_now(boat):
@@ -468,6 +488,17 @@ def test_a_goto_behind_a_zone_says_that_it_looks_for_a_way(boat):
     latitude_rad, longitude_rad = geodesy.from_plane(boat.state.origin, 0.0, 100.0)
     assert boat.vehicle.on_command(console.Goto(math.degrees(latitude_rad), math.degrees(longitude_rad))) is None
     assert boat.log.notes[-1] == "goto: the way leads through rock: a way round is looked for"
+
+
+def test_a_mission_in_parts_is_loaded_with_its_last_one(boat):
+    boat.ready()
+    text, missing = MISSION.text, "mission refused: a part of its text is missing; send it again from the start"
+    assert boat.vehicle.on_command(console.LoadMission(text[:50], more=True)) is None
+    assert boat.state.setpoint.plan is None
+    assert boat.vehicle.on_command(console.LoadMission(text[50:], 50)) is None
+    assert boat.vehicle.report().mission == "survey"
+    assert boat.vehicle.on_command(console.LoadMission(text[:50], more=True)) is None
+    assert boat.vehicle.on_command(console.LoadMission(text[60:], 60)) == missing
 
 
 def test_points_on_the_way_round_are_of_goto_alone(boat):
