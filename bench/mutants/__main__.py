@@ -1,19 +1,22 @@
 """Changes the safety core, one place at a time, and asks its tests: `make mutants` (docs/mutants.md).
 
-    python -m bench.mutants [FILE.py ...] [--since REVISION | --new] [--at-most N] [-j N] [--cpu SECONDS]
+    python -m bench.mutants [FILE.py ...] [--since REVISION | --new] [--at-most N] [--within SECONDS] [-j N] [--cpu SECONDS]
 
 Without files, the whole core. With --since only changes that could not be made in that revision. The tests that import the file
 are asked first, and all others about what is left. What was tried of the same file by the same tests is not tried again
 (run/mutants). It fails at a change that no test notices and that has no reason in
-tests/survivors.toml, and at a reason for a change that does not survive any more.
+tests/survivors.toml, and at a reason for a change that does not survive any more. With --within only tests that are about a
+changed file are asked, so long; it names what is left open, and does not fail at that.
 """
 
 import argparse
 import hashlib
 import subprocess
 import sys
+import time
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
+from math import inf
 from pathlib import Path
 from typing import Final
 
@@ -21,7 +24,7 @@ from bench.mutants.changes import MODULE, Change, changes
 from bench.mutants.choice import Choice, refreshed
 from bench.mutants.core import CORE
 from bench.mutants.ledger import Figures, Ledger, measured, measured_now, reasons, shown
-from bench.mutants.workers import Worker, copied
+from bench.mutants.workers import TimeIsOver, Worker, copied
 from delfim.base.errors import ConfigError
 
 ALL: Final = frozenset({MODULE})
@@ -44,8 +47,11 @@ def known(since: str) -> tuple[set[str], set[str]]:
     return set(_git(*differs, "--diff-filter=AM", "--", "delfim").splitlines()), names
 
 
-def tried(file: str, found: list[Change], numbers: list[int], choice: Choice, ledger: Ledger, jobs: int) -> None:
-    """Tries the changes that the ledger does not know yet, side by side, and writes down what came of each."""
+def tried(
+    file: str, found: list[Change], numbers: list[int], choice: Choice, ledger: Ledger, jobs: int, until_s: float = inf
+) -> None:
+    """Tries the changes that the ledger does not know yet, side by side, and writes down what came of each. Raises TimeIsOver
+    at a monotonic time."""
     open_ones = [number for number in numbers if not ledger.knows(found[number], choice.tests(found[number].asks))]
     if not open_ones:
         return
@@ -53,11 +59,11 @@ def tried(file: str, found: list[Change], numbers: list[int], choice: Choice, le
     files = choice.files({found[number].asks for number in open_ones})
 
     def work(index: int) -> None:
-        with Worker(copied(index), file, files) as worker:
-            tests = choice.fresh(ALL)[:SAMPLE]
-            answer = worker.ask(None, tests, tests, choice.cpu_s(tests))
-            if answer["by"]:
-                raise RuntimeError(f"{answer['by']} fails without any change of {file}")
+        with Worker(copied(index), file, files, until_s) as worker:
+            while by := worker.ask(None, tests := choice.fresh(ALL)[:SAMPLE], tests, choice.cpu_s(tests))["by"]:
+                if not choice.starts(by):
+                    raise RuntimeError(f"{by} fails without any change of {file}")
+                choice.drop(by)
             for number in questions:  # shared: each takes the next one
                 change = found[number]
                 tests, answer = answered(worker, number, change.asks, choice)
@@ -95,8 +101,9 @@ def drawn(files: Sequence[str], since: str | None, at_most: int | None) -> dict[
     return {file: [number for name, number, _ in names if name == file] for file in files}
 
 
-def run(numbers: dict[str, list[int]], jobs: int, cpu_s: float, *, whole: bool) -> int:
-    """Tries all, prints the figures and what has no reason, or no survivor; 1 if there is any."""
+def run(numbers: dict[str, list[int]], jobs: int, cpu_s: float, *, whole: bool, others: bool) -> int:
+    """Tries all, prints the figures and what has no reason, or no survivor; 1 if there is any. `others`: the changes that are
+    not among these were tried before, and count."""
     rows, complaints = list[Figures](), list[str]()
     why, watched = reasons(), frozenset((*CORE, *numbers))
     for file, those in numbers.items():
@@ -109,14 +116,40 @@ def run(numbers: dict[str, list[int]], jobs: int, cpu_s: float, *, whole: bool) 
             if left := [n for n in those if ledger.survived(found[n]) and found[n].name not in told]:
                 tried(file, found, left, Choice(file, refreshed(watched), cpu_s), ledger, jobs)
         survivors = [found[n] for n in those if ledger.survived(found[n])]
-        rows.append(Figures(file, len(found), len(those), len(survivors), sum(each.name in told for each in survivors)))
+        names = {found[n].name for n in those}
+        before, kept = (len(found) - len(those), len(told.keys() - names)) if others else (0, 0)
+        named = sum(each.name in told for each in survivors)
+        rows.append(Figures(file, len(found), before + len(those), kept + len(survivors), kept + named))
         complaints += [f"{file}:{each.line}: no test notices '{each.name}'" for each in survivors if each.name not in told]
-        alive, names = {each.name for each in survivors}, {found[n].name for n in those}
+        alive = {each.name for each in survivors}
         gone = [name for name in told if name not in alive and (whole or name in names)]
         complaints += [f"{file}: tests/survivors.toml has a reason for '{name}', which does not survive" for name in gone]
     print(shown(rows))
     print(*complaints, sep="\n")
     return 1 if complaints else 0
+
+
+def hurried(numbers: dict[str, list[int]], jobs: int, cpu_s: float, until_s: float) -> None:
+    """Asks only the tests that are about each file, until a monotonic time, and says what all tests must be asked about."""
+    left, noticed, told = list[str](), 0, reasons()
+    changed = {file: those for file, those in numbers.items() if those}
+    for file, those in changed.items():
+        found, ledger = changes(Path(file).read_text())[1], Ledger(file, Path(file).read_text())
+        try:
+            if own := refreshed(frozenset(changed), file, until_s):
+                tried(file, found, those, Choice(file, own, cpu_s), ledger, jobs, until_s)
+        except (TimeIsOver, RuntimeError) as error:
+            print(error)
+        for change in (found[number] for number in those):
+            noticed += (outcome := ledger.outcome(change)) == "noticed"
+            if outcome != "noticed" and change.name not in told.get(file, {}):
+                why = "no test about its file notices" if outcome else "there was no time, or no test about its file, for"
+                left.append(f"{file}:{change.line}: {why} '{change.name}'")
+    count = sum(map(len, changed.values()))
+    named = count - noticed - len(left)
+    print(*left, f"of {count} new changes {noticed} are noticed, {named} cannot be, {len(left)} are left open", sep="\n")
+    if left:
+        print("all tests are asked by: make mutants ARGS=--new")
 
 
 def main(words: Sequence[str] | None = None) -> int:
@@ -125,12 +158,17 @@ def main(words: Sequence[str] | None = None) -> int:
     parser.add_argument("--since", metavar="REVISION", help="only changes of lines that differ from it")
     parser.add_argument("--new", action="store_true", help="the same, since the revision in tests/survivors.toml")
     parser.add_argument("--at-most", type=int, metavar="N", help="of more changes, a sample that is always the same")
+    parser.add_argument("--within", type=float, metavar="SECONDS", help="only the tests about each file; it fails at nothing")
     parser.add_argument("-j", type=int, default=2, help="so many side by side (%(default)s)")
     parser.add_argument("--cpu", type=float, default=CPU_S, help="seconds of tests for a change (%(default)s)")
-    told = parser.parse_args(words)
+    began_s, told = time.monotonic(), parser.parse_args(words)
     since = measured() if told.new else told.since
     numbers = drawn(told.files, since, told.at_most)
-    failed = run(numbers, told.j, told.cpu, whole=since is None and told.at_most is None)
+    if told.within is not None:
+        hurried(numbers, told.j, told.cpu, began_s + told.within)
+        return 0
+    others = told.new and told.at_most is None
+    failed = run(numbers, told.j, told.cpu, whole=since is None and told.at_most is None, others=others)
     if told.new and not failed and told.at_most is None and told.files == list(CORE) and not _git("status", "--porcelain"):
         measured_now(_git("rev-parse", "HEAD").strip())
     return failed

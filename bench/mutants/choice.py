@@ -4,14 +4,17 @@ import json
 import re
 import subprocess
 import sys
+import time
 from collections import defaultdict
 from functools import cache
+from math import inf
 from pathlib import Path
 from typing import Any, Final
 
 from bench.mutants.changes import MODULE
-from bench.mutants.core import NOT_ASKED, TESTS
+from bench.mutants.core import ABOUT, NOT_ASKED, TESTS
 from bench.mutants.reach import digest
+from bench.mutants.workers import TimeIsOver, alone
 
 REACH: Final = Path("run/mutants/reach.jsonl")
 FILE_S: Final = 0.5  # to import one more file of tests
@@ -21,19 +24,23 @@ Reach = dict[str, dict[str, Any]]  # file of tests: what is called when it is im
 
 
 @cache
-def refreshed(watched: frozenset[str], about: str = "") -> Reach:
+def refreshed(watched: frozenset[str], about: str = "", until_s: float = inf) -> Reach:
     """The map of all tests, or of those that import a file, after those that are new, have changed, or were not asked about
-    the watched files have been run once."""
+    the watched files have been run once. Raises TimeIsOver where that lasts beyond a monotonic time."""
     files = [str(path) for words in TESTS for path in sorted(Path().glob(words)) if path.name not in NOT_ASKED]
-    files = [name for name in files if not about or _is_about(Path(name).read_text(), about)]
+    files = [name for name in files if not about or _is_about(name, Path(name).read_text(), about)]
     known = {file: row for file, row in _known().items() if watched <= set(row.get("files", ()))}
     stale = [file for file in files if file not in known or known[file]["digest"] != digest(Path(file))]
     if stale:
         print(f"watching {len(stale)} files of tests once: {REACH}", flush=True)
         REACH.parent.mkdir(parents=True, exist_ok=True)
         told = json.dumps({"output": str(REACH), "tests": stale, "files": sorted(watched)})
-        quiet = subprocess.DEVNULL
-        subprocess.run([sys.executable, "-m", "bench.mutants.reach"], input=told, text=True, check=True, stdout=quiet)
+        command, quiet = [*alone(), sys.executable, "-m", "bench.mutants.reach"], subprocess.DEVNULL
+        left_s = None if until_s == inf else max(until_s - time.monotonic(), 0.0)
+        try:
+            subprocess.run(command, input=told, text=True, check=True, stdout=quiet, timeout=left_s)
+        except subprocess.TimeoutExpired:
+            raise TimeIsOver("the time is over") from None
         known = _known()
     return {file: known[file] for file in files if file in known}
 
@@ -51,7 +58,7 @@ class Choice:
         for row in reach.values():
             self._times_s |= {test: each["cpu_s"] for test, each in row["tests"].items()}
         texts = {name: Path(name).read_text() for name in reach}
-        own = {name for name, text in texts.items() if _is_about(text, file)}
+        own = {name for name, text in texts.items() if _is_about(name, text, file)}
         self._starting = {name for name, text in texts.items() if STARTS.search(text)}
         self._calls, blind = defaultdict[str, list[str]](list), list[str]()
         for name, row in reach.items():
@@ -113,8 +120,10 @@ def _file(test: str) -> str:
     return test.partition("::")[0]
 
 
-def _is_about(text: str, file: str) -> bool:
-    """Whether a file of tests imports this file."""
+def _is_about(name: str, text: str, file: str) -> bool:
+    """Whether a file of tests imports this file, or has its tests."""
+    if name in ABOUT.get(file, ()):
+        return True
     dotted = file.removesuffix(".py").removesuffix("/__init__").replace("/", ".")
     parent, _, stem = dotted.rpartition(".")
     return re.search(rf"\b{dotted}\b(?!\.)|from {parent} import [^#\n]*\b{stem}\b", text) is not None

@@ -18,13 +18,14 @@ _SERVICES: Final = (
     *("supervision/supervisor", "supervision/stop", "supervision/watchdog"),
     *("access/connection_limits", "access/exposure"),
 )
+_EXPOSURES: Final = tuple(map("delfim/parts/{}/exposure.py".format, ("fleet", "mavlink", "nmea0183", "payload", "ros")))
 CORE: Final = (
     *map("delfim/vehicle/{}.py".format, _FILES),
     *map("delfim/{}.py".format, _HANDS),
     *map("delfim/parts/traffic/{}.py".format, _TRAFFIC),
     *map("delfim/services/{}.py".format, _SERVICES),
     *("delfim/parts/mavlink/codec/signing.py", "delfim/parts/pwm/outlet.py"),
-    *map("delfim/parts/{}/exposure.py".format, ("fleet", "mavlink", "nmea0183", "payload", "ros")),
+    *_EXPOSURES,
 )
 TESTS: Final = (  # files that take long, and see nothing that others do not see, are not asked
     "tests/vehicle/test_*.py",
@@ -40,4 +41,13 @@ TESTS: Final = (  # files that take long, and see nothing that others do not see
     ),
     *("tests/services/test_supervisor_turns.py", "tests/services/test_stop.py", "tests/services/test_exposure.py"),
 )
+ABOUT: Final = {  # the tests of what is called by a row of a table, without an import
+    "delfim/vehicle/orders/handlers.py": (
+        "tests/vehicle/test_helm.py",
+        "tests/vehicle/test_pause.py",
+        "tests/parts/test_orders.py",
+    ),
+    "delfim/parts/traffic/troubles.py": ("tests/vehicle/test_troubles.py",),
+    **dict.fromkeys(_EXPOSURES, ("tests/services/test_exposure.py",)),
+}
 NOT_ASKED: Final = "test_qgroundcontrol.py", "test_mavlink_fuzz.py"

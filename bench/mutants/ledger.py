@@ -81,7 +81,11 @@ class Ledger:
                 file.write(json.dumps(row) + "\n")
 
     def survived(self, change: Change) -> bool:
-        return bool(self._rows[change.name]["result"] == "survived")
+        return self.outcome(change) == "survived"
+
+    def outcome(self, change: Change) -> str:
+        """What came of it: noticed, survived, or nothing where it was not tried."""
+        return str(self._rows.get(change.name, {"result": ""})["result"])
 
 
 def _digest(tests: list[str]) -> str:

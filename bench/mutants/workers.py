@@ -2,10 +2,13 @@
 
 import json
 import os
+import select
 import shutil
 import subprocess
 import sys
+import time
 from functools import cache
+from math import inf
 from pathlib import Path
 from types import TracebackType
 from typing import Final, Self
@@ -39,29 +42,36 @@ def _is_same(source: Path, target: Path) -> bool:
 @cache
 def alone() -> tuple[str, ...]:
     """What gives a program its own processes and network: a changed supervisor ends nobody else. Nothing, if not permitted."""
-    return ALONE if subprocess.run([*ALONE, "true"], capture_output=True).returncode == 0 else ()
+    permitted = subprocess.run([*ALONE, "true"], capture_output=True).returncode == 0
+    return (*ALONE, "sh", "-c", 'ip link set lo up; exec "$@"', "sh") if permitted else ()
+
+
+class TimeIsOver(Exception):
+    """Nobody waits longer for an answer."""
 
 
 class Worker:
-    """A program that tries changes of one file (trial.py)."""
+    """A program that tries changes of one file (trial.py). It ends at `until_s`, a monotonic time."""
 
-    def __init__(self, folder: Path, file: str, tests: list[str]) -> None:
+    def __init__(self, folder: Path, file: str, tests: list[str], until_s: float = inf) -> None:
         environment = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
         environment |= {"PYTHONPATH": str(folder), "PYTHONSAFEPATH": "1"}
-        up = ("sh", "-c", 'ip link set lo up; exec "$@"', "sh") if alone() else ()
-        command = [*alone(), *up, sys.executable, "-m", "bench.mutants.trial", file, *tests]
-        pipe = subprocess.PIPE
+        command = [*alone(), sys.executable, "-m", "bench.mutants.trial", file, *tests]
+        self._until_s, pipe = until_s, subprocess.PIPE
         self._program = subprocess.Popen(
             command, cwd=folder, env=environment, stdin=pipe, stdout=pipe, text=True, start_new_session=True
         )
 
     def ask(self, number: int | None, tests: list[str], fresh: list[str], cpu_s: float) -> dict[str, str]:
-        """Tries one change, or, without a number, that the tests pass as the file is."""
+        """Tries one change, or, without a number, that the tests pass as the file is. Raises TimeIsOver."""
         assert self._program.stdin is not None
         assert self._program.stdout is not None
         print(
             json.dumps({"number": number, "tests": tests, "fresh": fresh, "cpu_s": cpu_s}), file=self._program.stdin, flush=True
         )
+        left_s = None if self._until_s == inf else max(self._until_s - time.monotonic(), 0.0)
+        if not select.select([self._program.stdout], [], [], left_s)[0]:
+            raise TimeIsOver("the time is over")
         answer: dict[str, str] = json.loads(self._program.stdout.readline())
         return answer
 

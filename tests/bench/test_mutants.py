@@ -10,15 +10,18 @@ from typing import Any
 
 import pytest
 
+from bench.mutants import __main__ as command
 from bench.mutants import choice, ledger, reach
 from bench.mutants.__main__ import answered, drawn
 from bench.mutants.changes import changed, changes, functions
 from bench.mutants.choice import Choice
-from bench.mutants.core import CORE
+from bench.mutants.core import ABOUT, CORE
 from bench.mutants.ledger import Figures, Ledger, measured, measured_now, reasons, shown
+from bench.mutants.workers import TimeIsOver, Worker
 from delfim.base.errors import ConfigError
 
 ROOT = Path(__file__).parents[2]
+subprocess_run = subprocess.run
 
 
 def tried(source: str) -> list[str]:
@@ -189,6 +192,7 @@ def test_tests_are_watched_again_where_they_changed_or_were_not_asked_about_a_fi
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(choice, "TESTS", ("test_*.py",))
     monkeypatch.setattr(choice, "REACH", tmp_path / "reach.jsonl")
+    monkeypatch.setattr(choice, "alone", tuple)
     monkeypatch.setattr(choice.subprocess, "run", lambda *_, **how: asked.append(json.loads(how["input"])))
     for name, files in (("test_a.py", ["gate.py", "kills.py"]), ("test_b.py", ["gate.py"]), ("test_c.py", ["gate.py"])):
         (tmp_path / name).write_text("new")
@@ -198,6 +202,48 @@ def test_tests_are_watched_again_where_they_changed_or_were_not_asked_about_a_fi
     for files, stale in ((["gate.py"], ["test_c.py"]), (["gate.py", "kills.py"], ["test_b.py", "test_c.py"])):
         choice.refreshed(frozenset(files))
         assert asked.pop() == {"output": str(tmp_path / "reach.jsonl"), "tests": stale, "files": files}
+    program = [sys.executable, "-c", "input()"]
+    monkeypatch.setattr(choice.subprocess, "run", lambda _, **how: subprocess_run(program, timeout=how["timeout"]))
+    with pytest.raises(TimeIsOver):
+        choice.refreshed(frozenset(["gate.py"]), until_s=0.0)
+
+
+def test_tests_are_about_a_file_that_they_import_or_that_a_table_gives_them() -> None:
+    assert {*ABOUT} <= {*CORE}
+    for file, tests in ABOUT.items():
+        for name in tests:
+            assert not choice._is_about("", (ROOT / name).read_text(), file), f"{name} imports {file}: it needs no row"
+            assert choice._is_about(name, "", file)
+
+
+def test_in_a_hurry_only_the_files_own_tests_are_asked_and_what_is_left_open_is_named(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(ledger, "FOLDER", tmp_path)
+    (tmp_path / "a.py").write_text("def f(x):\n    return x + 1\n")
+    (tmp_path / "b.py").write_text("def g(x):\n    return x\n")
+    monkeypatch.setattr(command, "reasons", lambda: {"a.py": {"f | return x + 1 | 1 → 2": "why"}})
+    monkeypatch.setattr(
+        command,
+        "refreshed",
+        lambda watched, file, until_s: {"test_a.py": {"imported": {}, "tests": {}}} if file == "a.py" else {},
+    )
+
+    def tried(file: str, found: Any, numbers: list[int], asked: Choice, book: Ledger, jobs: int, until_s: float) -> None:
+        assert (file, numbers, jobs) == ("a.py", [0, 1, 2], 2)
+        for number, result in enumerate(("noticed", "survived", "survived")):
+            book.write(found[number], [], {"result": result, "by": "it ends"})
+        raise TimeIsOver("the time is over")
+
+    (tmp_path / "test_a.py").write_text("import a\n")
+    monkeypatch.setattr(command, "tried", tried)
+    command.hurried({"a.py": [0, 1, 2], "b.py": [0], "c.py": []}, 2, 5.0, 0.0)
+    assert capsys.readouterr().out.splitlines() == [
+        "the time is over",
+        "a.py:2: no test about its file notices 'f | return x + 1 | + → -'",
+        "b.py:2: there was no time, or no test about its file, for 'g | return x | return None'",
+        "of 4 new changes 1 are noticed, 1 cannot be, 2 are left open",
+        "all tests are asked by: make mutants ARGS=--new",
+    ]
 
 
 def test_what_was_tried_is_known_until_the_file_or_its_tests_change(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -271,6 +317,15 @@ def test_changes_are_tried_in_functions_that_are_there_and_by_importing_them_aga
         "table | return 5 | 5 → 6": "test_table",
     }
     assert (tmp_path / "sample.py").read_text() == PROGRAM
+
+
+def test_nobody_waits_for_an_answer_longer_than_there_is_time(tmp_path: Path) -> None:
+    for name in ("bench", "delfim"):
+        (tmp_path / name).symlink_to(ROOT / name)
+    (tmp_path / "sample.py").write_text(PROGRAM)
+    (tmp_path / "test_sample.py").write_text(TESTS)
+    with Worker(tmp_path, "sample.py", ["test_sample.py"], until_s=0.0) as worker, pytest.raises(TimeIsOver):
+        worker.ask(None, [], [], 9.0)
 
 
 def test_calls_are_seen(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
