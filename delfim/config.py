@@ -87,6 +87,7 @@ EndMode = Literal["hold", "idle"]
 FixName = Literal["2d", "3d", "differential", "rtk_float", "rtk"]  # from bad to good
 Position = tuple[Annotated[float, msgspec.Meta(ge=-89.0, le=89.0)], Annotated[float, msgspec.Meta(ge=-180.0, le=180.0)]]
 CORNERS, ZONES, AREAS = 100, 100, 20  # of a polygon, to keep out of, and to keep in, at most
+Day = Annotated[str, text("([0-9]{4}-[0-9]{2}-[0-9]{2})?", "a day as 2026-11-27, or empty")]
 Ring = Annotated[tuple[Position, ...], msgspec.Meta(max_length=CORNERS)]  # corners of a polygon, degrees north and east
 ValueName = Annotated[str, text("[a-z][a-z0-9_]{0,31}", "the name of a value, as depth_m")]
 
@@ -635,6 +636,9 @@ class AdoptedTable(Table, frozen=True):
     """What `delfim adopt` found out about the boat (docs/adopt.md)."""
 
     proven: bool = True  # its motors do what the file says; false: no failsafe steers, and only manual and trial are allowed
+    on: Day = ""  # of the log that was fitted
+    log: Annotated[str, text("[0-9a-f]{0,64}", "up to 64 hexadecimal digits")] = ""  # SHA-256 of that log
+    chi2: Annotated[float, msgspec.Meta(ge=0.0, le=1e6)] | None = None  # of the fit, per measurement: 2 at most
 
 
 class Checks(Table, frozen=True):

@@ -88,6 +88,8 @@ FIGURES: Final[tuple[tuple[str, str, str, Callable[[ModelMotion], Array]], ...]]
     ("three_quarters_mps", "speed at 75 % of command", "m/s", _speed("75")),
     ("half_mps", "speed at 50 % of command", "m/s", _speed("50")),
     ("quarter_mps", "speed at 25 % of command", "m/s", _speed("25")),
+    ("sixty_mps", "speed at 60 % of command", "m/s", _speed("60")),
+    ("thirty_mps", "speed at 30 % of command", "m/s", _speed("30")),
     ("astern_mps", "speed at 60 % astern", "m/s", _speed("astern 60")),
     ("stop_full_m", "way with motors off, from full speed", "m", _way("100")),
     ("stop_60_m", "way with motors off, from 60 % of command", "m", _way("60")),
@@ -99,6 +101,7 @@ FIGURES: Final[tuple[tuple[str, str, str, Callable[[ModelMotion], Array]], ...]]
     ("spin_full_dps", "rate of a spin at 90 %", "deg/s", _rate("spin 90")),
     ("turning_s", "until a spin has 63 % of its rate", "s", _turning),
 )
+STOPS: Final = {"stop_full_m": "100", "stop_60_m": "60", "stop_30_m": "30"}  # from which run
 
 
 def figures(fit: Fit) -> dict[str, Figure]:
@@ -110,8 +113,9 @@ def figures(fit: Fit) -> dict[str, Figure]:
     for name, words, unit, of in FIGURES:
         every = of(motion)
         slopes = (every[1 : 1 + count] - every[0]) / NUDGES
-        value, excess = float(every[0]), abs(float(every[0])) / fastest if unit == "m/s" else 1.0
-        vague = MODEL + EXTRA * max(excess - 1.0, 0.0)
+        value, began = float(every[0]), _speed(STOPS[name])(motion) if name in STOPS else every
+        excess = abs(float(began[0])) / fastest if unit == "m/s" or name in STOPS else 1.0
+        vague = MODEL + (2.0 * EXTRA if name in STOPS else EXTRA) * max(excess - 1.0, 0.0)
         spread = float(np.sqrt(max(slopes @ fit.covariance @ slopes, 0.0) + (vague * value) ** 2))
         found[name] = Figure(name, words, unit, value, spread, float(every[-1]), excess > BEYOND)
     return found

@@ -63,6 +63,11 @@ class Fit(NamedTuple):
         """The standard deviation of each internal number: of a factor, of its logarithm."""
         return np.asarray(np.sqrt(np.diag(self.covariance)))
 
+    def relative(self, *names: str) -> float:
+        """The standard deviation of the product of these factors, as a part of it; of one other number, its own."""
+        at = [PLACE[name] for name in names]
+        return float(np.sqrt(max(self.covariance[np.ix_(at, at)].sum(), 0.0)))
+
     @property
     def unseen(self) -> tuple[str, ...]:
         """The numbers that the record does not show: they are those of the vehicle's file still."""

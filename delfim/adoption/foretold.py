@@ -11,6 +11,7 @@ from delfim.vehicle.control.hull import craft, full_mps
 
 LINEAR: Final = 0.2  # of the drag at full speed, that is linear, where the file says a speed alone
 DEAD: Final = 0.04  # of full command: motors have a dead band, whether their file says so or not
+LEAST_N: Final = 0.05  # of a motor that gives nothing astern
 LAG_S, DELAY_S, LATE_S, LOSS = 0.25, 0.15, 0.1, 0.03  # a first guess
 
 
@@ -49,7 +50,8 @@ def prior(vehicle: config.Vehicle) -> Prior:
     hull, (starboard, port) = craft(vehicle), motors_of(vehicle)
     rows = [vehicle.thrusters[motor.row] for motor in (starboard, port)]
     ends = [sorted((abs(end) for end in row.ends_n), reverse=True) for row in rows]
-    ahead_n, astern_n = (math.sqrt(max(ends[0][at], 0.05) * max(ends[1][at], 0.05)) for at in (0, 1))
+    uneven, uneven_astern = (math.log(max(ends[0][at], LEAST_N) / max(ends[1][at], LEAST_N)) for at in (0, 1))
+    ahead_n, astern_n = (math.sqrt(max(ends[0][at], LEAST_N) * max(ends[1][at], LEAST_N)) for at in (0, 1))
     full = full_mps(vehicle.boat)
     square, linear = hull.drag_n_per_mps2, hull.drag_n_per_mps
     if vehicle.boat.drag_n_per_mps is None and vehicle.boat.drag_n_per_mps2 is None:
@@ -59,12 +61,14 @@ def prior(vehicle: config.Vehicle) -> Prior:
     values = {number.name: 1.0 if number.is_factor else 0.0 for number in NUMBERS} | {
         "ahead": ahead_n / hull.mass_kg,
         "astern": astern_n / ahead_n,
+        "ahead_uneven": uneven,
+        "astern_uneven": uneven_astern - uneven,
         "power": 2.0 if rows[0].curve else rows[0].power,
         "dead_starboard": dead[0],
         "dead_port": dead[1],
         "loss": LOSS,
-        "delay": DELAY_S,
-        "lag": LAG_S,
+        "delay": rows[0].delay_s or DELAY_S,
+        "lag": rows[0].lag_s or LAG_S,
         "surge": max(linear, 0.02 * hull.ahead_n / full) / hull.mass_kg,
         "surge2": max(square, 0.02 * hull.ahead_n / full**2) / hull.mass_kg,
         "sway": 0.3,
@@ -78,4 +82,28 @@ def prior(vehicle: config.Vehicle) -> Prior:
         "yaw_ahead": 0.25 * damping,
         "late": LATE_S,
     }
-    return Prior(internal(values), SPREADS.copy())
+    return Prior(internal(values | _of_the_twin(vehicle)), SPREADS.copy())
+
+
+def _of_the_twin(vehicle: config.Vehicle) -> dict[str, float]:
+    """The numbers that an earlier fit found, as the simulator has them: what is other now has changed since."""
+    its = vehicle.table("simulation").hull
+    if not its.mass_kg:
+        return {}
+    starboard, port = motors_of(vehicle)
+    return {
+        "surge": its.surge_n_per_mps / its.mass_kg,
+        "surge2": its.surge_n_per_mps2 / its.mass_kg,
+        "sway": its.sway_n_per_mps / its.mass_aside_kg,
+        "sway2": its.sway_n_per_mps2 / its.mass_aside_kg,
+        "sway_ahead": its.sway_ahead_n_per_mps2 / its.mass_aside_kg,
+        "sway_yaw": its.sway_yaw_n_per_radps / its.mass_aside_kg,
+        "sway_turning": its.mass_kg / its.mass_aside_kg,
+        "surge_turning": its.mass_turning_kg / its.mass_kg,
+        "arm": 0.5 * (starboard.aside_m + port.aside_m) * its.mass_kg / its.inertia_kgm2,
+        "yaw": its.yaw_nm_per_radps / its.inertia_kgm2,
+        "yaw2": its.yaw_nm_per_radps2 / its.inertia_kgm2,
+        "yaw_ahead": its.yaw_ahead_nm_s_per_m / its.inertia_kgm2,
+        "munk": its.munk_nm_per_mps2 / its.inertia_kgm2,
+        "loss": its.thrust_loss_s_per_m,
+    }

@@ -1,7 +1,5 @@
 """The page of a campaign: verdicts, figures and pictures in one HTML file, which needs neither network nor server."""
 
-import base64
-import io
 import math
 from collections.abc import Iterator, Sequence
 from html import escape
@@ -27,6 +25,7 @@ from delfim.campaign.queries import (
 from delfim.campaign.runplan import Plan
 from delfim.campaign.sailing import sailed_run
 from delfim.campaign.store import head_of
+from delfim.desk.htmlpage import picture, shown, table, whole
 from delfim.simulator.lockstep import Lockstep
 
 PAGE: Final = "report.html"
@@ -34,17 +33,6 @@ POINTS_SHOWN: Final = 50
 TRACKS: Final = 6
 BINS: Final = 40
 CELLS: Final = 12  # of a heat map along an axis
-STYLE: Final = """
-body { font: 16px/1.45 system-ui, sans-serif; max-width: 1080px; margin: 2rem auto; padding: 0 1rem; color: #0d2230 }
-h1 { margin-bottom: .2rem }
-table { border-collapse: collapse; margin: .6rem 0 }
-td, th { padding: .2rem .8rem .2rem 0; text-align: left; vertical-align: top; border-bottom: 1px solid #dde5ea }
-td.n { text-align: right; font-variant-numeric: tabular-nums }
-img { max-width: 100%; margin: .4rem 0 }
-.holds { color: #0f7a4d; font-weight: 600 }
-.fails { color: #b4232f; font-weight: 600 }
-code { background: #eef3f6; padding: .1rem .3rem; font-size: .85em }
-p.soft { color: #4d6472 }"""
 
 
 def write(
@@ -60,7 +48,7 @@ def write(
     keys = list(dict.fromkeys([*(key for _, values in plan.points for key in values), *plan.draw]))
     body = [
         *_head(folder, plan, database, verdicts),
-        *(f"<h2>{escape(name)}</h2>{_table(columns, rows)}" for name, columns, rows in answers),
+        *(f"<h2>{escape(name)}</h2>{table(columns, rows)}" for name, columns, rows in answers),
         *_failures(database, command),
         *([] if earlier is None else _compared(database, earlier)),
         *_points(plan, database),
@@ -71,8 +59,7 @@ def write(
         *_worst(plan, database, command),
     ]
     page = folder / PAGE
-    head = f"<!doctype html><html lang=en><meta charset=utf-8><title>{escape(plan.name)}</title><style>{STYLE}</style>"
-    page.write_text(head + "".join(body) + "\n", encoding="utf-8")
+    page.write_text(whole(plan.name, body), encoding="utf-8")
     return page
 
 
@@ -96,7 +83,7 @@ def _failures(database: duckdb.DuckDBPyConnection, command: str) -> Iterator[str
     rows = failed(database)
     if rows:
         told = [(many, words, f"{command} --again {point}:{seed}") for words, many, point, seed in rows[:20]]
-        yield "<h2>What failed</h2>" + _table(("runs", "why", "one of them again"), told)
+        yield "<h2>What failed</h2>" + table(("runs", "why", "one of them again"), told)
 
 
 def _points(plan: Plan, database: duckdb.DuckDBPyConnection) -> Iterator[str]:
@@ -115,11 +102,11 @@ def _points(plan: Plan, database: duckdb.DuckDBPyConnection) -> Iterator[str]:
     for point, runs, good, *values in rows[:POINTS_SHOWN]:
         story, what = plan.stories[plan.points[point][0]], plan.points[point][1]
         low, high = share(good, runs)
-        words = ", ".join(f"{key} = {_number(value)}" for key, value in what.items()) or "the vehicle's file"
+        words = ", ".join(f"{key} = {shown(value)}" for key, value in what.items()) or "the vehicle's file"
         told.append(
             (point, f"{story.boat}, {story.name}: {words}", runs, f"{good / runs:.2%}", f"{low:.2%} to {high:.2%}", *values)
         )
-    yield "<h2>Points</h2>" + _table(
+    yield "<h2>Points</h2>" + table(
         ("point", "what", "runs", "passed", "95 % confidence", *(f"{name}, median" for name in wanted)), told
     )
     if len(rows) > POINTS_SHOWN:
@@ -128,7 +115,7 @@ def _points(plan: Plan, database: duckdb.DuckDBPyConnection) -> Iterator[str]:
 
 def _measured(database: duckdb.DuckDBPyConnection) -> Iterator[str]:
     told = quantities(database)
-    yield "<h2>Measures</h2>" + _table(("measure", "runs", "5 %", "median", "95 %"), [tuple(each) for each in told])
+    yield "<h2>Measures</h2>" + table(("measure", "runs", "5 %", "median", "95 %"), [tuple(each) for each in told])
     drawn = [each.name for each in told if each.high > each.low and not each.name.startswith("end_")]
     if drawn:
         figure, places = _grid(len(drawn))
@@ -136,14 +123,14 @@ def _measured(database: duckdb.DuckDBPyConnection) -> Iterator[str]:
             values = _column(database, name)
             axes.stairs(*np.histogram(values, BINS), fill=True, color="#0a5fa8")
             axes.set_title(name, fontsize=9)
-        yield _picture(figure, "Distributions")
+        yield picture(figure, "Distributions")
 
 
 def _moved(database: duckdb.DuckDBPyConnection, keys: Sequence[str]) -> Iterator[str]:
     rows = sensitivity(database, keys)
     if rows:
         told = [(key, name, f"{value:+.2f}") for key, name, value in rows[:15]]
-        yield "<h2>What moves what</h2><p class=soft>Rank correlation over all runs, the strongest first.</p>" + _table(
+        yield "<h2>What moves what</h2><p class=soft>Rank correlation over all runs, the strongest first.</p>" + table(
             ("key", "measure", ""), told
         )
 
@@ -160,7 +147,7 @@ def _heat(database: duckdb.DuckDBPyConnection, keys: Sequence[str]) -> Iterator[
     for number, (a, b) in enumerate(pairs):
         _map(figure, places[2 * number], database, (a, b), "cast(ok as double)", "share that passed", 0.0, 1.0)
         _map(figure, places[2 * number + 1], database, (a, b), name, f"{name}, mean")
-    yield "<h2>Pairs of keys</h2>" + _picture(figure, "Heat maps")
+    yield "<h2>Pairs of keys</h2>" + picture(figure, "Heat maps")
 
 
 def _map(
@@ -213,13 +200,13 @@ def _ends(database: duckdb.DuckDBPyConnection) -> Iterator[str]:
             axes.scatter(east, north, s=4, c=colour, label=words, alpha=0.5)
     axes.set(xlabel="east, m", ylabel="north, m", aspect="equal")
     axes.legend()
-    yield "<h2>Where boats ended</h2>" + _picture(figure, "Ends")
+    yield "<h2>Where boats ended</h2>" + picture(figure, "Ends")
 
 
 def _worst(plan: Plan, database: duckdb.DuckDBPyConnection, command: str) -> Iterator[str]:
     rows = worst(database)
     told = [(point, seed, why, f"{command} --again {point}:{seed}") for point, seed, why in rows]
-    yield "<h2>The worst ten</h2>" + _table(("point", "seed", "why", "again, to the last byte"), told)
+    yield "<h2>The worst ten</h2>" + table(("point", "seed", "why", "again, to the last byte"), told)
     figure, places = _grid(min(len(rows), TRACKS), columns=3, height=3.2)
     for axes, (point, seed, _) in zip(places, rows[:TRACKS], strict=False):
         track = _track(plan, point, seed)
@@ -229,7 +216,7 @@ def _worst(plan: Plan, database: duckdb.DuckDBPyConnection, command: str) -> Ite
             axes.plot(east[-1:], north[-1:], "o", color="#b4232f", markersize=4)
         axes.set_aspect("equal", adjustable="datalim")
         axes.set_title(f"point {point}, seed {seed}", fontsize=9)
-    yield _picture(figure, "Tracks of the worst")
+    yield picture(figure, "Tracks of the worst")
 
 
 def _track(plan: Plan, point: int, seed: int) -> list[tuple[float, float]]:
@@ -273,26 +260,11 @@ def _compared(database: duckdb.DuckDBPyConnection, earlier: duckdb.DuckDBPyConne
         if len(steps) > 1:
             half = 1.96 * float(steps.std(ddof=1)) / math.sqrt(len(steps))
             told.append((name, len(steps), float(steps.mean()), f"±{half:.3g}", float(np.median(np.abs(steps)))))
-    yield _table(("measure", "runs", "mean change", "95 %", "median of its size"), told)
+    yield table(("measure", "runs", "mean change", "95 %", "median of its size"), told)
 
 
 def _column(database: duckdb.DuckDBPyConnection, name: str) -> Any:
     return np.array([row[0] for row in selected(database, f"select {name} from runs where {name} is not null")[1]], dtype=float)
-
-
-def _table(head: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
-    def cell(value: object) -> str:
-        if isinstance(value, str):
-            words = escape(value)
-            return f"<td><code>{words}</code></td>" if value.startswith("delfim ") else f"<td>{words}</td>"
-        return f"<td class=n>{_number(value)}</td>"
-
-    body = "".join(f"<tr>{''.join(map(cell, row))}</tr>" for row in rows)
-    return f"<table><tr>{''.join(f'<th>{escape(each)}</th>' for each in head)}</tr>{body}</table>"
-
-
-def _number(value: object) -> str:
-    return f"{value:.4g}" if isinstance(value, float) else "" if value is None else str(value)
 
 
 def _grid(count: int, columns: int = 4, height: float = 2.2) -> tuple[Figure, list[Axes]]:
@@ -303,9 +275,3 @@ def _grid(count: int, columns: int = 4, height: float = 2.2) -> tuple[Figure, li
     for axes in places[count:]:
         axes.set_axis_off()
     return figure, places
-
-
-def _picture(figure: Figure, words: str) -> str:
-    file = io.BytesIO()
-    figure.savefig(file, format="png", dpi=110)
-    return f'<img alt="{words}" src="data:image/png;base64,{base64.b64encode(file.getvalue()).decode()}">'

@@ -6,10 +6,13 @@ from collections.abc import Iterator, Sequence
 from random import Random
 from typing import NamedTuple
 
+import msgspec
+
 from delfim import config
 from delfim.adoption.record import BoatRecord, Manoeuvre, Series
-from delfim.simulator.model import Hull, Model
-from delfim.simulator.tables import Sea
+from delfim.simulator.measured import MeasuredModel
+from delfim.simulator.model import Model
+from delfim.simulator.tables import Sea, SimulatedHull
 
 Forces = tuple[float, float, float]
 
@@ -47,36 +50,38 @@ class Coefficients(NamedTuple):
         return x / self.m11, (self.m33 * y - self.m23 * n) / all_of, (self.m22 * n - self.m23 * y) / all_of
 
 
-class OtherHull(Model):
-    """The simulator's sea and motors under the hull of another hand, with motors that are late."""
+class OtherHull(MeasuredModel):
+    """The simulator's sea, wind and late motors under the hull of another hand."""
 
-    coefficients: Coefficients | None = None
-    late_s, now_s = 0.0, 0.0
-    waiting: "deque[tuple[float, str, float]]"
+    def __init__(self, coefficients: Coefficients, settings: config.Vehicle, sea: Sea, seed: int) -> None:
+        only_forces = SimulatedHull(mass_kg=1.0, mass_aside_kg=1.0, inertia_kgm2=1.0)
+        super().__init__(settings, only_forces, sea, seed, math.radians(38.69), math.radians(-9.21), 0.3, settings.thrusters)
+        self.coefficients = coefficients
 
     def _accelerations(self, u, v, r, c, s, pushes, air):  # type: ignore[no-untyped-def]
-        if self.coefficients is None:
-            return super()._accelerations(u, v, r, c, s, pushes, air)
-        x, y, n = (sum(force[index] for _, force, _, _ in pushes if force is not None) for index in range(3))
-        return self.coefficients.accelerations(u, v, r, (x, y, n))
+        push = Model._accelerations(self, u, v, 0.0, c, s, pushes, air)
+        return self.coefficients.accelerations(u, v, r, push)
 
 
 class Hidden(NamedTuple):
     """A boat: what its owner's file says, and what is true."""
 
     told: config.Vehicle
-    rows: tuple[config.ThrusterTable, ...]
-    coefficients: Coefficients | None
-    hull: Hull
-    delay_s: float
+    rows: tuple[config.ThrusterTable, ...]  # with delay and lag
+    coefficients: Coefficients
 
     def model(self, sea: Sea, seed: int = 1) -> OtherHull:
-        model = OtherHull(self.hull, sea, seed, math.radians(38.69), math.radians(-9.21), 0.3, self.rows)
-        model.coefficients, model.late_s, model.waiting = self.coefficients, self.delay_s, deque()
-        return model
+        return OtherHull(self.coefficients, msgspec.structs.replace(self.told, thrusters=self.rows), sea, seed)
+
+    @property
+    def late_s(self) -> float:
+        """Delay and lag of a motor."""
+        return self.rows[0].delay_s + (self.rows[0].lag_s or 0.0)
 
 
-def rows(thrust_n: float, astern: float, y_m: float, dead: float, power: float) -> tuple[config.ThrusterTable, ...]:
+def rows(
+    thrust_n: float, astern: float, y_m: float, dead: float, power: float, delay_s: float = 0.0, lag_s: float | None = None
+) -> tuple[config.ThrusterTable, ...]:
     return tuple(
         config.ThrusterTable(
             name=name,
@@ -88,6 +93,8 @@ def rows(thrust_n: float, astern: float, y_m: float, dead: float, power: float) 
             dead=dead,
             power=power,
             rate_per_s=4.0,
+            delay_s=delay_s,
+            lag_s=lag_s,
         )
         for index, (name, side) in enumerate((("starboard", 1.0), ("port", -1.0)))
     )
@@ -107,19 +114,19 @@ def otter() -> Hidden:
     linear = 24.4 * 9.81 / 3.0864
     draught = total / 1025.0 / (2 * 0.4 * 0.25 * 2.0)
     its = Coefficients(85.5, 162.5, m33, total * ahead, linear, 0.0, 162.5, 0.0, m33, 10 * m33, 0.0, 1.0, draught, 2.0)
-    return Hidden(told(2.0, 1.08, 72.0, 150.0, 0.395), rows(119.7, 0.557, 0.395, 0.04, 2.0), its, Hull(motor_s=0.1), 0.15)
+    return Hidden(told(2.0, 1.08, 72.0, 150.0, 0.395), rows(119.7, 0.557, 0.395, 0.04, 2.0, 0.15, 0.1), its)
 
 
 def heron() -> Hidden:
     """The Heron as PX4's simulation has it: linear drag of 20 in all three."""
     its = Coefficients(33.0, 33.0, 5.0, 0.0, 20.0, 4.0, 20.0, 20.0, 7.0, 6.0)
-    return Hidden(told(1.35, 0.98, 30.0, 45.0, 0.37), rows(33.6, 0.59, 0.37, 0.08, 1.3), its, Hull(motor_s=0.2), 0.1)
+    return Hidden(told(1.35, 0.98, 30.0, 45.0, 0.37), rows(33.6, 0.59, 0.37, 0.08, 1.3, 0.1, 0.2), its)
 
 
 def slim() -> Hidden:
     """A monohull of 3 m by strip theory: little drag, little authority."""
     its = Coefficients(63.0, 102.0, 65.0, 2.0, 6.0, 9.0, 12.0, 138.0, 12.0, 110.0, 29.0, 0.5)
-    return Hidden(told(3.0, 0.7, 60.0, 50.0, 0.25), rows(60.0, 0.5, 0.25, 0.1, 2.0), its, Hull(motor_s=0.4), 0.3)
+    return Hidden(told(3.0, 0.7, 60.0, 50.0, 0.25), rows(60.0, 0.5, 0.25, 0.1, 2.0, 0.3, 0.4), its)
 
 
 Step = tuple[str, float, float, float]  # its name, parts of the starboard and the port motor, seconds
@@ -186,7 +193,7 @@ def sailed(hidden: Hidden, sea: Sea, seed: int = 1, sensors: Sensors = USUAL, st
             if tick % 2 == 0:
                 told.append((now_s, starboard, port))
                 for each, part in zip(names, (starboard, port), strict=True):
-                    model.waiting.append((now_s + hidden.delay_s, each, part))
+                    model.push(each, part)
                 heading.append((now_s, sensors.said(model.heading_rad) + random.gauss(0.0, math.radians(1.5)) * sensors.noise))
                 turn.append(
                     (now_s, model.yaw_rate_radps + sensors.bias_radps + random.gauss(0.0, math.radians(0.2)) * sensors.noise)
@@ -199,9 +206,6 @@ def sailed(hidden: Hidden, sea: Sea, seed: int = 1, sensors: Sensors = USUAL, st
             if tick % 4 == 0:
                 velocity.append((now_s, *(each + random.gauss(0.0, 0.05) * sensors.noise for each in past[0][1:])))
                 position.append((now_s, model.north_m, model.east_m))
-            while model.waiting and model.waiting[0][0] <= now_s + 1e-9:
-                _, each, part = model.waiting.popleft()
-                model.push(each, part)
             model.advance(step_s)
             tick += 1
         done.append(Manoeuvre(name, began_s, now_s))
@@ -227,6 +231,5 @@ def stopping_m(hidden: Hidden, part: float) -> float:
     """Its way from an order to stop until it lies."""
     model = steady(hidden.model(Sea()), (part, part))
     north, east = model.north_m, model.east_m
-    model.advance(hidden.delay_s)
     steady(model, (0.0, 0.0), 60.0)
     return math.hypot(model.north_m - north, model.east_m - east)

@@ -49,7 +49,7 @@ def judge(hidden: Hidden, fit: Fit) -> None:
     assert {name: found[name] for name in true} == pytest.approx(true, rel=0.10)
     assert found["full_mps"] == pytest.approx(after(hidden, 1.0, 1.0).surge_mps, rel=0.15)
     assert found["stop_full_m"] == pytest.approx(stopping_m(hidden, 1.0), rel=0.25)
-    assert fit.values["delay"] + fit.values["lag"] == pytest.approx(hidden.delay_s + hidden.hull.motor_s, abs=0.1)
+    assert fit.values["delay"] + fit.values["lag"] == pytest.approx(hidden.late_s, abs=0.1)
     assert compass_error_deg(fit, Sensors()) < 1.5
 
 
