@@ -30,9 +30,7 @@ class SimulatedBed(Table, frozen=True):
 
     mean_m: Annotated[float, msgspec.Meta(ge=0.0, le=1000.0)] = 0.0  # depth that it rises and falls about; 0: it is flat
     seed: Annotated[int, msgspec.Meta(ge=0, le=1 << 31)] = 1  # of its slope, hills, channel, shallows and boulders
-    latitude_deg: Annotated[float, msgspec.Meta(ge=-89.0, le=89.0)] | None = (
-        None  # of its middle; absent: where the boat starts
-    )
+    latitude_deg: Annotated[float, msgspec.Meta(ge=-89.0, le=89.0)] | None = None  # of its middle; absent: the start
     longitude_deg: Annotated[float, msgspec.Meta(ge=-180.0, le=180.0)] | None = None  # of its middle
     tide_m: Annotated[float, msgspec.Meta(ge=0.0, le=10.0)] = 0.0  # of high water above the mean; it begins at the mean, rising
     tide_s: Annotated[float, msgspec.Meta(ge=60.0, le=1e6)] = 44_712.0  # from high water to high water
