@@ -103,7 +103,7 @@ class Lockstep:
         self.faults.is_outlet = self._outlet is not None
         self._cycle_s = 1.0 / settings.navigation.rate_hz
         self._watchdog_s = self._console_s = 0.0
-        self._changes = 0  # of the bus, when it was looked at last
+        self._changes = -1  # of the bus, when it was looked at last
         self.ordered: Ordered | None = None  # the last one
 
     def _start(self) -> None:

@@ -64,3 +64,11 @@ def test_a_boat_sails_its_mission(file: Path):
     assert max(nearest_m.values()) <= NEAR_M, "a waypoint was missed"
     rms_m = math.sqrt(sum(each * each for each in off_m) / len(off_m))
     assert rms_m <= STATED_M[str(file.relative_to(ROOT))]
+
+
+@pytest.mark.parametrize("file", BOATS, ids=lambda file: file.stem)
+def test_the_navigation_node_makes_messages_where_somebody_takes_them(file: Path):
+    run = Lockstep(config.load(file), 1, lambda clock: NoLog())
+    run.cycle()
+    assert run.nodes.navigation.is_heard == ("dsor" in run.settings.navigation.sources)
+    run.close()
