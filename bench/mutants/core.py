@@ -45,6 +45,7 @@ ABOUT: Final = {  # the tests of what is called by a row of a table, without an 
     "delfim/vehicle/orders/handlers.py": (
         "tests/vehicle/test_helm.py",
         "tests/vehicle/test_pause.py",
+        "tests/vehicle/test_trial.py",
         "tests/parts/test_orders.py",
     ),
     "delfim/parts/traffic/troubles.py": ("tests/vehicle/test_troubles.py",),

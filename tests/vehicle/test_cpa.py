@@ -5,7 +5,7 @@ from random import Random
 
 import pytest
 
-from delfim.parts.traffic.cpa import Approach, Domain, Leg, approach, closest, domain, passing_by
+from delfim.parts.traffic.cpa import Approach, Domain, Leg, approach, closest, domain, into, passing_by
 from delfim.vehicle.target import Target
 
 SHIP = Target("1", "", 30.0, -40.0, 0.0, 2.0, 0.0, 30.0, 8.0, True, 0.0, 0.0, False, "A", 0)
@@ -109,3 +109,22 @@ def test_the_limits(legs: list[Leg], until_s: float, after_s: float, found: tupl
 def test_the_closest_point_of_approach(place, speed, course_rad, cpa):
     assert closest(0.0, 0.0, 0.0, 0.0, SHIP._replace(speed_mps=0.01)) == (50.0, 0.0), "as good as none"
     assert closest(*place, *speed, SHIP._replace(course_rad=course_rad)) == pytest.approx(cpa, abs=1e-9)
+
+
+GOES = SHIP._replace(north_m=40.0, east_m=-20.0, margin_m=15.0, length_m=5.0)  # away: 50 m from the middle
+COMES = GOES._replace(north_m=-36.0, east_m=-8.0, speed_mps=5.0, course_rad=math.atan2(4.0, 3.0))  # 20 m from it after 10 s
+
+
+@pytest.mark.parametrize(
+    ("target", "radius_m", "within_s", "at_s"),
+    [
+        (GOES, 31.0, 60.0, 0.0),
+        (GOES, 30.0, 60.0, None),
+        (COMES, 5.0, 60.0, 10.0),
+        (COMES, 5.0, 8.0, 8.0),
+        (COMES, 5.0, 2.0, None),
+        (COMES._replace(margin_m=5.0), 5.0, 60.0, None),
+    ],
+)
+def test_who_comes_into_a_circle_and_when(target: Target, radius_m: float, within_s: float, at_s: float | None) -> None:
+    assert into(10.0, 20.0, radius_m, target, within_s) == (None if at_s is None else pytest.approx(at_s))

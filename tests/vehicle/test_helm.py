@@ -133,6 +133,37 @@ def test_who_gives_the_boat_back_or_is_lost(boat):
     assert (boat.state.mode, boat.state.reason) == (Mode.IDLE, "operator gave the boat back: console 7")
 
 
+# In a trial.
+
+
+def attempt(boat, number: int, latitude_deg: float = 38.6925) -> str | None:
+    pieces = ((1.0, (0.1, 0.1)), (5.0, (0.2, 0.2)))
+    return boat.vehicle.on_command(console.Try(number, pieces, latitude_deg, -9.2150, 100.0, begin=True))
+
+
+def test_the_next_manoeuvre_of_a_trial_begins_with_its_first_piece_in_its_own_circle(boat):
+    assert attempt(boat, 1) == "trial refused: no position yet"
+    boat.ready()
+    helm = boat.vehicle.helm
+    for number, latitude_deg, middle_m in ((1, 38.6925, 0.0), (2, 38.6930, 55.5)):
+        assert attempt(boat, number, latitude_deg) is None
+        assert (boat.state.mode, helm.memory.leg, helm.memory.north_m) == (Mode.TRIAL, 0, pytest.approx(middle_m, abs=0.1))
+        helm.memory = helm.memory._replace(leg=1)
+    assert attempt(boat, 2) is None
+    assert helm.memory.leg == 1, "it goes on"
+
+
+def test_a_trial_that_is_not_asked_for_again_ends_after_its_time(make_boat):
+    boat = make_boat(failsafe=config.Failsafe(manual_silent=config.ManualSilent(thrust_s=2.0, after_s=9.0)))
+    boat.ready()
+    assert attempt(boat, 1) is None
+    now_s = boat.clock.monotonic_s()
+    boat.vehicle.helm.fade(now_s + 2.0)
+    assert boat.state.mode is Mode.TRIAL
+    boat.vehicle.helm.fade(now_s + 2.1)
+    assert (boat.state.mode, boat.state.reason) == (Mode.IDLE, "trial ended: nobody asks for it for 2.1 s")
+
+
 # Steps and stops.
 
 

@@ -24,7 +24,7 @@ from delfim.vehicle.control.hull import filled
 from delfim.vehicle.control.memory import Integrals, LineOfSight, Memory, settings_of
 from delfim.vehicle.failsafe.failsafe import Action
 from delfim.vehicle.failsafe.troubles import Trigger
-from delfim.vehicle.state import Line, Motion, NoLog, Plan, Setpoint, State, Waypoint
+from delfim.vehicle.state import Line, Motion, NoLog, Plan, Setpoint, State, TrialPieces, Waypoint
 from delfim.vehicle.target import CourseOrder, Danger, Target
 
 SETTINGS: Final = filled(config.load(Path(__file__).parents[2] / "etc/delfimx.toml", ()))
@@ -132,6 +132,17 @@ def test_each_look_does_a_slice_and_each_round_is_done_once(monkeypatch: pytest.
     boat.look(MARIA)
     (told,) = boat.state.traffic.told
     assert b'"maria"' in bytes(told)
+
+
+def test_a_trial_ends_once_for_the_first_vessel_that_comes_into_its_circle(monkeypatch: pytest.MonkeyPatch) -> None:
+    boat, ended = Boat(monkeypatch, Mode.TRIAL), list[str]()
+    trial = TrialPieces(1, ((5.0, (0.1, 0.1)),), 40.0, -30.0, 60.0, 1.0, False)
+    boat.state.setpoint, boat.helm.stop = TO._replace(trial=trial), ended.append
+    slow, near = MARIA._replace(speed_mps=1.4), MARIA._replace(key="tom", name="TOM", north_m=60.0, speed_mps=0.0)
+    for targets in ((slow,), (MARIA,), (near,), (slow, near, MARIA)):
+        boat.look(*targets)
+    comes, is_there = "trial ended: MARIA will come into the circle, in 180 s", "trial ended: TOM is in the circle"
+    assert ended == [comes, is_there, is_there]
 
 
 def test_the_decision_is_given_what_there_is_and_its_order_is_carried_out(monkeypatch: pytest.MonkeyPatch) -> None:

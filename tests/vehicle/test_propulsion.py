@@ -59,6 +59,11 @@ def test_by_hand_each_side_gets_its_own() -> None:
     assert told.thrust == pytest.approx((-0.25, 0.25, 0.5)), "what is mounted backwards pushes ahead with a command astern"
 
 
+def test_in_a_trial_each_thruster_gets_its_own() -> None:
+    told = sent(DELFIMX, Wanted(parts=(0.25, -0.5)))
+    assert (told.thrust, told.run) == (pytest.approx((0.25, -0.5)), True)
+
+
 @pytest.mark.parametrize(("starboard", "port"), [(0.2, 0.8), (0.8, 0.2), (-0.3, 0.3)])
 def test_by_hand_every_boat_turns_to_the_side_of_less_thrust(starboard: float, port: float) -> None:
     for rows in (DELFIMX, (OUTBOARD, BOW)):
