@@ -298,6 +298,13 @@ def test_lockstep_sails_the_whole_mission_and_repeats_itself_byte_for_byte(tmp_p
     assert logs[0] == logs[1]
 
 
+def test_the_soundings_of_a_run_in_lock_step_are_in_its_log(tmp_path, typed):
+    sounder = ("--set", 'sensors.names=["sysstat", "nmea2000"]', "--set", "simulation.sea_bed.mean_m=7")
+    assert typed("sim", VEHICLE, "--lockstep", "--for", "60", "--output", str(tmp_path), *sounder)[0] == 0
+    _, told, _ = typed("log", "export", "soundings", str(tmp_path), "--output", str(tmp_path / "soundings.csv"))
+    assert re.search(": (5[0-9]|60) soundings", told), told
+
+
 @pytest.mark.parametrize(
     ("words", "reason"),
     [

@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import Any
 
 from delfim import config
+from delfim.base.clock import ManualClock
 from delfim.base.errors import BusError, ConfigError, DelfimError
 from delfim.base.modes import Mode
 from delfim.canproxy.opening import open_can
@@ -252,8 +253,14 @@ def _lockstep(asked: argparse.Namespace, settings: config.Vehicle, mission: Miss
         print(f"delfim: waits for the model at {settings.of(Simulation).external}", flush=True)
         model.begin()
         started = time.monotonic()
-    run = Lockstep(settings, asked.seed, lambda clock: Logbook(settings, clock), model)
-    end = run.sail(canonical(mission), asked.for_s or LOCKSTEP_S)
+    logbook = list[Logbook]()
+
+    def opened(clock: ManualClock) -> Logbook:
+        logbook.append(Logbook(settings, clock))
+        return logbook[0]
+
+    run = Lockstep(settings, asked.seed, opened, model)
+    end = run.sail(canonical(mission), asked.for_s or LOCKSTEP_S, lambda run: logbook[0].watch(run.state))
     run.close()
     wall_s = time.monotonic() - started
     data = columns(log.glob("*/state/*.state*"))
