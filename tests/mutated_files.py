@@ -237,6 +237,15 @@ def can_replay(name: str) -> Callable[[Path], Said]:
     return read
 
 
+def surveyed(name: str) -> Callable[[Path], Said]:
+    from delfim import config
+    from delfim.survey.areafile import read_area
+    from delfim.survey.ground import laid
+    from delfim.survey.planning import LinesWanted, planned
+
+    return lambda here: refused(lambda: planned(laid(read_area(here / name)), LinesWanted(20.0, 1.5), config.Zones()))
+
+
 def database(here: Path) -> Said:
     from delfim.base.frames import Frame, standard
     from delfim.console.terminal.framefilter import decoder
@@ -377,6 +386,10 @@ READERS = {
     "address on NMEA 2000": Reader("address", own_address, TEXT),
     "scenario's mission": Reader("lake.toml", scenarios_mission, TEXT),
     "encounters": Reader("imazu22-real.json", encounters, TEXT),
+    "area": Reader("dock.geojson", surveyed("dock.geojson"), TEXT),
+    "area, KML": Reader("dock.kml", surveyed("dock.kml"), TEXT),
+    "area, GPX": Reader("dock.gpx", surveyed("dock.gpx"), TEXT),
+    "area of a plan": Reader("dock.plan", surveyed("dock.plan"), TEXT),
     "mission to send": Reader("lake.toml", operators_mission, TEXT),
     "session": Reader("day.tlog", replayed, BINARY),
     "state log": Reader("log/*/state/*.state", logs(*LOG_VERBS), (*BINARY, *TEXT)),

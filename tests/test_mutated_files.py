@@ -34,6 +34,7 @@ from tests.console.test_charts import _points, chart, geotiff, mbtiles, png, wor
 from tests.logging.sailing import MISSION, Day
 from tests.mutated_files import READERS, ROOT, command, refused
 from tests.services.test_slots import Yard
+from tests.survey.test_areafile import FEATURE, GPX, KML, PLAN
 
 CAMPAIGN = """version = 1
 name = "Storms"
@@ -168,6 +169,13 @@ def tiles(folder: Path) -> None:
     mbtiles(folder / "harbour.mbtiles", told, [(12, 1943, 2513, png()), (13, 0, 8191, png())])
 
 
+def areas(folder: Path) -> None:
+    (folder / "dock.geojson").write_text(json.dumps(FEATURE))
+    (folder / "dock.kml").write_text(KML)
+    (folder / "dock.gpx").write_text(GPX)
+    (folder / "dock.plan").write_text(json.dumps(PLAN))
+
+
 def keys(folder: Path) -> None:
     new_key(folder / "key")
     (folder / "ntrip").write_text("ana:secret\n")
@@ -232,6 +240,7 @@ SAMPLES = {
     worlds: ("PNG", "JPEG", "world file"),
     geotiffs: ("GeoTIFF",),
     tiles: ("MBTiles",),
+    areas: ("area", "area, KML", "area, GPX", "area of a plan"),
     keys: (
         "user's ssh key",
         "numbers of DroneCAN devices",
@@ -308,6 +317,7 @@ READ_BY = {  # function: the readers above that come by it
     "console/gateway/admission.py: kept_token": {"page's token"},
     "logging/kept/record.py: newest": {"kept voyage"},
     "console/terminal/drive.py: _file": {"mission to send"},
+    "survey/areafile.py: read_area": {"area", "area, KML", "area, GPX", "area of a plan"},
     "console/charts/georeference.py: _header": {"PNG", "JPEG", "GeoTIFF"},
     "console/charts/georeference.py: _world": {"world file"},
     "console/tapes/tape.py: __init__": {"session"},

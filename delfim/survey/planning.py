@@ -1,0 +1,287 @@
+"""A survey planned: the lines of an area in order, with run-ins and turns that the boat can make, and the mission of it."""
+
+import math
+from collections.abc import Callable, Iterable
+from itertools import pairwise
+from typing import Any, Final, NamedTuple
+
+from shapely.geometry import LineString
+from shapely.geometry.base import BaseGeometry
+
+from delfim import config
+from delfim.base.cooperative import Sliced
+from delfim.base.errors import DelfimError
+from delfim.survey.ground import Ground, Place, Segment, in_degrees, polygons, simplified, swaths, water
+from delfim.survey.lines import Cut, headings, rings, rough_s, strips
+from delfim.survey.order import ordered
+from delfim.survey.turns import Bend, turn
+from delfim.survey.ways import OpenWater
+from delfim.vehicle.helm.planning import laid
+from delfim.vehicle.plans.mission import LEG_MIN_M, RADIUS_MIN_M, ROWS, Mission, PathPoint, Waypoint
+
+ARC_S: Final = 7.0  # of a turn of a boat that steers, beyond its length, as the skiff sailed it
+CORNER_S: Final = -4.0  # of a turn on the spot, beyond its length: corners are cut ...
+CORNER_S_PER_M: Final = 1.35  # ... and a long boat turns slowly; as boats sailed it
+SLOW_S: Final = 4.0  # the same of a whole turn, where headings are compared
+AROUND_M: Final = 100.0  # water about an area, for turns
+RUN_IN_M: Final = 12.0
+ACCEPTED_M: Final = 5.0  # a run-in is longer than the radius within which a waypoint is reached by so much
+TURN_M: Final = 6.0  # lines keep so far from what missions keep off, for the turn at their ends
+TRIED: Final = 3  # headings, whose lines are laid and put in order ...
+LOOKED_AT: Final = 120  # ... until there were so many lines
+LENGTHS: Final = 2.5  # of a boat that steers by a rudder or an outboard: its smallest turn
+CROSS: Final = 3.0  # spacings: a cross line is no shorter
+PARTS: Final = 1.0, 0.75, 0.5, 0.25, 0.0  # of a run-in, the longest for which there is water
+CORNERS: Final = {"sw": (0, 1), "se": (2, 1), "nw": (0, 3), "ne": (2, 3)}  # of the area's box: where in its bounds they stand
+
+
+class LinesWanted(NamedTuple):
+    """What is asked of the lines."""
+
+    spacing_m: float
+    speed_mps: float
+    swath_m: float = 0.0  # what a line covers; 0: the spacing
+    heading_deg: float | None = None  # None: the quickest
+    edges: bool = True  # the area is covered up to its edges; False: lines end where they leave it
+    run_in_m: float = RUN_IN_M  # straight, before and behind each line
+    room_m: float = config.FenceTable().mission_margin_m + TURN_M  # from holes and the fence
+    radius_m: float = 0.0  # of the boat's smallest turn; 0: it turns on the spot
+    turn_s: float = 0.0  # what a turn takes beyond its length
+    cross_m: float = 0.0  # spacing of the cross lines; 0: none
+    start: str = ""  # corner of the area to begin near
+
+    @property
+    def cut(self) -> Cut:
+        return Cut(self.spacing_m, self.swath_m or self.spacing_m, self.edges, 2.0 * self.run_in_m + ACCEPTED_M)
+
+
+def wanted_of(settings: config.Vehicle, **asked: Any) -> LinesWanted:
+    """What is asked for, and where it is None, what suits the boat. Raises DelfimError."""
+    rows, control = settings.thrusters, settings.control
+    is_steered = all(row.steer is not None for row in rows) and len({row.y_m for row in rows}) == 1
+    suits = {
+        "speed_mps": control.speed.cruise_mps,
+        "run_in_m": max(RUN_IN_M, control.path.acceptance_m + ACCEPTED_M),
+        "room_m": settings.fence.mission_margin_m + TURN_M,
+        "turn_s": ARC_S if is_steered else CORNER_S + CORNER_S_PER_M * settings.boat.length_m,
+        "radius_m": LENGTHS * settings.boat.length_m if is_steered else 0.0,
+    }
+    wanted = LinesWanted(**suits | {key: value for key, value in asked.items() if value is not None})
+    least_m = control.path.acceptance_m + ACCEPTED_M
+    if wanted.run_in_m < least_m:
+        raise DelfimError(
+            f"a run-in is {least_m:g} m or more: a waypoint counts as reached within {control.path.acceptance_m:g} m"
+        )
+    if 0.0 < wanted.radius_m < RADIUS_MIN_M:
+        raise DelfimError(f"a radius of a turn is {RADIUS_MIN_M:g} m or more")
+    if wanted.swath_m and wanted.swath_m < wanted.spacing_m:
+        raise DelfimError("the swath is narrower than the spacing: water between lines stays uncovered")
+    if wanted.speed_mps > control.speed.max_mps:
+        raise DelfimError(f"faster than this boat goes: up to {control.speed.max_mps} m/s")
+    return wanted
+
+
+class PlannedPiece(NamedTuple):
+    """A piece of the way: of a line, whose number counts from 0, or between lines."""
+
+    bend: Bend
+    line: int | None
+
+
+class SurveyPlan(NamedTuple):
+    """Lines in the order and direction in which they are sailed, the last ones across, and the whole way from `begin`."""
+
+    ground: Ground
+    wanted: LinesWanted
+    free: BaseGeometry  # of the area, what may be sailed
+    heading_deg: float
+    lines: list[Segment]
+    across: int
+    begin: Place
+    way: list[PlannedPiece]
+
+    @property
+    def line_m(self) -> float:
+        return sum(math.dist(*line) for line in self.lines)
+
+    @property
+    def way_m(self) -> float:
+        """Of everything."""
+        places = [self.begin, *(each.bend.to for each in self.way)]
+        return sum(each.bend.long_m or math.dist(a, b) for (a, b), each in zip(pairwise(places), self.way, strict=True))
+
+    @property
+    def time_s(self) -> float:
+        """By speed and turns, as the boat takes it within some per cent."""
+        return self.way_m / self.wanted.speed_mps + (len(self.lines) - 1) * self.wanted.turn_s
+
+    def covered(self) -> tuple[float, float]:
+        """The parts that the lines along cover: of what may be sailed, and of the whole area."""
+        done = swaths(self.lines[: len(self.lines) - self.across], self.wanted.cut.wide_m)
+        area = self.ground.area
+        return done.intersection(self.free).area / self.free.area, done.intersection(area).area / area.area
+
+
+def planned(ground: Ground, wanted: LinesWanted, fence: config.Zones) -> SurveyPlan:
+    """The survey of an area. Raises DelfimError in words where there is none."""
+    around_m = AROUND_M + 2.0 * (wanted.run_in_m + wanted.radius_m) + wanted.spacing_m
+    open_water = water(ground, fence, wanted.room_m, around_m)
+    free = ground.area.intersection(open_water)
+    if free.area < 1.0:
+        raise DelfimError(f"nothing of the area is {wanted.room_m:g} m away from holes and the fence")
+    start, turn_s = _corner(free, wanted.start), wanted.turn_s + (wanted.spacing_m + 2.0 * wanted.run_in_m) / wanted.speed_mps
+    tried = list[tuple[float, list[Segment]]]()
+    for each in _headings(free, wanted):
+        if sum(len(known) for _, known in tried) < LOOKED_AT:
+            tried.append((each, _lines(free, open_water, each, wanted, start)))
+    heading_deg, lines = min(tried, key=lambda each: _straight_s(each[1], wanted.speed_mps, turn_s))
+    across = list[Segment]()
+    if wanted.cross_m:
+        cut = wanted.cut._replace(spacing_m=wanted.cross_m, wide_m=wanted.cross_m, edges=False)
+        found = [each for each in strips(free, open_water, heading_deg + 90.0, cut) if _is_long(each.line, wanted)]
+        across = ordered(found, max(1, math.ceil(2.0 * wanted.radius_m / wanted.cross_m)), lines[-1][1] if lines else None)
+    if not lines:
+        raise DelfimError("the area is smaller than a line")
+    begin, way = _sailed([*lines, *across], OpenWater(open_water), wanted, open_water)
+    if len(way) + 1 > ROWS:
+        raise DelfimError(f"{len(lines)} lines make {len(way) + 1} places, and a mission has {ROWS}: take the area in parts")
+    return SurveyPlan(ground, wanted, free, heading_deg, [*lines, *across], len(across), begin, way)
+
+
+def _headings(free: BaseGeometry, wanted: LinesWanted) -> list[float]:
+    """The heading that is asked for, or the few that are the quickest by a rough look."""
+    if wanted.heading_deg is not None:
+        return [wanted.heading_deg]
+    turn_s = (2.0 * wanted.run_in_m + wanted.spacing_m + math.pi * wanted.radius_m) / wanted.speed_mps + SLOW_S
+    sides, tried = rings(free), headings(free, wanted.spacing_m)
+    rough = {heading_deg: rough_s(sides, heading_deg, wanted.cut, wanted.speed_mps, turn_s) for heading_deg in tried}
+    return sorted(tried, key=lambda heading_deg: rough[heading_deg])[:TRIED]
+
+
+def _lines(
+    free: BaseGeometry, open_water: BaseGeometry, heading_deg: float, wanted: LinesWanted, start: Place | None
+) -> list[Segment]:
+    apart = max(1, math.ceil(2.0 * wanted.radius_m / wanted.spacing_m - 1e-9))
+    return ordered(strips(free, open_water, heading_deg, wanted.cut), apart, start)
+
+
+def _straight_s(lines: list[Segment], speed_mps: float, turn_s: float) -> float:
+    """The time of lines with straight ways between."""
+    way_m = sum(math.dist(*line) for line in lines) + sum(math.dist(a[1], b[0]) for a, b in pairwise(lines))
+    return way_m / speed_mps + len(lines) * turn_s if lines else math.inf
+
+
+def _corner(free: BaseGeometry, name: str) -> Place | None:
+    if not name:
+        return None
+    x, y = CORNERS[name]
+    return free.bounds[x], free.bounds[y]
+
+
+def _is_long(line: Segment, wanted: LinesWanted) -> bool:
+    return math.dist(*line) >= CROSS * wanted.spacing_m
+
+
+def _sailed(
+    lines: list[Segment], ways: OpenWater, wanted: LinesWanted, open_water: BaseGeometry
+) -> tuple[Place, list[PlannedPiece]]:
+    """Where the boat begins, and its way: run-in, line, run-out, turn."""
+    begin, way = _beyond(ways, lines[0][1], lines[0][0], wanted.run_in_m), list[PlannedPiece]()
+    here = begin
+    for number, line in enumerate(lines):
+        ahead = _beyond(ways, line[1], line[0], wanted.run_in_m)
+        if number:
+            before = lines[number - 1]
+            way += [PlannedPiece(each, None) for each in _turned(ways, before, here, ahead, line, wanted.radius_m, open_water)]
+        if math.dist(way[-1].bend.to if way else begin, line[0]) >= LEG_MIN_M:
+            way.append(PlannedPiece(Bend(line[0]), None))
+        way.append(PlannedPiece(Bend(line[1]), number))
+        here = _beyond(ways, line[0], line[1], wanted.run_in_m)
+        if math.dist(line[1], here) >= LEG_MIN_M:
+            way.append(PlannedPiece(Bend(here), None))
+    return begin, way
+
+
+def _beyond(ways: OpenWater, begin: Place, end: Place, far_m: float) -> Place:
+    """The place so far beyond the end of a line, or as far as there is water."""
+    part = far_m / math.dist(begin, end)
+    places = ((end[0] + each * part * (end[0] - begin[0]), end[1] + each * part * (end[1] - begin[1])) for each in PARTS)
+    return next((place for place in places if ways.free(end, place)), end)
+
+
+def _turned(
+    ways: OpenWater, before: Segment, here: Place, ahead: Place, line: Segment, radius_m: float, open_water: BaseGeometry
+) -> list[Bend]:
+    """From the run-out of a line to the run-in of the next one."""
+    if radius_m:
+        bends = turn(here, _heading(before), ahead, _heading(line), radius_m)
+        if open_water.covers(LineString([here, *_drawn(here, bends)])):
+            return bends
+    places = [*ways.between(here, ahead), ahead]
+    kept = [there for before_it, there in pairwise([here, *places]) if math.dist(before_it, there) >= LEG_MIN_M]
+    return [Bend(place) for place in kept]
+
+
+def _heading(line: Segment) -> float:
+    (x, y), (to_x, to_y) = line
+    return math.atan2(to_x - x, to_y - y)
+
+
+def _drawn(begin: Place, bends: Iterable[Bend]) -> list[Place]:
+    """Places along bends, close enough to draw and to look at."""
+    here, places = begin, list[Place]()
+    for bend in bends:
+        if bend.centre is not None:
+            from_rad = math.atan2(here[0] - bend.centre[0], here[1] - bend.centre[1])
+            steps = max(2, math.ceil(abs(bend.turn_rad) / 0.2))
+            for step in range(1, steps):
+                at_rad = from_rad + bend.turn_rad * step / steps
+                there = bend.centre[0] + bend.radius_m * math.sin(at_rad), bend.centre[1] + bend.radius_m * math.cos(at_rad)
+                places.append(there)
+        places.append(bend.to)
+        here = bend.to
+    return places
+
+
+def drawn(plan: SurveyPlan) -> list[Place]:
+    """The whole way as places, arcs as corners."""
+    return [plan.begin, *_drawn(plan.begin, (each.bend for each in plan.way))]
+
+
+def mission(plan: SurveyPlan, name: str) -> Mission:
+    """The mission of a plan: its holes are zones of its fence. Where the boat turns on the spot the waypoints are the path."""
+    at, speed_mps = plan.ground.at, plan.wanted.speed_mps
+
+    def place(point: Place) -> tuple[float, float]:
+        latitude_deg, longitude_deg = in_degrees(at, *point)
+        return round(latitude_deg, 8), round(longitude_deg, 8)
+
+    stops = [plan.begin, *(each.bend.to for each in plan.way if not plan.wanted.radius_m or each.line is not None)]
+    waypoints = [Waypoint(latitude_deg=n, longitude_deg=e, speed_mps=speed_mps) for n, e in map(place, stops)]
+    path = list[PathPoint]()
+    if plan.wanted.radius_m:
+        n, e = place(plan.begin)
+        path.append(PathPoint(latitude_deg=n, longitude_deg=e))
+        for bend, _ in plan.way:
+            n, e = place(bend.centre or bend.to)
+            turn_deg = round(math.degrees(bend.turn_rad), 4)
+            row = PathPoint(latitude_deg=n, longitude_deg=e, speed_mps=speed_mps, turn_deg=turn_deg, radius_m=bend.radius_m)
+            path.append(row)
+    zones = _zones(plan, place)
+    return Mission(version=1, name=name, waypoint=tuple(waypoints), path=tuple(path), fence=config.Zones(keep_out=zones))
+
+
+def check(its: Mission, plan: SurveyPlan, settings: config.Vehicle) -> None:
+    """Look at the mission as the boat will. Raises ConfigError, Refused where the boat would not take it."""
+    Sliced(laid(its, plan.ground.at, settings.control, settings.fence)).finish()
+
+
+def _zones(plan: SurveyPlan, place: Callable[[Place], tuple[float, float]]) -> tuple[config.Area, ...]:
+    near = plan.ground.area.envelope.buffer(AROUND_M + plan.wanted.room_m)
+    holes = [hole for hole in polygons(plan.ground.holes) if hole.intersects(near)]
+    if len(holes) > config.ZONES:
+        raise DelfimError(f"{len(holes)} holes, and a fence has {config.ZONES} zones: join holes that lie close together")
+    outlines = (list(simplified(hole, config.CORNERS).exterior.coords)[:-1] for hole in holes)
+    return tuple(
+        config.Area(name=f"hole {number}", polygon=tuple(map(place, outline))) for number, outline in enumerate(outlines, 1)
+    )

@@ -1,0 +1,131 @@
+"""An area from a file, made into lines, sailed in lock step over a bed that is known, and its soundings taken home."""
+
+import csv
+import json
+import math
+from datetime import datetime
+from pathlib import Path
+
+import pytest
+from shapely.geometry import LineString, Point
+
+from delfim import config
+from delfim.__main__ import main
+from delfim.base.geodesy import to_plane
+from delfim.simulator.lockstep import Lockstep
+from delfim.simulator.seabed import bed_of
+from delfim.simulator.tables import Simulation
+from delfim.survey.areafile import read_area
+from delfim.survey.ground import laid, swaths
+from delfim.survey.planning import SurveyPlan, check, mission, planned, wanted_of
+from delfim.vehicle import console
+from delfim.vehicle.plans.mission import canonical, load_mission
+from delfim.vehicle.state import NoLog
+from tests.logging.sailing import Day
+
+ROOT = Path(__file__).parents[2]
+BASIN = ROOT / "etc/areas/basin.geojson"
+SPACING_M = 20.0
+BED = "{mean_m=7.0, seed=3, tide_m=0.8, tide_s=3000.0, latitude_deg=38.6911, longitude_deg=-9.2142}"
+SEA = "simulation.sea={current_mps=0.2, current_to_deg=70.0, wind_mps=4.0, wind_from_deg=300.0}"
+UNTIL_S = 3600.0
+
+
+def survey(settings: config.Vehicle, **asked: object) -> SurveyPlan:
+    return planned(laid(read_area(BASIN)), wanted_of(settings, spacing_m=SPACING_M, **asked), settings.fence)
+
+
+def sailed(sailing: Lockstep, plan: SurveyPlan, begun_s: float) -> float:
+    """The time from the beginning of the plan, where the boat must come by, as long as it took: of one that is done."""
+    assert sailing.state.reason.startswith("path done"), sailing.state.reason
+    return sailing.elapsed_s - begun_s
+
+
+def true_place(sailing: Lockstep, plan: SurveyPlan) -> tuple[float, float]:
+    model = sailing.nodes.model
+    north_m, east_m = to_plane(plan.ground.at, model.latitude_rad, model.longitude_rad)
+    return east_m, north_m
+
+
+def of_lines(plan: SurveyPlan, track: list[tuple[float, float]]) -> tuple[list[float], float]:
+    """Of each line the part that was sailed within a quarter of the spacing; and what that covers of what may be sailed."""
+    near = LineString(track).buffer(SPACING_M / 4.0)
+    done = [LineString(line).intersection(near) for line in plan.lines]
+    pieces = [part for each in done for part in getattr(each, "geoms", [each]) if part.length]
+    covered = swaths([(piece.coords[0], piece.coords[-1]) for piece in pieces], SPACING_M).intersection(plan.free)
+    parts = [each.length / math.dist(*line) for each, line in zip(done, plan.lines, strict=True)]
+    return parts, covered.area / plan.free.area
+
+
+def test_an_example_area_is_sailed_line_by_line_and_its_soundings_are_those_of_the_bed(tmp_path, capsys) -> None:
+    text = tmp_path / "basin.toml"
+    words = ["--spacing", str(SPACING_M), "--output", str(text), "--picture", str(tmp_path / "basin.png")]
+    assert main(["survey", "lines", str(BASIN), *words]) == 0
+    assert "covered: 100.0 % of what may be sailed" in capsys.readouterr().out
+    day = Day(tmp_path / "log", 'sensors.names=["sysstat", "nmea2000"]', f"simulation.sea_bed={BED}", SEA)
+    plan, begun_s, track = survey(day.settings), math.inf, list[tuple[float, float]]()
+    assert mission(plan, "basin") == load_mission(text), "the command and the function make the same"
+    day.sail(5.0)
+    for command in (console.LoadMission(text.read_text()), console.SetMode("path")):
+        assert day.command(command) is None
+    while day.sailing.state.mode.name == "PATH" and day.sailing.elapsed_s < UNTIL_S:
+        day.sail(1.0)
+        track.append(true_place(day.sailing, plan))
+        if math.isinf(begun_s) and math.dist(track[-1], plan.begin) < 3.0:
+            begun_s = day.sailing.elapsed_s
+    took_s = sailed(day.sailing, plan, begun_s)
+    day.end()
+    assert took_s == pytest.approx(plan.time_s, rel=0.05)
+    parts, covered = of_lines(plan, track)
+    assert min(parts) > 0.99
+    assert covered > 0.99
+    assert len(plan.ground.holes.geoms) == 1
+    assert not any(hole.buffer(3.0).contains(Point(place)) for hole in plan.ground.holes.geoms for place in track)
+    errors_m = soundings(tmp_path, day.settings)
+    assert len(errors_m) > 0.9 * took_s, "one a second"
+    assert sorted(map(abs, errors_m))[int(0.95 * len(errors_m))] < 0.15
+    assert abs(sum(errors_m)) / len(errors_m) < 0.03
+
+
+def soundings(place: Path, settings: config.Vehicle) -> list[float]:
+    """How far the soundings of a day's log are off the truth of their place and time."""
+    bed, file = bed_of(settings.of(Simulation)), place / "soundings.csv"
+    assert bed is not None
+    assert main(["log", "export", "soundings", str(place / "log"), "--output", str(file)]) == 0
+    with file.open(newline="") as text:
+        rows = [row for row in csv.DictReader(text) if row["latitude [deg]"]]
+    first = datetime.fromisoformat(rows[0]["utc"])
+    off = list[float]()
+    for row in rows:
+        time_s = (datetime.fromisoformat(row["utc"]) - first).total_seconds()
+        position = math.radians(float(row["latitude [deg]"])), math.radians(float(row["longitude [deg]"]))
+        off.append(float(row["depth_m [m]"]) - bed.depth_at(*position, time_s))
+    return off
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("boat", ["delfimx", "boats/otter", "boats/blueboat", "boats/skiff"])
+def test_boats_of_all_kinds_sail_the_lines_of_their_plan(boat: str) -> None:
+    overrides = [SEA, f"simulation.sea_bed={BED}"]
+    settings = config.load(ROOT / f"etc/{boat}.toml", overrides)
+    plan = survey(settings)
+    its = mission(plan, "basin")
+    check(its, plan, settings)
+    assert bool(its.path) == (boat == "boats/skiff"), "arcs for a boat that does not turn on the spot"
+    run, begun_s, track = Lockstep(settings, 1, lambda clock: NoLog()), math.inf, list[tuple[float, float]]()
+    assert run.command(console.LoadMission(canonical(its))) is None
+    for _ in run.cycles(5.0):
+        pass
+    assert run.command(console.SetMode("path")) is None
+    for state in run.cycles(UNTIL_S):
+        track.append(true_place(run, plan))
+        if math.isinf(begun_s) and math.dist(track[-1], plan.begin) < 3.0:
+            begun_s = run.elapsed_s
+        if state.mode.name != "PATH":
+            break
+    took_s = sailed(run, plan, begun_s)
+    parts, covered = of_lines(plan, track)
+    told = {"boat": boat, "time": round(took_s / plan.time_s, 3), "worst line": round(min(parts), 3)}
+    print(json.dumps(told | {"covered": round(covered, 4)}))
+    assert took_s == pytest.approx(plan.time_s, rel=0.05)
+    assert covered > 0.97
