@@ -28,7 +28,7 @@ from delfim.vehicle.snapshot import in_json
 from delfim.vehicle.state import HEARD_MAX, Motion, NoLog, State
 from tests.canproxy.test_recordings import BUSY, RAYMARINE, recording
 
-VEHICLE = Path(__file__).parents[2] / "etc/delfimx.toml"
+VEHICLE = Path(__file__).parents[3] / "etc/delfimx.toml"
 HERE = math.radians(38.6907), math.radians(-9.2153)
 TICK_S = 0.1
 NOWHERE = "no position, or none that a vessel can have"

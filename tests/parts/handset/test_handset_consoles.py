@@ -7,9 +7,9 @@ from delfim.base.modes import Mode
 from delfim.vehicle import console
 from delfim.vehicle.loop import HELD_BY_HAND
 from delfim.vehicle.state import HANDSET
+from tests.parts.handset.test_handset import DEVICE, FREE, KILL, ON, TAKEN, HandsetPlayed
 from tests.parts.mavlink.mavlink_console import newest, texts
 from tests.parts.mavlink.test_mavlink_helm import ACCEPTED, LATER, MESSAGES, at_sea
-from tests.vehicle.test_handset import DEVICE, FREE, KILL, ON, TAKEN, HandsetPlayed
 
 HEADING = (43002, 1, 90.0)
 

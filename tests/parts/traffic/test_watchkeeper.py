@@ -21,9 +21,9 @@ from delfim.vehicle.control.memory import Memory
 from delfim.vehicle.snapshot import in_json
 from delfim.vehicle.state import Motion, NoLog, Setpoint, State, Waypoint
 from delfim.vehicle.target import Traffic
-from tests.vehicle.encounters import Ship, place, target
+from tests.parts.traffic.encounters import Ship, place, target
 
-VEHICLE = Path(__file__).parents[2] / "etc/delfimx.toml"
+VEHICLE = Path(__file__).parents[3] / "etc/delfimx.toml"
 START_S = 10.0
 
 

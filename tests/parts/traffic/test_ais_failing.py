@@ -16,9 +16,9 @@ from delfim.simulator.lockstep import Lockstep
 from delfim.simulator.tables import SimulatedTraffic, SimulatedVessel
 from delfim.vehicle import console
 from delfim.vehicle.state import NoLog
-from tests.vehicle.test_lookout import slices
+from tests.parts.traffic.test_lookout import slices
 
-VEHICLE = Path(__file__).parents[2] / "etc/delfimx.toml"
+VEHICLE = Path(__file__).parents[3] / "etc/delfimx.toml"
 SET = ("simulation.heading_deg=0.0", 'sensors.names=["sysstat", "nmea2000"]')
 BOAT_MPS, MEETS_S, FAILS_S = 1.5, 300.0, 100.0
 

@@ -17,7 +17,7 @@ from delfim.vehicle.control.memory import Memory, settings_of
 from delfim.vehicle.plans.zones import Point
 from delfim.vehicle.state import Arc, Line, Motion, Plan, Setpoint, Waypoint
 
-LIMITS: Final = settings_of(filled(config.load(Path(__file__).parents[2] / "etc/delfimx.toml", ())))
+LIMITS: Final = settings_of(filled(config.load(Path(__file__).parents[3] / "etc/delfimx.toml", ())))
 SPEEDS: Final = msgspec.structs.replace(LIMITS.control.speed, cruise_mps=1.3, max_mps=2.2)
 HOLD, HOME = config.HoldTable(radius_m=5.0), config.HomeTable(speed_mps=1.1)
 PATH: Final = msgspec.structs.replace(LIMITS.control.path, lookahead_m=8.0)

@@ -19,9 +19,9 @@ from delfim.vehicle.control.memory import settings_of
 from delfim.vehicle.plans.fence import Fence
 from delfim.vehicle.plans.zones import circle, clearance_m, polygon
 from delfim.vehicle.target import CourseOrder, Target
-from tests.vehicle.encounters import LIMITS, encounters, place, sail, score, target
-from tests.vehicle.encounters import ClassB as ByClassB
-from tests.vehicle.encounters import Ship as Vessel
+from tests.parts.traffic.encounters import LIMITS, encounters, place, sail, score, target
+from tests.parts.traffic.encounters import ClassB as ByClassB
+from tests.parts.traffic.encounters import Ship as Vessel
 
 NORTH = Own(0.0, 0.0, 0.0, 1.5)
 GOAL = RouteAhead(((5000.0, 0.0),), 1.5)
@@ -181,7 +181,7 @@ def test_every_manoeuvre_for_a_single_ship_is_large_and_not_to_port(tcpa_s, spee
         assert turn_deg >= -0.1 or abs(turn_deg) > 175.0
 
 
-BOATS = sorted((Path(__file__).parents[2] / "etc" / "boats").glob("*.toml"))
+BOATS = sorted((Path(__file__).parents[3] / "etc" / "boats").glob("*.toml"))
 
 
 @pytest.mark.parametrize("file", BOATS, ids=lambda file: file.stem)

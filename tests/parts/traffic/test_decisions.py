@@ -12,7 +12,7 @@ from delfim.parts.traffic.encounter import Duty, Own
 from delfim.parts.traffic.keepclear import Choice, Decision, Memory, PassedBy, Seen, decide
 from delfim.parts.traffic.trialways import RouteAhead, route_legs, trial_legs
 from delfim.vehicle.target import CourseOrder
-from tests.vehicle.test_trial_costs import EAST, FAR, LIMITS, NORTH, OWN, Shore, lies, scene, vessel
+from tests.parts.traffic.test_trial_costs import EAST, FAR, LIMITS, NORTH, OWN, Shore, lies, scene, vessel
 
 ROUTE = RouteAhead(((400.0, 100.0),), 2.0)  # to the north-east
 NEAR = Approach(1.25, 50.0, 0.0, 0.0)

@@ -27,7 +27,7 @@ from delfim.vehicle.failsafe.troubles import Trigger
 from delfim.vehicle.state import Line, Motion, NoLog, Plan, Setpoint, State, TrialPieces, Waypoint
 from delfim.vehicle.target import CourseOrder, Danger, Target
 
-SETTINGS: Final = filled(config.load(Path(__file__).parents[2] / "etc/delfimx.toml", ()))
+SETTINGS: Final = filled(config.load(Path(__file__).parents[3] / "etc/delfimx.toml", ()))
 LIMITS: Final = settings_of(SETTINGS)
 HERE: Final = Motion(frozenset({"position", "velocity", "heading"}), 40.0, -30.0, 0.0, 0.0, 1.5, 0.0)
 TO: Final = Setpoint(speed_mps=1.5, target=Waypoint(2000.0, -30.0, 1.5, 5.0))

@@ -21,7 +21,7 @@ from delfim.vehicle import console
 from delfim.vehicle.state import NoLog, State
 from delfim.vehicle.target import Target
 
-VEHICLE = Path(__file__).parents[2] / "etc/delfimx.toml"
+VEHICLE = Path(__file__).parents[3] / "etc/delfimx.toml"
 NUMBER, LENGTH_M = 263_000_009, 4.5
 WORDS = f"{NUMBER} moves as this boat does and is not avoided. Its own transponder? Then traffic.mmsi = {NUMBER}"
 Place = tuple[float, float, float, float]  # north_m, east_m, north_mps, east_mps

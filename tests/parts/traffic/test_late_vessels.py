@@ -5,7 +5,7 @@ from collections.abc import Callable, Sequence
 
 import pytest
 
-from tests.vehicle.encounters import LIMITS, ClassB, Instant, Ship, encounters, exactly, late, moved, place, sail, turning
+from tests.parts.traffic.encounters import LIMITS, ClassB, Instant, Ship, encounters, exactly, late, moved, place, sail, turning
 
 SMALL = LIMITS._replace(stand_on="small")
 COURSES, PARTS = range(0, 360, 5), (1.0, 0.5, 0.0)

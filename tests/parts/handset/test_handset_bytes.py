@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from delfim.lines.radiocontrol.crsf import Crsf
 from delfim.lines.radiocontrol.sbus import Sbus
-from tests.vehicle import receivers
+from tests.parts.handset import receivers
 
 ALL_MIDDLE = (1500.0,) * 16
 ELEVEN_BITS = st.lists(st.integers(0, 2047), min_size=16, max_size=16)

@@ -15,7 +15,7 @@ from delfim.parts.traffic.trialways import Caution, RouteAhead
 from delfim.vehicle.plans.fence import Fence
 from delfim.vehicle.target import Target
 
-SETS = Path(__file__).parents[2] / "etc" / "encounters"
+SETS = Path(__file__).parents[3] / "etc" / "encounters"
 LIMITS = Caution(length_m=4.5, turn_radps=math.radians(15.0), ramp_mps2=0.4, stand_on="always")
 GIVE_WAY = ("head-on", "give-way", "overtaking")
 LARGE_RAD, ALTERED_RAD, ABOUT_RAD = math.radians(28.0), math.radians(10.0), math.radians(175.0)

@@ -19,7 +19,7 @@ from delfim.parts.mavlink.codec.wire import Sender, dialect
 from delfim.vehicle.loop import HELD_BY_HAND
 from delfim.vehicle.operator.link import Link
 from tests.afloat import ROOT, running
-from tests.vehicle import receivers
+from tests.parts.handset import receivers
 
 FRAME_S = 0.007  # SBUS, and CRSF at 150 Hz
 CONSOLE_S = 0.1

@@ -9,8 +9,8 @@ from delfim.base.cooperative import Sliced
 from delfim.parts.traffic import targets
 from delfim.parts.traffic.targets import Tracker, met_s
 from delfim.vehicle.target import NEVER_S
-from tests.vehicle.test_reckoning import north_of_the_equator
-from tests.vehicle.test_targets import AT, FULL, JUMP, MARIA, NOWHERE, OWN, TWICE, TWO, facts, report, seen, tracker
+from tests.parts.traffic.test_reckoning import north_of_the_equator
+from tests.parts.traffic.test_targets import AT, FULL, JUMP, MARIA, NOWHERE, OWN, TWICE, TWO, facts, report, seen, tracker
 
 MANY = "too many vessels with one number: those met last are not kept"
 SOUTH = math.pi

@@ -19,7 +19,7 @@ from delfim.simulator.tables import SimulatedTraffic, SimulatedVessel
 from delfim.vehicle import console
 from delfim.vehicle.state import NoLog
 
-VEHICLE = Path(__file__).parents[2] / "etc/delfimx.toml"
+VEHICLE = Path(__file__).parents[3] / "etc/delfimx.toml"
 SET = ("simulation.heading_deg=0.0", 'sensors.names=["sysstat", "nmea2000"]')
 MMSI = 244_660_123
 BOAT_MPS, SHIP_MPS, MEETS_S = 1.5, 5.0, 260.0

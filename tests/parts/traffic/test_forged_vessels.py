@@ -19,7 +19,7 @@ from delfim.vehicle.plans.fence import Fence
 from delfim.vehicle.plans.zones import circle
 from delfim.vehicle.state import NoLog
 
-VEHICLE = Path(__file__).parents[2] / "etc/delfimx.toml"
+VEHICLE = Path(__file__).parents[3] / "etc/delfimx.toml"
 START_S = 10.0
 # Eight ships at anchor, always 20 m from the boat, on an arc to the east of it.
 FLEET = [

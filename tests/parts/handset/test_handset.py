@@ -9,7 +9,7 @@ from delfim.vehicle import console
 from delfim.vehicle.links import Links
 from delfim.vehicle.loop import HELD_BY_HAND
 from delfim.vehicle.state import HANDSET, Killed, Line, Plan, StartConditions, State, Waypoint
-from tests.vehicle import receivers
+from tests.parts.handset import receivers
 
 DEVICE = "/dev/receiver"
 TAKE, KILL = 5, 6
