@@ -2,7 +2,7 @@
 action and by no other."""
 
 import math
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -12,7 +12,7 @@ from delfim.canproxy.dsor.messages import BatteriesStatus, Fault, Status
 from delfim.simulator.invariants.cycle import CycleSeen
 from delfim.simulator.invariants.fence import PlainFence
 from delfim.simulator.lockstep import Lockstep
-from delfim.vehicle.state import Actuation, Notice, State
+from delfim.vehicle.state import Actuation, Notice, Setpoint, State
 
 TURNING: Final = 0.04  # of full command; below this a propeller moves no boat
 FRESH_S: Final = 1.0  # an older report of a propeller does not count
@@ -43,9 +43,18 @@ class Glance:
     log_reason: str
     was_low: frozenset[str]
     up_s: float  # time since the program's start
+    astray: Sequence[bool | None] = ()  # of each thruster, by `is_astray`
 
 
 Condition = Callable[[Glance], bool | None]  # None: not known here
+
+_TOLD: Final[dict[Mode, Callable[[Setpoint], bool]]] = {  # whether the mode was told what to do
+    Mode.GREX: lambda setpoint: setpoint.guest_heading_rad is not None,
+    Mode.PLAY: lambda setpoint: setpoint.plan is not None,
+    Mode.PATH: lambda setpoint: setpoint.plan is not None,
+    Mode.HOME: lambda setpoint: bool(setpoint.track),
+    Mode.TRIAL: lambda setpoint: setpoint.trial is not None,
+}
 
 
 def control(look: Glance) -> bool | None:
@@ -54,13 +63,8 @@ def control(look: Glance) -> bool | None:
         return False
     if look.mode in NEEDS and not m.has >= NEEDS[look.mode]:
         return True
-    is_told = {
-        Mode.GREX: setpoint.guest_heading_rad is not None,
-        Mode.PLAY: setpoint.plan is not None,
-        Mode.PATH: setpoint.plan is not None,
-        Mode.HOME: bool(setpoint.track),
-        Mode.TRIAL: setpoint.trial is not None,
-    }.get(look.mode, True)
+    of_mode = _TOLD.get(look.mode)
+    is_told = of_mode is None or of_mode(setpoint)
     is_sane = (
         abs(m.north_m) + abs(m.east_m) < 1e6 and abs(m.north_mps) + abs(m.east_mps) < 50.0 and abs(m.yaw_rate_radps) < 100.0
     )
@@ -124,7 +128,7 @@ def battery(name: str) -> Condition:
 def thruster(look: Glance) -> bool | None:
     if look.state.failed:
         return True
-    found = [is_astray(look, i) for i in range(len(look.settings.thrusters))]
+    found = look.astray
     return True if True in found else None if None in found else False
 
 
@@ -158,8 +162,7 @@ class Unrest:
     def look(self, look: Glance) -> None:
         is_idle, mode_s = look.mode is Mode.IDLE, look.state.mode_s
         is_off = is_idle and look.sent is not None and not look.sent.run
-        for i in range(len(look.settings.thrusters)):
-            holds = is_astray(look, i)
+        for i, holds in enumerate(look.astray):
             for times in () if holds else (self._sure_s, self._last_s):  # it may have obeyed
                 times.pop(i, None)
             for times in () if holds is not False else (self._since_s, self._first_s):
@@ -284,6 +287,7 @@ class Troubles:
         look = Glance(
             settings, state, sent, mode, cycle.now_s, self._fence, run.vehicle.log.reason(), low, cycle.now_s - run.started_s
         )
+        look.astray = [is_astray(look, i) for i in range(len(settings.thrusters))]
         self._unrest.look(look)
         severities = [SEVERITY.index(notice.action) for notice in state.notices]
         if severities != sorted(severities, reverse=True):
@@ -385,10 +389,18 @@ def _lasts_s(table: config.Failsafe, name: str) -> float:
     return row.after_s if isinstance(row, config.Trouble) and not isinstance(row, config.Silence) else 0.0
 
 
+_DOES: Final[dict[str, tuple[Mode, ...]]] = {
+    "hold": (Mode.HOLD,),
+    "back": (Mode.HOLD,),
+    "home": (Mode.HOME, Mode.HOLD),
+    "stop": (),
+}
+
+
 def _followed(action: str, cycle: CycleSeen, mode: Mode) -> Iterator[str]:
     """Whether the worst action is done, and none but it changed the mode."""
     state, was = cycle.state, cycle.was
-    does = {"hold": (Mode.HOLD,), "back": (Mode.HOLD,), "home": (Mode.HOME, Mode.HOLD), "stop": ()}.get(action)
+    does = _DOES.get(action)
     if does is None:
         if state.mode is not was.mode and not _by_itself(cycle):
             yield f"from {was.mode.name.lower()} to {state.mode.name.lower()}, and nothing asks for it"
