@@ -304,14 +304,16 @@ class Model:
         if drive.row.steer is not None:
             drive.turn(h)
         motor_s, coast_s, idle_a, capacity_as = self._motors
-        before_rpm, powered, motor_a = drive.rpm, drive.powered, 0.0
+        before_rpm, powered, motor_a = drive.rpm, drive.connected and drive.charge > 0.0, 0.0
         driven, reference_rpm = drive.run and powered, drive.reference_rpm
         if drive.fault is not None:
             driven, reference_rpm = drive.failing()
         if driven:
             step, most = (reference_rpm - before_rpm) * (1.0 - math.exp(-h / motor_s)), drive.rpm_per_s_max * h
             drive.rpm = rpm = before_rpm + (step if -most <= step <= most else math.copysign(most, step))
-            motor_a = self._motor_a(rpm) if drive.curve is None else W_PER_N * abs(drive.curve.force(drive.part)) / VOLTAGE_V
+            motor_a = (
+                self._motor_a(rpm) if drive.curve is None else W_PER_N * abs(drive.curve.force(rpm / drive.rpm_max)) / VOLTAGE_V
+            )
         else:
             drive.rpm = rpm = before_rpm * math.exp(-h / coast_s)
         drive.motor_a = motor_a

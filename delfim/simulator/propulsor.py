@@ -29,8 +29,8 @@ class Drive:
     DelfimX, whose thrust falls with the speed of the water; with one its force is the curve's."""
 
     __slots__ = (
-        *("angle_rad", "charge", "connected", "current_a", "curve", "fault", "motor_a", "reference_rad", "reference_rpm"),
-        *("row", "rpm", "rpm_max", "rpm_per_s_max", "run", "temperature_c"),
+        *("_points", "angle_rad", "charge", "connected", "current_a", "curve", "fault", "motor_a", "reference_rad"),
+        *("reference_rpm", "row", "rpm", "rpm_max", "rpm_per_s_max", "run", "temperature_c"),
     )
 
     def __init__(self, row: ThrusterTable, rpm_max: float, rpm_per_s_max: float) -> None:
@@ -42,6 +42,8 @@ class Drive:
             self.curve = curve_of(row)
             self.rpm_max = row.rpm_max or RPM
             self.rpm_per_s_max = RATE_PER_S * self.rpm_max
+        to_rad = math.radians(row.angle_deg)
+        self._points = math.cos(to_rad), math.sin(to_rad)  # where it points as it is mounted
         self.angle_rad = self.reference_rad = 0.0  # from the row's own direction, clockwise
         self.reference_rpm = 0.0
         self.run = False
@@ -66,7 +68,10 @@ class Drive:
         """The force ahead and to starboard, N, at these revolutions, -1..1 of those at full command, where the curve gives it.
         A rudder turns the stream of a propeller that pushes ahead."""
         row, force_n = self.row, self.curve.force(part) if self.curve is not None else 0.0
-        straight = row.steer is not None and row.steer.kind == "rudder" and force_n < 0.0
+        if row.steer is None:
+            ahead, aside = self._points
+            return force_n * ahead, force_n * aside
+        straight = row.steer.kind == "rudder" and force_n < 0.0
         to_rad = math.radians(row.angle_deg) + (0.0 if straight else self.angle_rad)
         return force_n * math.cos(to_rad), force_n * math.sin(to_rad)
 

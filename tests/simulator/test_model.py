@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from delfim.base.geodesy import to_plane
 from delfim.config import BoatTable, Steer, ThrusterTable, Vehicle, load
 from delfim.simulator.model import Hull, Model, hull_of
+from delfim.simulator.propulsor import Drive
 from delfim.simulator.tables import Sea
 
 CALM = Sea()
@@ -394,3 +395,12 @@ def test_nothing_explodes(commands: list[tuple[float, float, bool]], current_mps
         assert math.hypot(model.surge_mps, model.sway_mps) < 8.0
         assert abs(model.yaw_rate_radps) < 3.0
         assert 0.0 <= model.heading_rad <= math.tau
+
+
+@given(st.floats(-180.0, 180.0), st.floats(-1.0, 1.0))
+def test_a_thruster_that_does_not_turn_pushes_where_it_was_mounted(angle_deg: float, part: float) -> None:
+    row = ThrusterTable("one", "vesc", thrust_n=(-30.0, 50.0), angle_deg=angle_deg)
+    drive = Drive(row, 1000.0, 4000.0)
+    assert drive.curve is not None
+    force_n, to_rad = drive.curve.force(part), math.radians(angle_deg)
+    assert drive.push_n(part) == (force_n * math.cos(to_rad), force_n * math.sin(to_rad))

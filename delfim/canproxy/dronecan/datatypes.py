@@ -199,7 +199,7 @@ def _share(percent: float) -> float | None:
 
 def _celsius(kelvin: float) -> float | None:
     """Convert kelvin to degrees Celsius; None for 0 K, which devices without a sensor send."""
-    return round(kelvin - _KELVIN, 2) if math.isfinite(kelvin) and kelvin > 0.0 else None
+    return round(kelvin - _KELVIN, 2) if 0.0 < kelvin < math.inf else None
 
 
 def _vector(values: Sequence[float], name: str) -> tuple[float, float, float]:
@@ -218,8 +218,10 @@ def _read_esc_status(values: Sequence[Any], items: Sequence[Any]) -> EscStatus:
     errors, voltage_v, current_a, kelvin, rpm, percent, index = values
     if abs(rpm) > RPM_MAX:
         raise FormatError(f"impossible {rpm} rpm of motor {index}")
-    known = _known(voltage_v), _known(current_a), _celsius(kelvin)
-    return _new(EscStatus, (errors, *known, rpm, _share(percent), index))
+    voltage_v = voltage_v if voltage_v - voltage_v == 0.0 else None  # as `_known`, without a call
+    current_a = current_a if current_a - current_a == 0.0 else None
+    power = None if percent == _UNKNOWN_PERCENT else percent / 100.0
+    return _new(EscStatus, (errors, voltage_v, current_a, _celsius(kelvin), rpm, power, index))
 
 
 def _read_battery(values: Sequence[Any], items: Sequence[Any]) -> BatteryInfo:
