@@ -29,6 +29,7 @@ CORE: Final = (
 )
 TESTS: Final = (  # files that take long, and see nothing that others do not see, are not asked
     "tests/vehicle/test_*.py",
+    *("tests/parts/traffic/test_*.py", "tests/parts/handset/test_*.py", "tests/parts/guest/test_*.py"),
     *("tests/parts/mavlink/test_*.py", "tests/parts/dronecan/test_*.py", "tests/parts/frontseats/test_*.py"),
     "tests/parts/nmea2000/test_nmea2000_drive.py",
     *("tests/parts/pwm/test_outlet.py", "tests/services/test_supervisor.py", "tests/services/test_shutdown.py"),
@@ -51,4 +52,4 @@ ABOUT: Final = {  # the tests of what is called by a row of a table, without an 
     "delfim/parts/traffic/troubles.py": ("tests/vehicle/test_troubles.py",),
     **dict.fromkeys(_EXPOSURES, ("tests/services/test_exposure.py",)),
 }
-NOT_ASKED: Final = "test_qgroundcontrol.py", "test_mavlink_fuzz.py"
+NOT_ASKED: Final = "test_qgroundcontrol.py", "test_mavlink_fuzz.py", "test_handset_afloat.py"
