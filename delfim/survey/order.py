@@ -6,12 +6,15 @@ No chance is in it: the same lines come in the same order.
 
 import math
 from collections.abc import Sequence
+from itertools import pairwise
 from typing import Final, NamedTuple
 
 from delfim.survey.ground import Place, Segment
 from delfim.survey.lines import Strip
 
-LOOKS: Final = 400_000  # comparisons of two orders at most
+FIRSTS: Final = 6  # cells that an order is begun with, and improved; the shortest is kept ...
+CELLS: Final = 150  # ... and fewer of many cells, so many in all
+LOOKS: Final = 60_000  # comparisons of two orders at most, of each
 LONG: Final = 3  # cells that are moved together at most
 LESS_M: Final = 1e-6  # what is not shorter by so much is not shorter
 
@@ -32,8 +35,16 @@ def ordered(strips: Sequence[Strip], apart: int, start: Place | None) -> list[Se
     cells = [_cell(lines, apart) for lines in _beside(strips)]
     if not cells:
         return []
-    order = _improved(cells, _nearest(cells, start), start)
-    return [line for number, way in order for line in cells[number].ways[way]]
+    tries = max(1, min(FIRSTS, CELLS // len(cells)))
+    firsts = range(0, len(cells), math.ceil(len(cells) / tries))
+    found = [_improved(cells, _nearest(cells, start, first), start) for first in firsts]
+    orders = [[line for number, way in order for line in cells[number].ways[way]] for order in found]
+    return min(orders, key=lambda lines: _between_m(lines, start))
+
+
+def _between_m(lines: Sequence[Segment], start: Place | None) -> float:
+    come_m = math.dist(start, lines[0][0]) if start is not None else 0.0
+    return come_m + sum(math.dist(before[1], after[0]) for before, after in pairwise(lines))
 
 
 def _beside(strips: Sequence[Strip]) -> list[list[Segment]]:
@@ -91,17 +102,16 @@ Order = list[tuple[int, int]]
 """The numbers of cells with the way in which each is sailed."""
 
 
-def _nearest(cells: Sequence[Cell], start: Place | None) -> Order:
-    """Always the nearest end that is left."""
-    left, here, order = set(range(len(cells))), start, Order()
+def _nearest(cells: Sequence[Cell], start: Place | None, first: int) -> Order:
+    """From this cell, always the nearest end that is left."""
+    left, order = set(range(len(cells))) - {first}, [(first, 0)]
+    if start is not None:
+        order = [min(((first, way) for way in range(4)), key=lambda each: math.dist(start, cells[first].ends(each[1])[0]))]
     while left:
-        if here is None:
-            order.append((0, 0))
-        else:
-            there = ((math.dist(here, cells[number].ends(way)[0]), number, way) for number in left for way in range(4))
-            order.append(min(there)[1:])
-        left.discard(order[-1][0])
         here = cells[order[-1][0]].ends(order[-1][1])[1]
+        there = ((math.dist(here, cells[number].ends(way)[0]), number, way) for number in left for way in range(4))
+        order.append(min(there)[1:])
+        left.discard(order[-1][0])
     return order
 
 

@@ -31,6 +31,8 @@ TRIED: Final = 3  # headings, whose lines are laid and put in order ...
 LOOKED_AT: Final = 120  # ... until there were so many lines
 LENGTHS: Final = 2.5  # of a boat that steers by a rudder or an outboard: its smallest turn
 CROSS: Final = 3.0  # spacings: a cross line is no shorter
+DRAWN_RAD: Final = 0.2  # of an arc, from place to place
+STEPS: Final = 16  # places of an arc, where its chords are no water
 PARTS: Final = 1.0, 0.75, 0.5, 0.25, 0.0  # of a run-in, the longest for which there is water
 CORNERS: Final = {"sw": (0, 1), "se": (2, 1), "nw": (0, 3), "ne": (2, 3)}  # of the area's box: where in its bounds they stand
 
@@ -94,6 +96,7 @@ class SurveyPlan(NamedTuple):
     ground: Ground
     wanted: LinesWanted
     free: BaseGeometry  # of the area, what may be sailed
+    ways: OpenWater  # there
     heading_deg: float
     lines: list[Segment]
     across: int
@@ -142,10 +145,11 @@ def planned(ground: Ground, wanted: LinesWanted, fence: config.Zones) -> SurveyP
         across = ordered(found, max(1, math.ceil(2.0 * wanted.radius_m / wanted.cross_m)), lines[-1][1] if lines else None)
     if not lines:
         raise DelfimError("the area is smaller than a line")
-    begin, way = _sailed([*lines, *across], OpenWater(open_water), wanted, open_water)
+    ways = OpenWater(open_water)
+    begin, way = _sailed([*lines, *across], ways, wanted, open_water)
     if len(way) + 1 > ROWS:
         raise DelfimError(f"{len(lines)} lines make {len(way) + 1} places, and a mission has {ROWS}: take the area in parts")
-    return SurveyPlan(ground, wanted, free, heading_deg, [*lines, *across], len(across), begin, way)
+    return SurveyPlan(ground, wanted, free, ways, heading_deg, [*lines, *across], len(across), begin, way)
 
 
 def _headings(free: BaseGeometry, wanted: LinesWanted) -> list[float]:
@@ -215,7 +219,7 @@ def _turned(
     """From the run-out of a line to the run-in of the next one."""
     if radius_m:
         bends = turn(here, _heading(before), ahead, _heading(line), radius_m)
-        if open_water.covers(LineString([here, *_drawn(here, bends)])):
+        if bends and open_water.covers(LineString(_drawn(here, bends))):
             return bends
     places = [*ways.between(here, ahead), ahead]
     kept = [there for before_it, there in pairwise([here, *places]) if math.dist(before_it, there) >= LEG_MIN_M]
@@ -227,25 +231,43 @@ def _heading(line: Segment) -> float:
     return math.atan2(to_x - x, to_y - y)
 
 
+def _along(begin: Place, bend: Bend, steps: int) -> list[Place]:
+    """So many places along a bend, its end the last one."""
+    if bend.centre is None:
+        return [bend.to]
+    from_rad = math.atan2(begin[0] - bend.centre[0], begin[1] - bend.centre[1])
+    turns = (from_rad + bend.turn_rad * step / steps for step in range(1, steps))
+    (x, y), radius_m = bend.centre, bend.radius_m
+    return [*((x + radius_m * math.sin(at_rad), y + radius_m * math.cos(at_rad)) for at_rad in turns), bend.to]
+
+
 def _drawn(begin: Place, bends: Iterable[Bend]) -> list[Place]:
     """Places along bends, close enough to draw and to look at."""
-    here, places = begin, list[Place]()
+    places = [begin]
     for bend in bends:
-        if bend.centre is not None:
-            from_rad = math.atan2(here[0] - bend.centre[0], here[1] - bend.centre[1])
-            steps = max(2, math.ceil(abs(bend.turn_rad) / 0.2))
-            for step in range(1, steps):
-                at_rad = from_rad + bend.turn_rad * step / steps
-                there = bend.centre[0] + bend.radius_m * math.sin(at_rad), bend.centre[1] + bend.radius_m * math.cos(at_rad)
-                places.append(there)
-        places.append(bend.to)
-        here = bend.to
+        places += _along(places[-1], bend, max(2, math.ceil(abs(bend.turn_rad) / DRAWN_RAD)))
     return places
 
 
 def drawn(plan: SurveyPlan) -> list[Place]:
     """The whole way as places, arcs as corners."""
-    return [plan.begin, *_drawn(plan.begin, (each.bend for each in plan.way))]
+    return _drawn(plan.begin, (each.bend for each in plan.way))
+
+
+def stops(plan: SurveyPlan) -> list[Place]:
+    """The whole way as few places: the straight ways between them are water, too."""
+    places = [plan.begin]
+    for bend, _ in plan.way:
+        found, steps = [bend.to], 1
+        while steps < STEPS and not all(plan.ways.free(a, b) for a, b in pairwise([places[-1], *found])):
+            steps *= 2
+            found = _along(places[-1], bend, steps)
+        places += found
+    kept = places[:1]
+    for place in places[1:]:
+        if math.dist(kept[-1], place) >= LEG_MIN_M:
+            kept.append(place)
+    return kept
 
 
 def mission(plan: SurveyPlan, name: str) -> Mission:
@@ -256,8 +278,10 @@ def mission(plan: SurveyPlan, name: str) -> Mission:
         latitude_deg, longitude_deg = in_degrees(at, *point)
         return round(latitude_deg, 8), round(longitude_deg, 8)
 
-    stops = [plan.begin, *(each.bend.to for each in plan.way if not plan.wanted.radius_m or each.line is not None)]
-    waypoints = [Waypoint(latitude_deg=n, longitude_deg=e, speed_mps=speed_mps) for n, e in map(place, stops)]
+    places = stops(plan)
+    if len(places) > ROWS:
+        raise DelfimError(f"{len(places)} places, and a mission has {ROWS}: take the area in parts")
+    waypoints = [Waypoint(latitude_deg=n, longitude_deg=e, speed_mps=speed_mps) for n, e in map(place, places)]
     path = list[PathPoint]()
     if plan.wanted.radius_m:
         n, e = place(plan.begin)

@@ -16,7 +16,7 @@ from delfim.base.errors import DelfimError
 from delfim.survey.ground import Ground, laid, simplified, swaths, union, water
 from delfim.survey.lines import Cut, strips
 from delfim.survey.order import alternating, ordered
-from delfim.survey.planning import LinesWanted, SurveyPlan, mission, planned, wanted_of
+from delfim.survey.planning import LinesWanted, SurveyPlan, check, mission, planned, stops, wanted_of
 from delfim.survey.turns import turn
 from delfim.survey.ways import OpenWater
 from tests.survey.drawn import AT, drawn
@@ -185,6 +185,15 @@ def test_a_boat_that_does_not_turn_on_the_spot_gets_arcs_of_its_radius() -> None
     assert plan.way_m < planned(SQUARE, wanted._replace(spacing_m=10.0, radius_m=10.0), skiff.fence).way_m + 1e-6
     by_neighbours = sum(turned_m(10.0 * number) for number in (1, 1, 1, 1, 1, 1, 1, 1, 1))
     assert plan.way_m - plan.line_m - 20 * wanted.run_in_m < 0.75 * by_neighbours
+
+
+def test_the_waypoints_of_arcs_lead_round_holes_as_the_arcs_do() -> None:
+    skiff = config.load("etc/boats/skiff.toml")
+    plan = planned(ROUND_AN_ISLAND, wanted_of(skiff, spacing_m=10.0), skiff.fence)
+    its = mission(plan, "arcs")
+    assert len(its.waypoint) > len({place.to for place, _ in plan.way}) / 2
+    assert not any(ISLAND.buffer(plan.wanted.room_m - 0.1).intersects(LineString(pair)) for pair in pairwise(stops(plan)))
+    check(its, plan, skiff)
 
 
 def turned_m(far_m: float) -> float:

@@ -103,6 +103,28 @@ def soundings(place: Path, settings: config.Vehicle) -> list[float]:
     return off
 
 
+def test_a_boat_that_starts_on_one_of_its_lines_sails_them_all_from_the_first(tmp_path) -> None:
+    """Wherever it lies: a path that began at the piece under the boat would be done in a moment, and nobody would notice."""
+    here = {
+        "type": "Polygon",
+        "coordinates": [[[-9.2157, 38.6903], [-9.2149, 38.6903], [-9.2149, 38.6910], [-9.2157, 38.6910]]],
+    }
+    (tmp_path / "here.geojson").write_text(json.dumps(here))
+    settings = config.load(ROOT / "etc/delfimx.toml")
+    plan = planned(laid(read_area(tmp_path / "here.geojson")), wanted_of(settings, spacing_m=SPACING_M), settings.fence)
+    run, track = Lockstep(settings, 1, lambda clock: NoLog()), list[tuple[float, float]]()
+    assert LineString([place for line in plan.lines for place in line]).distance(Point(true_place(run, plan))) < 5.0
+    assert run.command(console.LoadMission(canonical(mission(plan, "here")))) is None
+    for _ in run.cycles(5.0):
+        pass
+    assert run.command(console.SetMode("path")) is None
+    for state in run.cycles(UNTIL_S):
+        track.append(true_place(run, plan))
+        if state.mode.name != "PATH":
+            break
+    assert min(of_lines(plan, track)[0]) > 0.99
+
+
 @pytest.mark.long
 @pytest.mark.parametrize("boat", ["delfimx", "boats/otter", "boats/blueboat", "boats/skiff"])
 def test_boats_of_all_kinds_sail_the_lines_of_their_plan(boat: str) -> None:
