@@ -390,6 +390,7 @@ READERS = {
     "area, KML": Reader("dock.kml", surveyed("dock.kml"), TEXT),
     "area, GPX": Reader("dock.gpx", surveyed("dock.gpx"), TEXT),
     "area of a plan": Reader("dock.plan", surveyed("dock.plan"), TEXT),
+    "area, shapefile": Reader("dock.shp", surveyed("dock.shp"), BINARY),
     "mission to send": Reader("lake.toml", operators_mission, TEXT),
     "session": Reader("day.tlog", replayed, BINARY),
     "state log": Reader("log/*/state/*.state", logs(*LOG_VERBS), (*BINARY, *TEXT)),

@@ -34,7 +34,7 @@ from tests.console.test_charts import _points, chart, geotiff, mbtiles, png, wor
 from tests.logging.sailing import MISSION, Day
 from tests.mutated_files import READERS, ROOT, command, refused
 from tests.services.test_slots import Yard
-from tests.survey.test_areafile import FEATURE, GPX, KML, PLAN
+from tests.survey.test_areafile import FEATURE, GPX, HOLE, KML, PLAN, RING, shapefile
 
 CAMPAIGN = """version = 1
 name = "Storms"
@@ -174,6 +174,7 @@ def areas(folder: Path) -> None:
     (folder / "dock.kml").write_text(KML)
     (folder / "dock.gpx").write_text(GPX)
     (folder / "dock.plan").write_text(json.dumps(PLAN))
+    (folder / "dock.shp").write_bytes(shapefile(RING[::-1], HOLE))
 
 
 def keys(folder: Path) -> None:
@@ -240,7 +241,7 @@ SAMPLES = {
     worlds: ("PNG", "JPEG", "world file"),
     geotiffs: ("GeoTIFF",),
     tiles: ("MBTiles",),
-    areas: ("area", "area, KML", "area, GPX", "area of a plan"),
+    areas: ("area", "area, KML", "area, GPX", "area of a plan", "area, shapefile"),
     keys: (
         "user's ssh key",
         "numbers of DroneCAN devices",
@@ -317,7 +318,7 @@ READ_BY = {  # function: the readers above that come by it
     "console/gateway/admission.py: kept_token": {"page's token"},
     "logging/kept/record.py: newest": {"kept voyage"},
     "console/terminal/drive.py: _file": {"mission to send"},
-    "survey/areafile.py: read_area": {"area", "area, KML", "area, GPX", "area of a plan"},
+    "survey/areafile.py: read_area": {"area", "area, KML", "area, GPX", "area of a plan", "area, shapefile"},
     "console/charts/georeference.py: _header": {"PNG", "JPEG", "GeoTIFF"},
     "console/charts/georeference.py: _world": {"world file"},
     "console/tapes/tape.py: __init__": {"session"},

@@ -1,10 +1,12 @@
-"""Areas drawn in other programs: GeoJSON, KML, GPX and the plans of QGroundControl. Corners in degrees come out.
+"""Areas drawn in other programs: GeoJSON, KML, GPX, the plans of QGroundControl, shapefiles. Corners in degrees come out.
 
 A file is from anybody: its size, its depth and the number of its corners are bounded before it is understood.
 """
 
 import math
+import struct
 from collections.abc import Callable, Iterable, Iterator
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 from xml.parsers import expat
@@ -17,6 +19,9 @@ CORNERS: Final = 10_000  # of all polygons together
 DEEP: Final = 64  # elements of XML within each other
 LATITUDE_DEG: Final = 89.0
 ROUND: Final = 32  # corners of a circle, which lies within them
+SHAPES: Final = 9994  # what a shapefile begins with
+SHAPES_AT: Final = 100  # bytes before its first record
+POLYGONS: Final = 5, 15, 25  # kinds of record; two of them have heights or measures behind the corners
 
 Corner = tuple[float, float]
 """Latitude and longitude, degrees."""
@@ -40,7 +45,7 @@ def read_area(path: str | Path) -> list[Shape]:
         shapes = [Shape(_ring(outline), [_ring(hole) for hole in holes]) for outline, holes in KINDS[kind](data)]
     except FormatError as error:
         raise FormatError(f"{path}: {error}") from None
-    except (AttributeError, KeyError, TypeError, ValueError, IndexError, OverflowError):
+    except (AttributeError, KeyError, TypeError, ValueError, IndexError, OverflowError, struct.error):
         raise FormatError(f"{path}: an area is not written as {kind} has it") from None
     if not any(shape.outline for shape in shapes):
         raise FormatError(f"{path}: there is no area in it: draw a polygon, or a closed route")
@@ -55,7 +60,7 @@ def _ring(corners: Iterable[Any]) -> Ring:
     for latitude, longitude in corners:
         place = float(latitude), float(longitude)
         if not (abs(place[0]) <= LATITUDE_DEG and abs(place[1]) <= 180.0):  # what is not a number is neither
-            raise FormatError(f"no place of the Earth that boats sail: {place[0]}, {place[1]}")
+            raise FormatError(f"no place of the Earth that boats sail, in degrees of WGS 84: {place[0]}, {place[1]}")
         if not ring or place != ring[-1]:
             ring.append(place)
     if len(ring) > 1 and ring[0] == ring[-1]:
@@ -182,10 +187,36 @@ def _gpx(data: bytes) -> Found:
     yield from ((ring, []) for ring in found)
 
 
+def _shapefile(data: bytes) -> Found:
+    """The polygons of a shapefile, each record with its length before it. Outlines go clockwise, holes the other way."""
+    if struct.unpack_from(">i", data) != (SHAPES,):
+        raise ValueError
+    at = SHAPES_AT
+    while at < len(data):
+        _, words = struct.unpack_from(">ii", data, at)
+        (kind,) = struct.unpack_from("<i", data, at + 8)
+        if kind in POLYGONS:
+            parts, points = struct.unpack_from("<ii", data, at + 44)
+            if 44 + 4 * parts + 16 * points > 2 * words:  # records that overlap would be read for ever
+                raise ValueError
+            firsts = [*struct.unpack_from(f"<{parts}i", data, at + 52), points]
+            numbers = struct.unpack_from(f"<{2 * points}d", data, at + 52 + 4 * parts)
+            places = list(zip(numbers[1::2], numbers[::2], strict=True))
+            for first, end in pairwise(firsts):
+                ring = places[first:end]
+                yield (ring, []) if len(firsts) == 2 or _is_clockwise(ring) else ([], [ring])
+        at += 8 + 2 * max(words, 2)
+
+
+def _is_clockwise(ring: Ring) -> bool:
+    return sum((to_east - east) * (to_north + north) for (north, east), (to_north, to_east) in pairwise(ring)) > 0.0
+
+
 KINDS: Final[dict[str, Callable[[bytes], Found]]] = {
     ".geojson": _geojson,
     ".json": _geojson,
     ".kml": _kml,
     ".gpx": _gpx,
     ".plan": _plan,
+    ".shp": _shapefile,
 }

@@ -2,6 +2,7 @@
 
 import json
 import math
+import struct
 from pathlib import Path
 
 import pytest
@@ -78,6 +79,34 @@ def test_a_plan_gives_its_surveys_or_else_its_fence(read) -> None:
     assert 10.0 <= min(far_m) <= max(far_m) < 10.5
 
 
+def shapefile(*rings: list[tuple[float, float]], kind: int = 5) -> bytes:
+    """One record, after a point's: as the format's white paper has it."""
+    closed = [[*ring, ring[0]] for ring in rings]
+    counts = [len(ring) for ring in closed]
+    firsts = [sum(counts[:number]) for number in range(len(counts))]
+    corners = [number for ring in closed for north, east in ring for number in (east, north)]
+    body = struct.pack("<i4dii", kind, *(0.0,) * 4, len(rings), sum(counts)) + struct.pack(f"<{len(rings)}i", *firsts)
+    body += struct.pack(f"<{len(corners)}d", *corners)
+    point = struct.pack(">ii", 1, 10) + struct.pack("<idd", 1, 2.0, 3.0)
+    return struct.pack(">i", 9994) + bytes(96) + point + struct.pack(">ii", 2, len(body) // 2) + body
+
+
+def test_shapefiles_have_outlines_clockwise_and_holes_the_other_way(tmp_path) -> None:
+    file, clockwise, hole = tmp_path / "dock.shp", RING[::-1], HOLE
+    file.write_bytes(shapefile(clockwise, hole))
+    assert read_area(file) == [Shape(clockwise, []), Shape([], [hole])]
+    file.write_bytes(shapefile(RING))
+    assert read_area(file) == [Shape(RING, [])], "one ring is an outline, whichever way it goes"
+    whole = shapefile(clockwise, hole, kind=15)
+    for end in range(0, len(whole), 7):
+        file.write_bytes(whole[:end])
+        with pytest.raises(FormatError):
+            read_area(file)
+    file.write_bytes(shapefile([(4_283_000.0, 491_000.0), (4_283_100.0, 491_000.0), (4_283_100.0, 491_100.0)]))
+    with pytest.raises(FormatError, match="in degrees of WGS 84"):
+        read_area(file)
+
+
 MANY = json.dumps([[0.001 * n, math.sin(n)] for n in range(CORNERS + 1)])
 BOMB = '<!DOCTYPE x [<!ENTITY a "aaaaaaaaaa"><!ENTITY b "&a;&a;&a;&a;&a;&a;&a;&a;&a;&a;">]><kml>&b;</kml>'
 
@@ -107,7 +136,8 @@ BOMB = '<!DOCTYPE x [<!ENTITY a "aaaaaaaaaa"><!ENTITY b "&a;&a;&a;&a;&a;&a;&a;&a
         ("a.gpx", GPX.replace("<rte>", "<x>").replace("</rte>", "</x>"), "not written as .gpx has it"),
         ("a.plan", {"mission": {}}, "not written as .plan has it"),
         ("a.plan", {**PLAN, "mission": {"items": []}}, "there is no area in it"),
-        ("a.shp", "", "not a file of areas: .geojson, .json, .kml, .gpx, .plan"),
+        ("a.shp", "", "not written as .shp has it"),
+        ("a.dxf", "", "not a file of areas: .geojson, .json, .kml, .gpx, .plan, .shp"),
     ],
 )
 def test_what_is_wrong_with_a_file_is_said_in_one_line(read, name, text, words) -> None:

@@ -12,7 +12,9 @@ MOST_M = 1000.0  # of a spacing, a swath, a run-in
 def options(parser: argparse.ArgumentParser) -> None:
     tasks = parser.add_subparsers(dest="task", required=True, metavar="lines")
     lines = tasks.add_parser("lines", help="Make the mission that sails an area line by line.")
-    lines.add_argument("area", metavar="AREA", type=shipped, help="GeoJSON, KML, GPX or a .plan of QGroundControl.")
+    lines.add_argument(
+        "area", metavar="AREA", type=shipped, help="GeoJSON, KML, GPX, a shapefile or a .plan of QGroundControl."
+    )
     lines.add_argument(
         "--vehicle", default=OWN_FILE, metavar="FILE", type=shipped, help="The vehicle's file: speed, turns, fence."
     )
