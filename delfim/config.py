@@ -158,6 +158,28 @@ class EstimatorTable(Table, frozen=True):
     heading_latency_s: Annotated[float, msgspec.Meta(ge=0.0, le=1.0)] = 0.0  # age of a heading when it comes
 
 
+Iron = Annotated[float, msgspec.Meta(ge=-0.9, le=0.9)]
+HARD_MOST = 0.9  # of the earth's field: with more the heading turns back where the boat turns on
+
+
+class CompassTable(Table, frozen=True):
+    """The boat's iron about a magnetic compass on NMEA 0183 or NMEA 2000, as parts of the earth's horizontal field. It is taken
+    out of each magnetic heading before the variation is added (docs/sensors.md)."""
+
+    hard_ahead: Iron = 0.0  # field of its magnets ahead
+    hard_aside: Iron = 0.0  # and to starboard
+    soft_along: Annotated[float, msgspec.Meta(ge=-0.4, le=0.4)] = 0.0  # its iron gathers the field ahead more than aside
+    soft_across: Annotated[float, msgspec.Meta(ge=-0.4, le=0.4)] = 0.0  # and turns it aside
+    offset_deg: Degrees = 0.0  # what the compass says too much as it is mounted: it is turned so far to port
+
+    def __post_init__(self) -> None:
+        felt = math.hypot(self.hard_ahead, self.hard_aside) / (1.0 - math.hypot(self.soft_along, self.soft_across))
+        if felt > HARD_MOST:
+            raise ValueError(
+                f"the iron is {felt:.2f} of the earth's field, {HARD_MOST:g} at most: give the compass another place"
+            )
+
+
 class TrafficGuard(Table, frozen=True):
     """Keeping clear of other vessels by the rules of the road (docs/traffic.md)."""
 
@@ -887,6 +909,7 @@ class Vehicle(Table, frozen=True):
     can: Can = Can()
     navigation: NavigationTable = NavigationTable()
     traffic: TrafficTable = TrafficTable()
+    compass: CompassTable = CompassTable()
     estimator: EstimatorTable = EstimatorTable()
     propulsion: PropulsionTable = PropulsionTable()
     thrusters: Thrusters = DELFIMX

@@ -13,11 +13,16 @@ from delfim.adoption.changes import changes, unseen
 from delfim.adoption.figures import Figure, figures
 from delfim.adoption.fitting import Fit
 from delfim.adoption.foretold import motors_of
+from delfim.adoption.model import said, values_of
 from delfim.vehicle.control.hull import craft
 
 SPARE: Final = 1.1  # times the measured way to stop, that the fence reckons with
 DECELERATION_MOST: Final = 10.0  # m/s2, of [fence]
 STRAIGHT: Final = 0.01  # m/s, of a speed that a boat goes
+
+SMOOTHED_DEG: Final = 3.0  # an estimator's headings tell of the compass no better than this
+COMPASS: Final = "hard_ahead", "hard_aside", "soft_along", "soft_across", "compass_offset"
+UNDOING: Final = "nmea0183", "nmea2000"  # sources whose magnetic headings come through [compass]
 
 Key = tuple[str, ...]  # of the file: ("boat", "inertia_kgm2"), ("thrusters", NAME, "dead")
 
@@ -50,6 +55,7 @@ def findings(fit: Fit, vehicle: config.Vehicle, *, is_raw: bool) -> BoatFindings
     keys = [*_thrusters(fit, vehicle), *_boat(fit, vehicle, told), *_fence(vehicle, told), *_twin(fit, vehicle)]
     if is_raw:
         keys += _antenna(fit, vehicle)
+    keys += compass(fit, vehicle, 0.0 if is_raw else SMOOTHED_DEG)
     return BoatFindings(tuple(keys), told, tuple(changes(fit)), tuple(unseen(fit, told)))
 
 
@@ -178,6 +184,34 @@ def _antenna(fit: Fit, vehicle: config.Vehicle) -> list[FoundKey]:
     )
     seen = [row for row in rows if row[1] not in fit.unseen]
     return [FoundKey(("estimator", key), round(p[name], 2), fit.relative(name), was) for key, name, was in seen]
+
+
+def compass(fit: Fit, vehicle: config.Vehicle, least_deg: float) -> list[FoundKey]:
+    """The five numbers of a magnetic compass, where the file has none yet, all are seen, and they bend the heading by more than
+    this (rms). The fit reckons with true headings: they are turned by the variation."""
+    if vehicle.compass != config.CompassTable() or set(COMPASS) & set(fit.unseen) or not _magnetic(vehicle):
+        return []
+    p, headings = fit.values, np.radians(np.arange(0.0, 360.0, 10.0))
+    off = np.remainder(said(values_of(fit.theta[None]), headings[None])[0] - headings + np.pi, 2.0 * np.pi) - np.pi
+    if np.degrees(np.sqrt(np.mean(off**2))) < least_deg:
+        return []
+    c, s = (of(-math.radians(_magnetic(vehicle)[0])) for of in (math.cos, math.sin))
+    turn, soft = (
+        np.array([[c, s], [-s, c]]),
+        np.array([[p["soft_along"], p["soft_across"]], [p["soft_across"], -p["soft_along"]]]),
+    )
+    hard, soft = turn @ np.array([p["hard_ahead"], p["hard_aside"]]), turn @ soft @ turn.T
+    values = hard[0], hard[1], soft[0, 0], soft[0, 1], math.degrees(p["compass_offset"])
+    spreads = [fit.relative(name) for name in COMPASS]
+    spreads[-1] = math.degrees(spreads[-1])
+    keys = "hard_ahead", "hard_aside", "soft_along", "soft_across", "offset_deg"
+    rows = zip(keys, values, spreads, strict=True)
+    return [FoundKey(("compass", key), round(float(value), 4), spread, 0.0) for key, value, spread in rows]
+
+
+def _magnetic(vehicle: config.Vehicle) -> list[float]:
+    """The variation, degrees, of the file's first source whose magnetic headings the boat undoes the iron of."""
+    return [vehicle.table(name).variation_deg for name in vehicle.navigation.sources if name in UNDOING]
 
 
 def _twin(fit: Fit, vehicle: config.Vehicle) -> list[FoundKey]:

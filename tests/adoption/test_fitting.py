@@ -4,6 +4,7 @@ import math
 from collections.abc import Callable
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -11,11 +12,13 @@ from delfim import config
 from delfim.adoption.figures import figures
 from delfim.adoption.fitting import Fit, fitted
 from delfim.adoption.foretold import motors_of, prior
+from delfim.adoption.found import compass
 from delfim.adoption.model import said, values_of
 from delfim.adoption.record import BoatRecord, Series
 from delfim.adoption.windows import windows_of
 from delfim.base.errors import DelfimError
 from delfim.simulator.tables import Sea
+from delfim.vehicle.navigation.iron import Iron
 from tests.adoption import hulls
 from tests.adoption.hulls import Hidden, Sensors, after, sailed, stopping_m
 
@@ -120,3 +123,16 @@ def test_a_boat_with_other_thrusters_is_refused_by_name() -> None:
         motors_of(config.load(ROOT / "etc/boats/bait-boat.toml"))
     with pytest.raises(DelfimError, match="bow_starboard pushes aside"):
         motors_of(config.load(ROOT / "etc/boats/float.toml"))
+
+
+def test_the_compass_of_the_file_undoes_what_the_fit_found(heron: Hidden, trial: BoatRecord) -> None:
+    """The fit sees true headings; the boat undoes the iron in magnetic ones, before the variation."""
+    told = config.load(ROOT / "etc/boats/blueboat.toml", ["nmea0183.variation_deg=15.0"])
+    keys = {each.key[-1]: each.value for each in compass(fit_of(heron, trial), told, 0.0)}
+    iron, sensors, variation = Iron(config.CompassTable(**keys)), Sensors(), math.radians(15.0)
+    for degrees in range(0, 360, 20):
+        true = math.radians(degrees)
+        found = iron.undone(sensors.said(true) - variation) + variation
+        assert math.degrees(math.remainder(found - true, math.tau)) == pytest.approx(0.0, abs=1.5)
+    bent = msgspec.structs.replace(told, compass=config.CompassTable(offset_deg=1.0))
+    assert not compass(fit_of(heron, trial), bent, 0.0)  # what is left after a correction is none

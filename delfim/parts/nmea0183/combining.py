@@ -19,6 +19,7 @@ from delfim.lines.nmea0183.sentences import (
 )
 from delfim.parts.nmea0183.table import Nmea0183
 from delfim.vehicle.navigation.fusion import MOVING, SLOW_S, SQRT2, UNSTATED, VARIATION_S, Fusion, Quality, over_ground
+from delfim.vehicle.navigation.iron import Iron
 
 TALKERS_MAX: Final = 32
 UBX: Final = "UB"  # the talker of delfim.lines.ubx: of a receiver that sends both, it is the better one
@@ -87,8 +88,11 @@ class Combined:
     """Files the values of all lines of NMEA 0183 as readings of PORT:TALKER. Talkers of satellite systems on one port are one
     receiver, GN."""
 
-    def __init__(self, settings: Nmea0183, stale_s: float, measured: dict[str, tuple[float, float]]) -> None:
-        """measured: gets the values beside navigation, with their times."""
+    def __init__(
+        self, settings: Nmea0183, stale_s: float, measured: dict[str, tuple[float, float]], iron: Iron | None = None
+    ) -> None:
+        """measured: gets the values beside navigation, with their times. `iron` is undone in magnetic headings."""
+        self._iron = iron
         self._settings, self._stale_s, self._measured = settings, stale_s, measured
         self.fusion: Fusion[str] = Fusion(_KINDS, stale_s, variation_deg=settings.variation_deg)
         self._heard_s = dict[str, float]()  # by talker
@@ -184,6 +188,9 @@ class Combined:
         heading_rad = b.true_rad
         if heading_rad is None and b.magnetic_rad is not None:
             heading_rad = (b.magnetic_rad + self.fusion.variation_rad(talker, now_s)) % math.tau
+        if self._iron is not None and b.magnetic_rad is not None:
+            variation_rad = self.fusion.variation_rad(talker, now_s) if b.variation_rad is None else b.variation_rad
+            heading_rad = (self._iron.undone(b.magnetic_rad) + variation_rad) % math.tau
         heading = None if heading_rad is None else (heading_rad,)
         self.fusion.take("heading", talker, heading, now_s, b.deviation_rad)
 

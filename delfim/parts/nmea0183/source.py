@@ -15,6 +15,7 @@ from delfim.parts.nmea0183.table import Nmea0183
 from delfim.vehicle.links import Links, ReadableLine
 from delfim.vehicle.navigation.fixes import Fix
 from delfim.vehicle.navigation.fusion import Hearer
+from delfim.vehicle.navigation.iron import iron_of
 from delfim.vehicle.state import State
 
 GREETING: Final = b'{"class":"VERSION"'  # of gpsd, whoever connects
@@ -156,5 +157,5 @@ def opened(
         )
         for name, port in table.ports.items()
     )
-    combined = Combined(table, settings.navigation.stale_s, measured)
+    combined = Combined(table, settings.navigation.stale_s, measured, iron_of(settings.compass))
     return Nmea0183Navigation(ports, combined, hear if NAME in settings.traffic.hears else None)

@@ -28,6 +28,7 @@ from delfim.canproxy.nmea2000.pgns import (
 )
 from delfim.parts.nmea2000.table import Nmea2000
 from delfim.vehicle.navigation.fusion import MOVING, SLOW_S, UNSTATED, VARIATION_S, Fusion, Quality, over_ground
+from delfim.vehicle.navigation.iron import Iron
 
 
 class KindStatus(NamedTuple):
@@ -64,8 +65,9 @@ class Nmea2000Source:
     # (arb, mask) to bind a socket to, set mask bits = don't care: the PGNs read here, at any priority, from any address.
     filters: Final = tuple((extended(pgn << 8), extended(7 << 26 | 0xFF) & ~CAN_IDE) for pgn in (*LAYOUTS, CLAIMED))
 
-    def __init__(self, settings: Nmea2000, stale_s: float, own_name: int = -1) -> None:
-        """`own_name` as `Names` has it."""
+    def __init__(self, settings: Nmea2000, stale_s: float, own_name: int = -1, iron: Iron | None = None) -> None:
+        """`own_name` as `Names` has it. `iron` is undone in magnetic headings."""
+        self._iron = iron
         self._names = Names(settings.preferred_sources, own_name)
         self.fusion: Fusion[int] = Fusion(_KINDS, stale_s, self._names.preferred, settings.variation_deg)
         self._stale_s = stale_s
@@ -165,7 +167,10 @@ class Nmea2000Source:
         if h.reference is NorthReference.TRUE:
             return (h.heading_rad,)
         variation_rad = self.fusion.variation_rad(address, now_s) if h.variation_rad is None else h.variation_rad
-        return ((h.heading_rad + (h.deviation_rad or 0.0) + variation_rad) % TAU,)
+        magnetic_rad = h.heading_rad + (h.deviation_rad or 0.0)
+        if self._iron is not None:
+            magnetic_rad = self._iron.undone(magnetic_rad)
+        return ((magnetic_rad + variation_rad) % TAU,)
 
     def _over_ground(self, address: int, v: CourseSpeed, now_s: float) -> tuple[float, float] | None:
         """The velocity over ground, (north_mps, east_mps)."""

@@ -14,6 +14,7 @@ from delfim.parts.nmea2000.table import Nmea2000
 from delfim.vehicle.links import FRAMES_PER_READ, Links
 from delfim.vehicle.navigation.fixes import Fix
 from delfim.vehicle.navigation.fusion import Hearer
+from delfim.vehicle.navigation.iron import iron_of
 from delfim.vehicle.state import State
 
 
@@ -54,7 +55,8 @@ class Nmea2000Navigation:
 
 
 def open_source(settings: config.Vehicle, links: Links, state: State) -> Nmea2000Navigation:
-    decoder = Nmea2000Source(settings.of(Nmea2000), settings.navigation.stale_s, device_name(facts_of(settings).unique))
+    own_name, iron = device_name(facts_of(settings).unique), iron_of(settings.compass)
+    decoder = Nmea2000Source(settings.of(Nmea2000), settings.navigation.stale_s, own_name, iron)
     filters = tuple(CanAddress(arb, mask) for arb, mask in decoder.filters)
     return Nmea2000Navigation(opened(settings, links, filters), decoder, state)
 
