@@ -24,6 +24,7 @@ GROUPS: Final[dict[str, dict[str, str]]] = {  # commands by task, each with a se
         "console": "Show all boats in the browser, plan missions and command them (docs/console.md).",
         "shore": "Be the shore's end of the radio's line, of one boat or of several on one frequency (docs/shore.md).",
         "drive": "Drive a boat from the command line: one command, or a prompt if none is given.",
+        "adopt": "Let a boat find out about itself on the water: its motors first (docs/adopt.md).",
         "sensors": "Show what each sensor says, how often and who is believed; find a new one's baud rate (docs/sensors.md).",
         "can": "Look at a CAN bus, send, make traffic, count, and play a log back onto it.",
         "completion": "Print a script with which the shell completes commands and options (docs/install.md).",
@@ -50,7 +51,7 @@ GROUPS: Final[dict[str, dict[str, str]]] = {  # commands by task, each with a se
 }
 SENTENCES: Final = {name: sentence for group in GROUPS.values() for name, sentence in group.items()}
 FOLDERS: Final = ("simulation", "operation", "description", "aboard")  # of the groups, in their order
-LINUX: Final = frozenset((*GROUPS["On the boat"], "campaign", "drive", "fault", "guest", "nodes", "sensors", "shore"))
+LINUX: Final = frozenset((*GROUPS["On the boat"], "adopt", "campaign", "drive", "fault", "guest", "nodes", "sensors", "shore"))
 OWN_FILE: Final = "etc/delfimx.toml"  # the default boat of a simulation
 PACKAGE: Final = Path(__file__).parents[1]  # etc/ is a part of it: a folder in a wheel, a link in a checkout
 

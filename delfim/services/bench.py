@@ -111,7 +111,7 @@ def actuate(
         if boat is not None:
             print(f"The boat's program runs: it turns {name}, and nothing else.")
             _armed(row, part, for_s)
-            held.enter_context(_keys())
+            held.enter_context(keys())
             _ask(boat, name, part, for_s, key)
             return
         if settings.drives(row).outlet:
@@ -120,7 +120,7 @@ def actuate(
         held.enter_context(links)
         _armed(row, part, for_s)
         held.callback(_stopped, driver)
-        held.enter_context(_keys())
+        held.enter_context(keys())
         _turn(driver, Trial(GateLimits(settings.thrusters), rows[name], part, key), key, name)
 
 
@@ -138,7 +138,7 @@ def _ask(boat: RunningBoat, name: str, part: float, for_s: float, key: DeadMan) 
     said_s = shown_s = 0.0
     try:
         while not key.ended:
-            is_pressed, now_s = _pressed(), time.monotonic()
+            is_pressed, now_s = pressed(), time.monotonic()
             if not key.is_held(now_s, is_pressed) or now_s - said_s < SAY_S:
                 continue
             told, said_s = boat.ask("actuate", thruster=name, part=part, for_s=for_s)["thrusters"][name], now_s
@@ -161,16 +161,16 @@ def _words(report: Mapping[str, object]) -> str:
     return ", ".join(f"{what} {each}" for what, each in known.items())
 
 
-def _pressed() -> bool:
-    """Whether a key was pressed within a tick."""
-    pressed, _, _ = select.select([sys.stdin], [], [], TICK_S)
-    return bool(pressed and os.read(sys.stdin.fileno(), 4096))
+def pressed(within_s: float = TICK_S) -> bool:
+    """Whether a key was pressed within this time."""
+    ready, _, _ = select.select([sys.stdin], [], [], within_s)
+    return bool(ready and os.read(sys.stdin.fileno(), 4096))
 
 
 def _turn(driver: Actuator, trial: Trial, key: DeadMan, name: str) -> None:
     state, shown_s = State(), 0.0
     while not key.ended:
-        is_pressed, now_s = _pressed(), time.monotonic()
+        is_pressed, now_s = pressed(), time.monotonic()
         sent = trial.at(now_s, is_pressed)
         unsent = driver.send(sent, now_s) + driver.repeat(now_s)
         for each in driver.inputs:
@@ -195,7 +195,7 @@ def _stopped(driver: Actuator) -> None:
 
 
 @contextlib.contextmanager
-def _keys() -> Iterator[None]:
+def keys() -> Iterator[None]:
     """Read keys one by one, without showing them."""
     before = termios.tcgetattr(sys.stdin)
     tty.setcbreak(sys.stdin)

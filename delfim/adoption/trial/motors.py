@@ -1,0 +1,200 @@
+"""Finding out which motor is where, and which way it pushes, from how the boat moves. Pure, standard library.
+
+A doublet is one command for some seconds, then as much the other way. Of the rate of turn and of the speed along the keel we
+take twice the middle less both ends: a wind or a current that stays falls out, and so does the way that the boat has. Each
+motor turns the boat by itself, until two doublets agree beyond doubt; then both push it along its keel, with their turns
+against each other. From side and direction follows a turn that was not tried before: it proves the answer. Where the doublets
+do not agree there is no clear answer, and nothing is guessed.
+"""
+
+import math
+from collections.abc import Generator, Sequence
+from itertools import pairwise
+from statistics import fmean, pstdev
+from typing import Final, NamedTuple
+
+from delfim.config import ThrusterTable
+
+LEVELS: Final = (0.12, 0.2, 0.3, 0.45, 0.65, 0.9)  # of full command: more only where less moved nothing
+SURGE_LEVELS, PROOF_LEVELS = LEVELS[2:], LEVELS[1:]
+LATE_S: Final = 0.4  # the boat answers so much later: delay and lag of motors and receivers
+MEAN_S: Final = 0.25  # to either side of a time: its value is the mean
+TURN_RADPS, PROOF_RADPS, AHEAD_MPS = math.radians(4.0), math.radians(5.0), 0.25  # the least answers ...
+TURN_NOISES, AHEAD_NOISES = 8.0, 6.0  # ... and so many times what the drift shows
+HELD_S: Final = (2.0, 4.0)  # how long a doublet holds one command, least and most
+HELD_S_PER_M: Final = 1.2  # of the boat's length
+
+
+class Sample(NamedTuple):
+    """The motion at one time."""
+
+    at_s: float
+    turn_radps: float  # positive to starboard
+    ahead_mps: float  # over ground along the keel
+
+
+class DriftNoise(NamedTuple):
+    """By how much values change from one second to the next while the motors are off."""
+
+    turn_radps: float
+    ahead_mps: float
+
+
+class Doublet(NamedTuple):
+    """A command for some seconds, then its opposite for as long."""
+
+    parts: tuple[float, float]  # of both rows
+    held_s: float
+
+
+class Response(NamedTuple):
+    """The answer of the boat to a doublet."""
+
+    turn_radps: float
+    ahead_mps: float
+
+
+class MotorsFound(NamedTuple):
+    """What was found, for the rows in the file's order."""
+
+    sides: tuple[int, int]  # 1 starboard, -1 port
+    signs: tuple[int, int]  # 1: a positive command pushes ahead; -1: astern
+    least: tuple[float, float]  # of full command: the first that moved the boat
+
+
+Finding = Generator[Doublet, Response, MotorsFound | str]  # a text says why there is no answer
+
+
+def unfit(rows: Sequence[ThrusterTable]) -> str:
+    """Why the motors of a boat cannot be found in this way, in words; empty: they can."""
+    if len(rows) != 2:
+        return f"it has {len(rows)} thrusters; two that push ahead are found, one at each side"
+    if any(row.steer is not None or row.angle_deg % 360.0 for row in rows):
+        return "one of its thrusters turns or does not point ahead; two that push ahead are found, one at each side"
+    return "" if rows[0].y_m * rows[1].y_m < 0.0 else "its two thrusters are not at two sides"
+
+
+def noise(samples: Sequence[Sample]) -> DriftNoise:
+    """What the drift shows. A boat that was not looked at for some seconds is quiet: the least answers count then."""
+    if not samples:
+        return DriftNoise(0.0, 0.0)
+    seconds = dict[int, list[Sample]]()
+    for each in samples:
+        seconds.setdefault(int(each.at_s - samples[0].at_s), []).append(each)
+    turns = [fmean(each.turn_radps for each in found) for found in seconds.values()]
+    speeds = [fmean(each.ahead_mps for each in found) for found in seconds.values()]
+    return DriftNoise(_change(turns), _change(speeds))
+
+
+def _change(values: list[float]) -> float:
+    return pstdev(after - before for before, after in pairwise(values)) if len(values) > 2 else 0.0
+
+
+def response(samples: Sequence[Sample], from_s: float, held_s: float) -> Response:
+    """The answer to a doublet that began at this time and held each of its commands for so long."""
+    begin, middle, end = (_at(samples, from_s + at_s) for at_s in (0.1, held_s + LATE_S, 2.0 * held_s + LATE_S))
+    return Response(2.0 * middle[0] - begin[0] - end[0], 2.0 * middle[1] - begin[1] - end[1])
+
+
+def _at(samples: Sequence[Sample], at_s: float) -> tuple[float, float]:
+    near = [each for each in samples if abs(each.at_s - at_s) <= MEAN_S] or [
+        min(samples, key=lambda each: abs(each.at_s - at_s))
+    ]
+    return fmean(each.turn_radps for each in near), fmean(each.ahead_mps for each in near)
+
+
+def finding(length_m: float, quiet: DriftNoise) -> Finding:
+    """Ask for one doublet after the other, and take its answer; returns what was found."""
+    held_s = min(max(HELD_S_PER_M * length_m, HELD_S[0]), HELD_S[1])
+    turn_radps = max(TURN_RADPS, TURN_NOISES * quiet.turn_radps)
+    turns = list[_Sure]()
+    for row in (0, 1):
+        one = tuple(float(row == each) for each in (0, 1))
+        sure = yield from _agreeing(one[0], one[1], 0, turn_radps, LEVELS, held_s)
+        if isinstance(sure, str):
+            return f"motor {row + 1} of the file: {sure}"
+        turns.append(sure)
+    against = -1.0 if turns[0].sign == turns[1].sign else 1.0  # with these signs of commands the turns cancel
+    ahead_mps = max(AHEAD_MPS, AHEAD_NOISES * quiet.ahead_mps)
+    both = yield from _agreeing(1.0, against, 1, ahead_mps, SURGE_LEVELS, held_s + 0.5)
+    if isinstance(both, str):
+        return f"both motors together: {both}"
+    signs = both.sign, int(both.sign * against)
+    sides = -turns[0].sign * signs[0], -turns[1].sign * signs[1]  # who pushes ahead at starboard turns her to port
+    if sides[0] == sides[1]:
+        return "both motors seem to be at one side"
+    return MotorsFound(sides, signs, (turns[0].level, turns[1].level))
+
+
+def proving(found: MotorsFound, length_m: float, quiet: DriftNoise) -> Generator[Doublet, Response, str]:
+    """A turn to starboard by both motors, which was never tried. Returns why that proves nothing, in words; empty: proven."""
+    held_s = min(max(HELD_S_PER_M * length_m, HELD_S[0]), HELD_S[1])
+    first, second = (float(-side * sign) for side, sign in zip(found.sides, found.signs, strict=True))
+    least_radps = max(PROOF_RADPS, TURN_NOISES * quiet.turn_radps)
+    sure = yield from _agreeing(first, second, 0, least_radps, PROOF_LEVELS, held_s)
+    if isinstance(sure, str):
+        return sure
+    return "" if sure.sign > 0 else "she turns to port where what was found turns her to starboard: nothing of it is sure"
+
+
+class _Sure(NamedTuple):
+    """An answer that came twice."""
+
+    sign: int
+    level: float
+
+
+def _agreeing(
+    first: float, second: float, what: int, least: float, levels: Sequence[float], held_s: float
+) -> Generator[Doublet, Response, _Sure | str]:
+    """Doublets of both rows, so many times a level that grows until two of one level answer with more than the least."""
+    for level in levels:
+        before = 0.0
+        for _ in range(2):
+            answer = (yield Doublet((first * level, second * level), held_s))[what]
+            if abs(answer) < least:
+                break
+            if before:
+                agree = before * answer > 0.0
+                return _Sure(1 if answer > 0.0 else -1, level) if agree else "two tries contradict each other: no clear answer"
+            before = answer
+    return f"she does not move beyond doubt, up to {levels[-1]:.0%}: no clear answer"
+
+
+class Wiring(NamedTuple):
+    """How the boat differs from its file."""
+
+    swapped: bool  # the motors of both rows are exchanged
+    reversed: tuple[bool, bool]  # by row of the file: the motor that its commands reach pushes the other way
+
+    def words(self, rows: Sequence[ThrusterTable]) -> list[str]:
+        """A sentence for each difference."""
+        found = ["The motors of port and starboard are exchanged."] if self.swapped else []
+        return found + [
+            f"The motor that {row.name} reaches is reversed." for row, is_so in zip(rows, self.reversed, strict=True) if is_so
+        ]
+
+
+def wiring(found: MotorsFound, rows: Sequence[ThrusterTable]) -> Wiring:
+    swapped = any(side * row.y_m < 0.0 for side, row in zip(found.sides, rows, strict=True))
+    return Wiring(swapped, (found.signs[0] < 0, found.signs[1] < 0))
+
+
+def corrected(found: MotorsFound, rows: Sequence[ThrusterTable]) -> list[dict[str, object]]:
+    """The keys of each row of the file that change: the row of a side reaches the motor of that side. Its driver, address and
+    direction belong to the motor; its place and name to the side."""
+    its = wiring(found, rows)
+    changed = list[dict[str, object]]()
+    for index, row in enumerate(rows):
+        at = 1 - index if its.swapped else index
+        motor = rows[at]
+        wanted = {"driver": motor.driver, "address": motor.address, "reversed": motor.reversed != its.reversed[at]}
+        changed.append({key: value for key, value in wanted.items() if getattr(row, key) != value})
+    return changed
+
+
+def as_corrected(found: MotorsFound, rows: Sequence[ThrusterTable], told: Sequence[float]) -> tuple[float, ...]:
+    """Parts that were told to the rows of the file, as those of its corrected rows: positive is ahead."""
+    its = wiring(found, rows)
+    parts = [sign * part for sign, part in zip(found.signs, told, strict=True)]
+    return tuple(reversed(parts)) if its.swapped else tuple(parts)

@@ -1,0 +1,140 @@
+"""A trial from its first question to its record: what is asked of a person, what is kept, where it goes on.
+
+After each manoeuvre what was found and seen is kept in one file, which is replaced as a whole. A trial that was interrupted
+goes on behind the last one that came to its end.
+"""
+
+import contextlib
+import os
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Final
+
+import msgspec
+
+from delfim import config
+from delfim.adoption.trial.manoeuvres import BoatOnTrial, MotionSeen, Played, SeaTrial, TrialEnded
+from delfim.adoption.trial.motors import DriftNoise, MotorsFound, Wiring, wiring
+from delfim.base.errors import DelfimError
+
+APART_S: Final = 60.0  # between the clocks of two sessions in one record
+DRIFT_S: Final = 15.0
+
+
+class TrialProgress(msgspec.Struct):
+    """What is known of a trial so far."""
+
+    thrusters: tuple[config.ThrusterTable, ...]  # of the file with which it began
+    middle: tuple[float, float] | None = None  # of the circle: latitude and longitude, degrees
+    quiet: DriftNoise = DriftNoise(0.0, 0.0)
+    motors: MotorsFound | None = None
+    is_proven: bool = False
+    done: tuple[str, ...] = ()  # manoeuvres that came to their end
+    tape: list[MotionSeen] = []
+    played: list[Played] = []
+
+    @property
+    def wiring(self) -> Wiring | None:
+        return None if self.motors is None else wiring(self.motors, self.thrusters)
+
+
+def kept(place: Path, settings: config.Vehicle) -> TrialProgress:
+    """The progress that was kept for a boat with these thrusters, or a new one."""
+    try:
+        found = msgspec.json.decode(place.read_bytes(), type=TrialProgress)
+    except (OSError, msgspec.MsgspecError, ValueError):
+        return TrialProgress(settings.thrusters)
+    return found if found.thrusters == settings.thrusters else TrialProgress(settings.thrusters)
+
+
+def keep(place: Path, progress: TrialProgress) -> None:
+    """Replace the file as a whole."""
+    place.parent.mkdir(parents=True, exist_ok=True)
+    part = place.with_name(f".{place.name}.part")
+    with part.open("wb") as new:
+        new.write(msgspec.json.encode(progress))
+        new.flush()
+        os.fsync(new.fileno())
+    os.replace(part, place)
+
+
+class TrialSession:
+    """A trial with a person. `ask` is a question whose answer is yes or no, `tell` a sentence."""
+
+    def __init__(
+        self,
+        boat: BoatOnTrial,
+        settings: config.Vehicle,
+        progress: TrialProgress,
+        place: Path,
+        radius_m: float,
+        ask: Callable[[str], bool],
+        tell: Callable[[str], object],
+    ) -> None:
+        self.progress, self._settings, self._place, self._ask, self._tell = progress, settings, place, ask, tell
+        progress.middle = boat.middle
+        self.trial = SeaTrial(boat, settings.boat.length_m, radius_m, self._step)
+        self.trial.motors, self.trial.quiet = progress.motors, progress.quiet
+        before = progress.tape[-1].at_s + APART_S if progress.tape else 0.0
+        self._shift_s = before - self.trial.began_s
+        self._boat, self._at, self._played = boat, 0, 0
+
+    def run(self) -> str:
+        """Play what is left of the trial. Returns why it ended before its time, in words; empty: it is whole."""
+        try:
+            with self._ended_safely():
+                if not self.progress.is_proven:
+                    self._motors()
+                self.trial.hull(self.progress.done, self._did)
+        except TrialEnded as end:
+            return str(end)
+        return ""
+
+    @contextlib.contextmanager
+    def _ended_safely(self) -> Iterator[None]:
+        """Whatever happens, the trial ends with the motors off, or in hold where a failsafe may hold, too."""
+        mode = "idle"
+        try:
+            yield
+            mode = "hold" if self._settings.adopted.proven else "idle"
+        finally:
+            with contextlib.suppress(DelfimError):  # a boat that hears nothing any more has ended it by itself
+                self._boat.end(mode)
+            self._keep()
+
+    def _motors(self) -> None:
+        trial, progress = self.trial, self.progress
+        trial.play("drift", "MotorsFound off: what wind, current and noise do.", lambda: trial.drift(DRIFT_S))
+        progress.quiet = trial.quiet
+        trial.play("motors", "Each motor by itself, with little power first, then both.", trial.find_motors)
+        progress.motors = trial.motors
+        for sentence in self.differences() or ["The motors are as the file says."]:
+            self._tell(sentence)
+        trial.play("bow first", "Both motors push her ahead.", trial.push_ahead)
+        trial.pause()
+        if not self._ask("Did she move bow first?"):
+            progress.motors = None
+            raise TrialEnded("she goes astern when she is to go ahead, by the compass: is it turned by 180 degrees?")
+        trial.play("proof", "A turn to starboard, which was not tried yet.", trial.prove_motors)
+        progress.is_proven = True
+        self._tell("The motors are proven.")
+        self._keep()
+
+    def differences(self) -> list[str]:
+        """How the boat differs from its file, a sentence each."""
+        found = self.progress.wiring
+        return [] if found is None else found.words(self.progress.thrusters)
+
+    def _did(self, name: str) -> None:
+        self.progress.done = (*self.progress.done, name)
+        self._keep()
+
+    def _step(self, words: str) -> None:
+        self._tell(f"{self.trial.elapsed_s:5.0f} s  {self.trial.seen.far_m:3.0f} m  {words}")
+
+    def _keep(self) -> None:
+        new, self._at = self.trial.tape[self._at :], len(self.trial.tape)
+        self.progress.tape += [each._replace(at_s=each.at_s + self._shift_s) for each in new]
+        done, self._played, shift_s = self.trial.played[self._played :], len(self.trial.played), self._shift_s
+        self.progress.played += [each._replace(from_s=each.from_s + shift_s, to_s=each.to_s + shift_s) for each in done]
+        keep(self._place, self.progress)

@@ -1,0 +1,65 @@
+"""`delfim adopt`: the boat finds out about itself, by a trial of its motors and its hull on the water (docs/adopt.md)."""
+
+import argparse
+import contextlib
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from delfim.commands import vehicle_file
+
+RADIUS_M = 60.0
+
+
+def options(parser: argparse.ArgumentParser) -> None:
+    vehicle_file(parser)
+    parser.add_argument("--radius", type=metres, default=RADIUS_M, metavar="M", help="Of her circle: 15 to 160.")
+    parser.add_argument("--output", default="adopt", metavar="FOLDER", help="Keep the trial here; it goes on from there.")
+    parser.add_argument("--afresh", action="store_true", help="Forget a trial that was interrupted.")
+    parser.add_argument("--berth", action="store_true", help="Turn each motor for a second, with lines on, and no more.")
+    parser.add_argument("--yes", action="store_true", help="Answer each question with yes.")
+    parser.add_argument("--sim", type=int, metavar="SEED", help="Try it on a boat that is drawn, and is not as the file says.")
+
+
+def metres(text: str) -> float:
+    with contextlib.suppress(ValueError):
+        if 15.0 <= float(text) <= 160.0:
+            return float(text)
+    raise argparse.ArgumentTypeError(f"{text} is not a number of metres from 15 to 160")
+
+
+def run(asked: argparse.Namespace) -> int:
+    """Run the command. Returns 1 where the trial did not come to its end."""
+    from delfim import config
+    from delfim.adoption.trial import dialogue, session
+    from delfim.adoption.trial.motors import unfit
+    from delfim.base.errors import DelfimError
+
+    noise = [f"simulation.{key}={value}" for key, value in dialogue.NOISE.items()] if asked.sim is not None else []
+    settings = config.load(asked.file, [*noise, *asked.set])
+    if why := unfit(settings.thrusters):
+        raise DelfimError(f"{asked.file}: this boat cannot be adopted: {why}")
+    place = Path(asked.output) / f"{Path(asked.file).stem}.trial"
+    if asked.afresh:
+        place.unlink(missing_ok=True)
+    progress, person = session.kept(place, settings), dialogue.Dialogue(is_yes=asked.yes)
+    if progress.is_proven:
+        print(f"Goes on with {place}, behind: {', '.join(('motors', *dict.fromkeys(progress.done)))}. --afresh begins anew.")
+    with contextlib.ExitStack() as held:
+        boat: Any
+        if asked.sim is not None:
+            boat, truth = dialogue.simulated(settings, asked.sim, asked.radius)
+            print(f"A boat is drawn: {truth}")
+        else:
+            boat = dialogue.running(settings, asked.radius, progress, person, held)
+        if asked.berth:
+            dialogue.at_the_berth(boat, settings, person)
+            return 0
+        if not person.ask(dialogue.BEFORE.format(name=settings.boat.name, radius_m=asked.radius)):
+            return 1
+        try:
+            ended = session.TrialSession(boat, settings, progress, place, asked.radius, person.ask, person.tell).run()
+        except KeyboardInterrupt:
+            ended = "Ctrl-C"
+    on = f"{datetime.now(UTC):%Y-%m-%d}"
+    return dialogue.outcome(progress, ended, place, asked.file, on, person, may_write=asked.sim is None)

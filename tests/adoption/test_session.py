@@ -1,0 +1,217 @@
+"""The whole trial in lock step, on boats that are not as their files say; its ends, and what is kept of it."""
+
+import contextlib
+import math
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from delfim import config
+from delfim.adoption.trial import boats, session
+from delfim.adoption.trial.boats import RunningTrial, SimulatedTrial
+from delfim.adoption.trial.hiddenhull import drawn
+from delfim.adoption.trial.manoeuvres import SeaTrial, TrialEnded
+from delfim.adoption.trial.session import TrialProgress, TrialSession, kept
+from delfim.adoption.trial.taped import record_of
+from delfim.base.errors import Refused
+from delfim.base.modes import Mode
+from delfim.commands.operation.adopt import RADIUS_M
+from delfim.vehicle import console
+
+ROOT = Path(__file__).parents[2]
+NAMES = "otter", "heron", "wam-v", "blueboat"
+NOISE = "simulation.position_noise_m=1.0", "simulation.speed_noise_mps=0.05", "simulation.heading_noise_deg=2.0"
+
+
+def vehicle(name: str, *more: str) -> config.Vehicle:
+    return config.load(ROOT / f"etc/boats/{name}.toml", [*NOISE, "adopted.proven=false", *more])
+
+
+class Tried:
+    """A trial with a drawn boat; `says` answers each question."""
+
+    def __init__(self, name: str, seed: int, place: Path, says: bool = True, settings: config.Vehicle | None = None) -> None:
+        self.settings = settings or vehicle(name)
+        self.hidden, self.most_m, self.said = drawn(self.settings, seed), 0.0, list[str]()
+        self.boat = SimulatedTrial(self.settings, self.hidden, seed, RADIUS_M, self.look)
+        self.progress = kept(place, self.settings)
+        self.session = TrialSession(
+            self.boat, self.settings, self.progress, place, RADIUS_M, lambda words: says, self.said.append
+        )
+
+    def look(self, boat: SimulatedTrial) -> None:
+        north_m, east_m = boat.model.north_m - boat.middle_m[0], boat.model.east_m - boat.middle_m[1]
+        self.most_m = max(self.most_m, math.hypot(north_m, east_m))
+
+    @property
+    def is_right(self) -> bool:
+        found = self.progress.wiring
+        return found is not None and found == (self.hidden.swapped, self.hidden.reversed)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_trial_finds_the_motors_and_makes_a_record_within_its_circle_and_its_time(name: str, tmp_path: Path) -> None:
+    tried = Tried(name, 5, tmp_path / "a.trial")
+    assert tried.session.run() == ""
+    assert tried.is_right
+    assert tried.most_m < 1.25 * RADIUS_M
+    assert tried.session.trial.elapsed_s < 20.0 * 60.0
+    assert (tried.boat.run.state.mode, tried.boat.run.state.actuation.run) == (Mode.IDLE, False)
+    record = record_of(tried.progress)
+    assert record.told.values.shape == (len(tried.progress.tape), 2)
+    assert {"legs", "spins", "circles", "wiggle fast"} <= {each.name for each in record.manoeuvres}
+    ahead = next(each for each in tried.progress.played if each.name == "bow first")
+    told = zip(record.told.at_s, record.told.values, strict=True)
+    pushed = [each for each in told if ahead.from_s + 1.5 < each[0] < ahead.to_s - 2.0]
+    assert pushed
+    assert all(min(parts) > 0.05 for _, parts in pushed), "in the record ahead is positive, whatever the wiring"
+
+
+def test_a_boat_that_goes_astern_by_its_compass_is_not_believed(tmp_path: Path) -> None:
+    tried = Tried("otter", 2, tmp_path / "a.trial", says=False)
+    assert tried.session.run().startswith("she goes astern when she is to go ahead, by the compass")
+    assert kept(tmp_path / "a.trial", tried.settings).motors is None
+    assert tried.boat.run.state.mode is Mode.IDLE
+
+
+class Broken(Exception):
+    pass
+
+
+@pytest.mark.parametrize("at", ["motors", "legs"])
+def test_what_is_interrupted_ends_in_idle_and_goes_on_where_it_was(
+    at: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    place = tmp_path / "a.trial"
+    tried = Tried("heron", 4, place)
+    played = SeaTrial.play
+
+    def interrupted(self: SeaTrial, name: str, words: str, manoeuvre: Any) -> None:
+        played(self, name, words, manoeuvre)
+        if name == at:
+            raise Broken
+
+    with monkeypatch.context() as patch:
+        patch.setattr(SeaTrial, "play", interrupted)
+        with pytest.raises(Broken):
+            tried.session.run()
+    assert tried.boat.run.state.mode is Mode.IDLE
+    seconds = tried.progress.tape[-1].at_s
+    again = Tried("heron", 4, place)
+    assert again.progress.is_proven is (at != "motors")
+    assert again.session.run() == ""
+    names = [each.name for each in again.progress.played]
+    assert names.count("circles") == 1
+    assert names.count("proof") == 1
+    times = [each.at_s for each in again.progress.tape]
+    assert times == sorted(times)
+    assert times[-1] > seconds + session.APART_S
+
+
+def test_a_stop_of_anybody_ends_the_trial_and_nothing_goes_on(tmp_path: Path) -> None:
+    tried = Tried("otter", 3, tmp_path / "a.trial")
+    look = tried.look
+
+    def stopped(boat: SimulatedTrial) -> None:
+        look(boat)
+        if 100.0 < boat.run.elapsed_s < 100.3:
+            boat.run.command(console.Stop())
+
+    tried.boat._look = stopped
+    assert tried.session.run() == "operator"
+    assert tried.boat.run.elapsed_s < 101.0
+    assert not tried.boat.run.state.actuation.run
+
+
+def test_a_boat_that_is_carried_off_ends_in_words_and_idle(tmp_path: Path) -> None:
+    tried = Tried("otter", 3, tmp_path / "a.trial")
+    tried.boat.model.current_north_mps = 1.5
+    ended = tried.session.run()
+    assert ended.startswith("trial ended: ")
+    assert tried.boat.run.state.mode is Mode.IDLE
+    assert not tried.boat.run.state.actuation.run
+
+
+def test_a_proven_boat_ends_with_hold(tmp_path: Path) -> None:
+    settings = vehicle("otter", "adopted.proven=true")
+    tried = Tried("otter", 3, tmp_path / "a.trial", settings=settings)
+    tried.progress.done = ("circles", "legs", "spins", "wiggle slow", "wiggle fast")
+    assert tried.session.run() == ""
+    assert tried.boat.run.state.mode is Mode.HOLD
+
+
+def test_what_is_kept_of_another_boat_or_broken_is_not_gone_on_with(tmp_path: Path) -> None:
+    place = tmp_path / "a.trial"
+    tried = Tried("otter", 3, place)
+    session.keep(place, tried.progress)
+    assert kept(place, vehicle("heron")) == TrialProgress(vehicle("heron").thrusters)
+    place.write_bytes(place.read_bytes()[:-5])
+    assert kept(place, tried.settings) == TrialProgress(tried.settings.thrusters)
+
+
+class Socket:
+    """The local command socket of a boat in lock step."""
+
+    def __init__(self, played: SimulatedTrial) -> None:
+        self.played, self.words = played, list[str]()
+
+    def ask(self, command: str, **words: Any) -> dict[str, Any]:
+        self.words.append(command)
+        line = {"command": command} | words
+        if command != "state" and (why := self.played.run.command(console.asked(console.KINDS[command], **words))) is not None:
+            raise Refused(why)
+        self.played.run.cycle()
+        told = self.played.run.vehicle.report()
+        thrusters = {name: {"thrust": each.thrust, "rpm": each.rpm} for name, each in told.thrusters.items()}
+        keys = (
+            "latitude_deg",
+            "longitude_deg",
+            "heading_deg",
+            "turn_dps",
+            "speed_mps",
+            "course_deg",
+            "mode",
+            "reason",
+            "run",
+            "age_s",
+        )
+        return line | {key: getattr(told, key) for key in keys} | {"thrusters": thrusters}
+
+
+def test_a_boat_that_runs_is_tried_over_its_command_socket(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    settings, seed = vehicle("otter"), 5
+    hidden = drawn(settings, seed)
+    played = SimulatedTrial(settings, hidden, seed, RADIUS_M)
+    monkeypatch.setattr(boats.time, "monotonic", lambda: played.run.elapsed_s)
+    monkeypatch.setattr(boats.time, "sleep", lambda seconds: None)
+    link: Any = Socket(played)
+    ended = list[bool]()
+    boat = RunningTrial(link, RADIUS_M, lambda: bool(ended))
+    progress = TrialProgress(settings.thrusters)
+    trial = TrialSession(boat, settings, progress, tmp_path / "a.trial", RADIUS_M, lambda words: True, lambda words: None)
+    with contextlib.suppress(TrialEnded):
+        trial._motors()
+    assert progress.wiring == (hidden.swapped, hidden.reversed)
+    assert progress.is_proven
+    ended.append(True)
+    assert trial.run() == "the operator ended it"
+    assert played.run.state.mode is Mode.IDLE
+    assert boat.turn_alone("port").startswith("15% for 1 s, ")
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", NAMES)
+def test_no_wiring_is_told_wrong_whatever_the_hull(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """100 boats: inertia from a third to three times, coefficients 40 % off, dead band to 0.15, delay to 0.5 s, wind to 4 m/s,
+    current to 0.3 m/s."""
+    monkeypatch.setattr(SeaTrial, "hull", lambda self, *told: None)
+    unanswered = 0
+    for seed in range(1, 101):
+        tried = Tried(name, seed, tmp_path / f"{seed}.trial")
+        ended = tried.session.run()
+        assert tried.is_right or tried.progress.motors is None, f"seed {seed}: told wrong: {tried.hidden.words()}"
+        assert ended or tried.progress.is_proven
+        assert tried.most_m < 1.25 * RADIUS_M + 10.0, seed
+        unanswered += not tried.progress.is_proven
+    assert unanswered <= 10

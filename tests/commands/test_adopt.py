@@ -1,0 +1,58 @@
+"""`delfim adopt`: a whole trial of a drawn boat from the command line, and what it refuses."""
+
+import io
+from pathlib import Path
+
+import pytest
+
+from delfim.__main__ import main
+
+ROOT = Path(__file__).parents[2]
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    text = (ROOT / "etc/boats/heron.toml").read_text()
+    Path("heron.toml").write_text(f"{text}\n[adopted]\nproven = false\n")
+    return tmp_path
+
+
+def test_a_drawn_boat_is_tried_and_what_was_found_is_told(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["adopt", "heron.toml", "--sim", "6", "--yes"]) == 0
+    out = capsys.readouterr().out
+    truth = out.splitlines()[0]
+    assert ("exchanged" in truth) is ("The motors of port and starboard are exchanged." in out)
+    for name in ("starboard", "port"):
+        assert (name in truth) is (f"The motor that {name} reaches is reversed." in out)
+    assert "The motors are proven." in out
+    assert "adopted.proven = true" in out
+    assert "speed at full power" in out
+    assert Path("adopt/heron.trial").is_file()
+    assert Path("adopt/heron.html").is_file()
+    assert "proven = false" in Path("heron.toml").read_text(), "a drawn boat is written into no file"
+
+
+def test_who_says_no_starts_nothing(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("sys.stdin", io.StringIO())
+    assert main(["adopt", "heron.toml", "--sim", "6"]) == 1
+    assert "Each motor" not in capsys.readouterr().out
+
+
+def test_at_the_berth_each_motor_turns_and_nothing_else(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["adopt", "heron.toml", "--sim", "6", "--berth", "--yes"]) == 0
+    assert "Both motors turn and stop." in capsys.readouterr().out
+    assert not Path("adopt").exists()
+
+
+def test_boats_that_cannot_be_adopted_and_circles_that_make_no_sense_are_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["adopt", str(ROOT / "etc/boats/float.toml"), "--sim", "1"]) == 2
+    assert "this boat cannot be adopted: it has 4 thrusters" in capsys.readouterr().err
+    with pytest.raises(SystemExit):
+        main(["adopt", "heron.toml", "--radius", "300"])
+    assert "300 is not a number of metres from 15 to 160" in capsys.readouterr().err
+
+
+def test_without_a_boat_that_runs_it_says_so(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["adopt", "heron.toml", "--yes", "--set", 'console.socket="/nowhere/command"']) == 2
+    assert "no vehicle at /nowhere/command" in capsys.readouterr().err
