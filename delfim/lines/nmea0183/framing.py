@@ -53,7 +53,8 @@ class Sentences:
 
     def feed(self, data: bytes) -> list[Sentence]:
         """Parse the sentences that end in these bytes, in their order. Never raises."""
-        *lines, rest = (self._rest + data).replace(b"\r", b"\n").split(b"\n")
+        lines = (self._rest + data).splitlines()
+        rest = lines.pop() if lines and data[-1:] not in (b"\r", b"\n") else b""
         if len(rest) > LONGEST:
             rest = b""
             self._refuse("line without an end")

@@ -154,8 +154,7 @@ def _angle(text: str) -> float | None:
 
 def _signed(text: str, side: str) -> float | None:
     """Parse an angle with E (positive) or W."""
-    value = _within(text, 180.0)
-    if value is None:
+    if not text or (value := _within(text, 180.0)) is None:
         return None
     if value and side not in ("E", "W"):
         raise FormatError("neither east nor west")

@@ -4,6 +4,7 @@ import functools
 import math
 import operator
 import random
+import re
 import tracemalloc
 from datetime import UTC, datetime
 
@@ -256,6 +257,14 @@ def test_what_was_read_before_changes_nothing():
     found = [each.message for each in line.feed(b"".join(map(framed, (good, wrong, good, wrong))))]
     assert found == [one(good)] * 2
     assert line.refused == {"GLL: no such position": 2}
+
+
+@given(st.lists(st.text("ab\r\n\v\f\x1c\x85", max_size=9).map(lambda text: text.encode("latin-1")), max_size=9))
+def test_lines_end_with_a_return_or_a_line_feed_and_with_nothing_else(pieces: list[bytes]) -> None:
+    line = Sentences()
+    assert [line.feed(piece) for piece in pieces] == [[]] * len(pieces)
+    ended = re.split(rb"[\r\n]", b"".join(pieces))[:-1]
+    assert line.refused.get("no sentence", 0) == len([each for each in ended if each])
 
 
 @given(st.binary(max_size=3 * LONGEST))
