@@ -26,9 +26,13 @@ Reach = dict[str, dict[str, Any]]  # file of tests: what is called when it is im
 @cache
 def refreshed(watched: frozenset[str], about: str = "", until_s: float = inf) -> Reach:
     """The map of all tests, or of those that import a file, after those that are new, have changed, or were not asked about
-    the watched files have been run once. Raises TimeIsOver where that lasts beyond a monotonic time."""
+    the watched files have been run once. Raises TimeIsOver where that lasts beyond a monotonic time; tests that start programs,
+    for which they wait, are left out then."""
     files = [str(path) for words in TESTS for path in sorted(Path().glob(words)) if path.name not in NOT_ASKED]
-    files = [name for name in files if not about or _is_about(name, Path(name).read_text(), about)]
+    texts = {name: Path(name).read_text() for name in files}
+    files = [name for name, text in texts.items() if not about or _is_about(name, text, about)]
+    if until_s < inf:
+        files = [name for name in files if not STARTS.search(texts[name])]
     known = {file: row for file, row in _known().items() if watched <= set(row.get("files", ()))}
     stale = [file for file in files if file not in known or known[file]["digest"] != digest(Path(file))]
     if stale:

@@ -206,6 +206,9 @@ def test_tests_are_watched_again_where_they_changed_or_were_not_asked_about_a_fi
     monkeypatch.setattr(choice.subprocess, "run", lambda _, **how: subprocess_run(program, timeout=how["timeout"]))
     with pytest.raises(TimeIsOver):
         choice.refreshed(frozenset(["gate.py"]), until_s=0.0)
+    for name in ("test_b.py", "test_c.py"):
+        (tmp_path / name).write_text("import subprocess")
+    assert [*choice.refreshed(frozenset(["gate.py"]), until_s=0.0)] == ["test_a.py"], "nobody waits for programs"
 
 
 def test_tests_are_about_a_file_that_they_import_or_that_a_table_gives_them() -> None:
