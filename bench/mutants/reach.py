@@ -29,7 +29,8 @@ SEEN: Final = set[tuple[str, str]]()  # file and function, since the last test b
 
 
 def digest(path: Path) -> str:
-    return hashlib.sha256(path.read_bytes()).hexdigest()[:16]
+    """Of a file as it is; empty where there is none any more."""
+    return "" if not path.exists() else hashlib.sha256(path.read_bytes()).hexdigest()[:16]
 
 
 def module(file: str) -> str:

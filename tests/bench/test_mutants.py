@@ -266,6 +266,8 @@ def test_what_was_tried_is_known_until_the_file_or_its_tests_change(tmp_path: Pa
     assert [again.knows(change, tests) for change in (noticed, survivor)] == [True, False], "it may be noticed now"
     (tmp_path / "test_a.py").write_text("new")
     assert not again.knows(noticed, tests)
+    (tmp_path / "test_a.py").unlink()
+    assert not again.knows(noticed, tests), "who noticed it is not there any more"
     assert not Ledger("delfim/x.py", f"{source}z = 3\n").knows(noticed, tests)
 
 
