@@ -14,14 +14,14 @@ SURE: Final = 2.0  # deviations from what the file says, from which on something
 CHANGED: Final = 0.12  # ... by this part of it, or more
 WEAKER: Final = 0.08  # of a motor against the other one
 ALIKE: Final = 0.1  # thrust and drag that differ from the file by the same part, within this: it is the mass
-LATER: Final = 0.03  # of full command, of a dead band
+LATER: Final = 0.05  # of full command, of a dead band
 SLOW_MPS: Final = 0.5  # where drags are compared
 SELDOM: Final = 0.005  # of the time
 
 
 def changes(fit: Fit) -> Iterator[str]:
     """What is surely not as the file has it, each with what may be the reason."""
-    was, now = plain(fit.prior.centre), fit.values
+    was, now = plain(fit.prior.told), fit.values
     thrust = _differs(now["ahead"], was["ahead"], fit.relative("ahead"))
     drag_was, drag_now = (each["surge"] + each["surge2"] * SLOW_MPS for each in (was, now))
     unsure = math.hypot(now["surge"] * fit.relative("surge"), now["surge2"] * SLOW_MPS * fit.relative("surge2"))

@@ -107,7 +107,7 @@ STOPS: Final = {"stop_full_m": "100", "stop_60_m": "60", "stop_30_m": "30"}  # f
 def figures(fit: Fit) -> dict[str, Figure]:
     """The figures of a fit, each with the deviation that follows from the uncertainty of the numbers and of the model."""
     count = len(fit.theta)
-    lanes = np.concatenate([[fit.theta], fit.theta + np.diag(NUDGES), [fit.prior.centre]])
+    lanes = np.concatenate([[fit.theta], fit.theta + np.diag(NUDGES), [fit.prior.told]])
     motion = sailed(lanes)
     found, fastest = dict[str, Figure](), np.nanmax(np.abs(fit.windows.measured[..., :2]).max(2))
     for name, words, unit, of in FIGURES:

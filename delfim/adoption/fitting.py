@@ -40,6 +40,7 @@ class Prior(NamedTuple):
 
     centre: Array
     spread: Array
+    told: Array  # as the file has it: without what motors have that no file says
 
 
 class Fit(NamedTuple):
@@ -114,7 +115,7 @@ def fitted(windows: Windows, prior: Prior) -> Fit:
     theta, starts, _ = _descended(windows, prior, theta, sigmas, 8, 3e-4, starts)
     predicted = _predicted(theta, windows, starts)
     covariance = _covariance(windows, prior, theta, starts, _weighed(windows, predicted, sigmas))
-    first = prior.centre.copy()
+    first = prior.told.copy()
     for name in OF_THE_DAY:
         first[PLACE[name]] = theta[PLACE[name]]  # the same sea and sensors: what is compared is the boat
     return Fit(theta, covariance, prior, chi2, windows, predicted, _predicted(first, windows, starts), sigmas)

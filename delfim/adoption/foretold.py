@@ -1,4 +1,4 @@
-"""What a vehicle's file says of its boat, as the prior of a fit; where it says nothing, what the autopilot guesses."""
+"""What a vehicle's file says of its boat, as the prior of a fit; where it says nothing, what the simulator guesses."""
 
 import math
 from typing import Final, NamedTuple
@@ -7,9 +7,11 @@ from delfim import config
 from delfim.adoption.fitting import Prior
 from delfim.adoption.model import NUMBERS, SPREADS, internal
 from delfim.base.errors import DelfimError
+from delfim.simulator.model import hull_of
 from delfim.vehicle.control.hull import craft, full_mps
 
 LINEAR: Final = 0.2  # of the drag at full speed, that is linear, where the file says a speed alone
+LEAST: Final = 0.01  # of a factor: what is nothing in the file may be something
 DEAD: Final = 0.04  # of full command: motors have a dead band, whether their file says so or not
 LEAST_N: Final = 0.05  # of a motor that gives nothing astern
 LAG_S, DELAY_S, LATE_S, LOSS = 0.25, 0.15, 0.1, 0.03  # a first guess
@@ -46,43 +48,82 @@ def motors_of(vehicle: config.Vehicle) -> Motors:
 
 
 def prior(vehicle: config.Vehicle) -> Prior:
-    """The numbers that follow from the file, and how wrong each may be."""
-    hull, (starboard, port) = craft(vehicle), motors_of(vehicle)
+    """The numbers from which a fit begins and how wrong each may be; and those of the file, as the simulator has them."""
+    starboard, port = motors_of(vehicle)
     rows = [vehicle.thrusters[motor.row] for motor in (starboard, port)]
     ends = [sorted((abs(end) for end in row.ends_n), reverse=True) for row in rows]
     uneven, uneven_astern = (math.log(max(ends[0][at], LEAST_N) / max(ends[1][at], LEAST_N)) for at in (0, 1))
     ahead_n, astern_n = (math.sqrt(max(ends[0][at], LEAST_N) * max(ends[1][at], LEAST_N)) for at in (0, 1))
-    full = full_mps(vehicle.boat)
-    square, linear = hull.drag_n_per_mps2, hull.drag_n_per_mps
-    if vehicle.boat.drag_n_per_mps is None and vehicle.boat.drag_n_per_mps2 is None:
-        linear, square = LINEAR * hull.ahead_n / full, (1.0 - LINEAR) * hull.ahead_n / full**2
-    damping = hull.damping_nm_per_radps / hull.inertia_kgm2
-    dead = [row.dead or DEAD for row in rows]
-    values = {number.name: 1.0 if number.is_factor else 0.0 for number in NUMBERS} | {
-        "ahead": ahead_n / hull.mass_kg,
+    told = {number.name: 1.0 if number.is_factor else 0.0 for number in NUMBERS} | {
+        "ahead": ahead_n / craft(vehicle).mass_kg,
         "astern": astern_n / ahead_n,
         "ahead_uneven": uneven,
         "astern_uneven": uneven_astern - uneven,
         "power": 2.0 if rows[0].curve else rows[0].power,
-        "dead_starboard": dead[0],
-        "dead_port": dead[1],
-        "loss": LOSS,
-        "delay": rows[0].delay_s or DELAY_S,
-        "lag": rows[0].lag_s or LAG_S,
-        "surge": max(linear, 0.02 * hull.ahead_n / full) / hull.mass_kg,
-        "surge2": max(square, 0.02 * hull.ahead_n / full**2) / hull.mass_kg,
+        "dead_starboard": rows[0].dead,
+        "dead_port": rows[1].dead,
+        "delay": rows[0].delay_s,
+        "late": LATE_S,
+    }
+    twin = _of_the_twin(vehicle)
+    likely = {"delay": DELAY_S, "dead_starboard": DEAD, "dead_port": DEAD, "loss": LOSS, "lag": LAG_S}
+    centre = (
+        told | {name: value for name, value in likely.items() if not told[name] or name == "lag"} | (twin or _likely(vehicle))
+    )
+    return Prior(internal(centre), SPREADS.copy(), internal(told | (twin or _guessed(vehicle))))
+
+
+def _likely(vehicle: config.Vehicle) -> dict[str, float]:
+    """A first guess of the hull from what the autopilot reckons with: a fit comes from it to the right minimum more surely than
+    from the simulator's hull, with which the file is compared."""
+    hull, boat, (starboard, port) = craft(vehicle), vehicle.boat, motors_of(vehicle)
+    full, mass_kg = full_mps(boat), hull.mass_kg
+    linear, square = hull.drag_n_per_mps, hull.drag_n_per_mps2
+    if boat.drag_n_per_mps is None and boat.drag_n_per_mps2 is None:
+        linear, square = LINEAR * hull.ahead_n / full, (1.0 - LINEAR) * hull.ahead_n / full**2
+    damping = hull.damping_nm_per_radps / hull.inertia_kgm2
+    return {
+        "surge": max(linear, 0.02 * hull.ahead_n / full) / mass_kg,
+        "surge2": max(square, 0.02 * hull.ahead_n / full**2) / mass_kg,
         "sway": 0.3,
         "sway2": 1.0,
         "sway_ahead": 0.3,
         "surge_turning": 1.6,
         "sway_turning": 0.65,
-        "arm": 0.5 * (starboard.aside_m + port.aside_m) * hull.mass_kg / hull.inertia_kgm2,
+        "arm": 0.5 * (starboard.aside_m + port.aside_m) * mass_kg / hull.inertia_kgm2,
         "yaw": 0.5 * damping,
         "yaw2": 0.5 * damping,
         "yaw_ahead": 0.25 * damping,
-        "late": LATE_S,
     }
-    return Prior(internal(values | _of_the_twin(vehicle)), SPREADS.copy())
+
+
+def _guessed(vehicle: config.Vehicle) -> dict[str, float]:
+    """The numbers of the hull that the simulator makes of the file, with what the file says of turning."""
+    boat, its, (starboard, port) = vehicle.boat, hull_of(vehicle), motors_of(vehicle)
+    mass_kg, aside_kg = craft(vehicle).mass_kg, its.mass_kg + its.added_sway_kg
+    inertia = boat.inertia_kgm2 or its.inertia_kgm2 + its.added_yaw_kgm2
+    lift, lift_m = its.lift_kg_per_m, its.lift_m
+    yaw, yaw2, ahead = its.yaw_nm_per_radps, its.yaw_nm_per_radps2, lift * lift_m**2
+    if boat.yaw_nm_per_radps is not None:  # at cruising speed
+        yaw, ahead = 0.7 * boat.yaw_nm_per_radps, 0.3 * boat.yaw_nm_per_radps / vehicle.control.speed.cruise_mps
+        yaw2 = boat.yaw_nm_per_radps2 or yaw2
+    factors = {
+        "lag": its.motor_s,
+        "surge": its.surge_n_per_mps / mass_kg,
+        "surge2": its.surge_n_per_mps2 / mass_kg,
+        "sway": its.sway_n_per_mps / aside_kg,
+        "sway2": its.sway_n_per_mps2 / aside_kg,
+        "sway_ahead": lift / aside_kg,
+        "surge_turning": aside_kg / mass_kg,
+        "sway_turning": (mass_kg - lift * lift_m) / aside_kg,
+        "arm": 0.5 * (starboard.aside_m + port.aside_m) * mass_kg / inertia,
+        "yaw": yaw / inertia,
+        "yaw2": yaw2 / inertia,
+        "yaw_ahead": ahead / inertia,
+    }
+    return {name: max(value, LEAST) for name, value in factors.items()} | {
+        "munk": (aside_kg - mass_kg - lift * lift_m) / inertia,
+    }
 
 
 def _of_the_twin(vehicle: config.Vehicle) -> dict[str, float]:
@@ -92,6 +133,7 @@ def _of_the_twin(vehicle: config.Vehicle) -> dict[str, float]:
         return {}
     starboard, port = motors_of(vehicle)
     return {
+        "lag": vehicle.thrusters[starboard.row].lag_s or LAG_S,
         "surge": its.surge_n_per_mps / its.mass_kg,
         "surge2": its.surge_n_per_mps2 / its.mass_kg,
         "sway": its.sway_n_per_mps / its.mass_aside_kg,

@@ -100,7 +100,7 @@ def _curves(fit: Fit) -> Iterator[str]:
 
 def _stopping(fit: Fit) -> Iterator[str]:
     """The speed after the motors go off, over the way."""
-    lanes = np.stack([fit.theta, fit.prior.centre])
+    lanes = np.stack([fit.theta, fit.prior.told])
     motion = sailed(lanes)
     begin, end = round(PUSH_S / STEP_S), round((PUSH_S + COAST_S) / STEP_S)
     at = {run.name: index for index, run in enumerate(RUNS)}
@@ -120,7 +120,7 @@ def _stopping(fit: Fit) -> Iterator[str]:
 
 def _speeds(fit: Fit) -> Iterator[str]:
     """The steady speed, and the rate of a spin, over the command."""
-    motion, at = sailed(np.stack([fit.theta, fit.prior.centre])), round(PUSH_S / STEP_S) - 1
+    motion, at = sailed(np.stack([fit.theta, fit.prior.told])), round(PUSH_S / STEP_S) - 1
     straight = [index for index, run in enumerate(RUNS) if run.parts[0] == run.parts[1]]
     figure = Picture(figsize=(7, 3.2))
     axes = figure.subplots()
@@ -175,7 +175,7 @@ def _deviation(found: FoundKey) -> str:
 
 
 def _numbers(fit: Fit) -> Iterator[str]:
-    now, was, missing = fit.values, plain(fit.prior.centre), set(fit.unseen)
+    now, was, missing = fit.values, plain(fit.prior.told), set(fit.unseen)
     rows = [
         (
             number.words,

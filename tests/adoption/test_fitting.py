@@ -67,7 +67,7 @@ def test_a_hull_of_another_hand_is_found(hull: Callable[[], Hidden]) -> None:
 @pytest.mark.parametrize("hull", HULLS)
 def test_hulls_of_another_hand_are_found_in_many_trials(hull: Callable[[], Hidden], seed: int) -> None:
     hidden = hull()
-    sea = Sea(current_mps=0.03 * seed, current_to_deg=33.0 * seed, wind_mps=0.3 * seed, wind_from_deg=250.0)
+    sea = Sea(current_mps=0.03 * seed, current_to_deg=33.0 * seed)
     judge(hidden, fit_of(hidden, sailed(hidden, sea, seed)))
 
 

@@ -1,6 +1,7 @@
 """`delfim identify`: from the log of an ordinary voyage to figures, a report, and the keys of the vehicle's file."""
 
 import math
+from collections.abc import Callable
 from pathlib import Path
 
 import msgspec
@@ -92,7 +93,7 @@ def test_the_file_has_all_of_it_and_the_twin_does_as_the_boat(voyage: Sailed, tm
         true, its = after(voyage.hidden, *parts), steady(model_of(written, 1), parts)
         assert isinstance(its, MeasuredModel)
         assert its.surge_mps == pytest.approx(true.surge_mps, rel=0.08)
-        assert its.yaw_rate_radps == pytest.approx(true.yaw_rate_radps, rel=0.05, abs=0.01)
+        assert its.yaw_rate_radps == pytest.approx(true.yaw_rate_radps, rel=0.05, abs=0.03)
     again = identify.of_log(files([voyage.log]), written)
     assert not again.found.changes, again.found.changes
     identify.write(again, file)
@@ -124,6 +125,19 @@ def test_the_command_prints_writes_its_report_and_the_file(
     assert page.count("data:image/png;base64") == 5
     assert "What was not seen" in page
     assert "delfim identify" in page
+
+
+@pytest.mark.parametrize("hull", [hulls.otter, hulls.heron], ids=["otter", "heron"])
+def test_the_simulators_own_hull_is_found_to_be_the_files(tmp_path: Path, hull: Callable[[], Hidden]) -> None:
+    file = voyages.file_of(hull(), tmp_path / "boat.toml")
+    voyages.sail(None, file, tmp_path / "log")
+    result = identify.of_log(files([tmp_path / "log"]), config.load(file))
+    told, found = ({name: getattr(each, key) for name, each in result.found.figures.items()} for key in ("told", "found"))
+    sailed = ("half_mps", "quarter_mps", "turn_dps", "turn_port_dps", "spin_dps", "stop_60_m")
+    assert {name: found[name] for name in sailed} == pytest.approx({name: told[name] for name in sailed}, rel=0.1)
+    model = steady(model_of(config.load(file), 1), (0.3, 0.7))
+    assert told["turn_dps"] == pytest.approx(math.degrees(model.yaw_rate_radps), rel=0.03)
+    assert not result.found.changes, result.found.changes
 
 
 def test_another_boat_is_refused(voyage: Sailed) -> None:

@@ -50,8 +50,8 @@ def file_of(hidden: Hidden, place: Path) -> Path:
     return place
 
 
-def sail(hidden: Hidden, file: Path, log: Path, seed: int = 1) -> None:
-    """Sail the legs, and log them."""
+def sail(hidden: Hidden | None, file: Path, log: Path, seed: int = 1) -> None:
+    """Sail the legs, and log them; without a hidden boat, with the simulator's own of that file."""
     overrides = [
         f'log.directory="{log}"',
         'log.state_method="zwrite"',
@@ -59,7 +59,7 @@ def sail(hidden: Hidden, file: Path, log: Path, seed: int = 1) -> None:
         'can.interface="canloop:lockstep"',
     ]
     told = config.load(file, overrides)
-    run = Lockstep(told, seed, lambda clock: Logbook(told, clock), hidden.model(SEA, seed))
+    run = Lockstep(told, seed, lambda clock: Logbook(told, clock), hidden.model(SEA, seed) if hidden else None)
     for _ in run.cycles(4.0):
         pass
     for heading_deg, speed_mps in LEGS:
