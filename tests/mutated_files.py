@@ -78,6 +78,34 @@ def commissioned(here: Path) -> Said:
     return command("commission", str(here / "boat.toml"), "--yes", "--users", "ana", "--output", str(here / "out"))
 
 
+def adopted(here: Path) -> Said:
+    """The file to which what was found of the boat is written."""
+    from delfim import config
+    from delfim.adoption.found import FoundKey
+    from delfim.adoption.trial.concluding import conclude
+    from delfim.adoption.trial.session import TrialProgress
+    from delfim.adoption.writing import write
+
+    file, nothing = here / "boat.toml", TrialProgress(config.load(ROOT / "etc/delfimx.toml").thrusters)
+    found = FoundKey(("boat", "inertia_kgm2"), 120.0, 3.0, None), FoundKey(("adopted", "chi2"), 0.4, None, None)
+    concluded = refused(lambda: conclude(nothing, file, here / "report", "today", None, str))
+    return concluded + refused(lambda: write(file, found, "found"))
+
+
+def trial_to_go_on(here: Path) -> Said:
+    from delfim import config
+    from delfim.adoption.trial.session import kept
+    from delfim.adoption.trial.taped import record_of
+    from delfim.adoption.windows import windows_of
+
+    progress = kept(here / "trial.json", config.load(ROOT / "etc/delfimx.toml"))
+    return refused(lambda: windows_of(record_of(progress), (0, 1.0), (1, 1.0)))
+
+
+def identified(here: Path) -> Said:
+    return command("identify", str(here / "log"), "--vehicle", str(ROOT / "etc/delfimx.toml"), "--output", str(here / "out"))
+
+
 def users_key(here: Path) -> Said:
     shutil.rmtree(here / "out", ignore_errors=True)
     words = ("commission", str(ROOT / "etc/delfimx-sea.toml"), "--yes", "--users", f"ana={here / 'user.pub'}")
@@ -376,6 +404,8 @@ BOX_VERBS = (("info",), ("cat", "--id", "lockstep"), ("export", "log", "--output
 READERS = {
     "vehicle": Reader("boat.toml", vehicle, TEXT),
     "vehicle to commission": Reader("boat.toml", commissioned, TEXT),
+    "vehicle to be adopted": Reader("boat.toml", adopted, TEXT),
+    "trial to go on": Reader("trial.json", trial_to_go_on, TEXT),
     "mission": Reader("lake.toml", mission, TEXT),
     "library": Reader("lake.toml", library, TEXT),
     "scenario": Reader("storm.toml", scenario, TEXT),
@@ -394,6 +424,7 @@ READERS = {
     "mission to send": Reader("lake.toml", operators_mission, TEXT),
     "session": Reader("day.tlog", replayed, BINARY),
     "state log": Reader("log/*/state/*.state", logs(*LOG_VERBS), (*BINARY, *TEXT)),
+    "state log to identify": Reader("log/*/state/*.state", identified, (*BINARY, *TEXT)),
     "state log, deflated": Reader("log/*/state/*.state.gz", logs(*LOG_VERBS), deflated((*BINARY, *TEXT))),
     "black box": Reader("log/*/lockstep/*.log.gz", logs(*BOX_VERBS), deflated(TEXT)),
     "black box, plain": Reader("log/*/lockstep/*.log", logs(*BOX_VERBS), (*BINARY, *TEXT)),

@@ -13,6 +13,10 @@ import asyncssh
 import msgspec
 import pytest
 
+from delfim import config
+from delfim.adoption.trial.manoeuvres import MotionSeen
+from delfim.adoption.trial.motors import MotorsFound
+from delfim.adoption.trial.session import TrialProgress, keep
 from delfim.base.clock import ManualClock
 from delfim.base.input.keys import new_key, read_key
 from delfim.campaign.runplan import read
@@ -73,8 +77,16 @@ within_s = 30.0
 """
 
 
+def trial(file: Path) -> TrialProgress:
+    """Twenty seconds of a trial whose motors were found."""
+    motors = MotorsFound((1, -1), (1, 1), (0.2, 0.2))
+    seen = [MotionSeen(0.1 * i, 0.1 * i, 0.0, 0.0, 0.01, 1.0, 0.0, (0.3, 0.2), True, "") for i in range(200)]
+    return TrialProgress(config.load(file).thrusters, (38.69, -9.21), motors=motors, is_proven=True, tape=seen)
+
+
 def settings(folder: Path) -> None:
     shutil.copy(ROOT / "etc/delfimx.toml", folder / "boat.toml")
+    keep(folder / "trial.json", trial(folder / "boat.toml"))
     shutil.copy(ROOT / "etc/missions/doca.toml", folder / "lake.toml")
     (folder / "storm.toml").write_text(STORM)
     (folder / "campaign.toml").write_text(CAMPAIGN)
@@ -218,6 +230,8 @@ SAMPLES = {
     settings: (
         "vehicle",
         "vehicle to commission",
+        "vehicle to be adopted",
+        "trial to go on",
         "mission",
         "library",
         "scenario",
@@ -235,7 +249,7 @@ SAMPLES = {
         *("state log, deflated", "black box", "sidecar", "run to repeat", "run to repeat, state", "run to repeat, sidecar"),
         *("state log as a tape", "sidecar of a tape", "serial line", "candump", "candump, deflated"),
     ),
-    plain_logs: ("state log", "black box, plain"),
+    plain_logs: ("state log", "state log to identify", "black box, plain"),
     session: ("session",),
     charts: ("control points",),
     worlds: ("PNG", "JPEG", "world file"),
@@ -310,6 +324,9 @@ def readers() -> set[str]:
 
 LOGS = {"system log", "state log", "black box", "sidecar", "run to repeat", "state log as a tape", "sidecar of a tape"}
 READ_BY = {  # function: the readers above that come by it
+    "adoption/trial/session.py: kept": {"trial to go on"},
+    "adoption/trial/concluding.py: conclude": {"vehicle to be adopted"},
+    "adoption/writing.py: write": {"vehicle to be adopted"},
     "base/tables.py: read_toml": {"vehicle", "mission", "scenario", "control points"},
     "console/plans/library.py: load": {"library"},
     "console/terminal/bus.py: logged": {"candump", "candump, deflated"},
@@ -349,6 +366,7 @@ READ_BY = {  # function: the readers above that come by it
     "parts/mavlink/codec/signing.py: read_stamps": {"stamps"},
 }
 OTHERS = {  # what the kernel tells, and what is only copied or digested
+    "adoption/record.py: digest_of",
     *(
         "commands/description/commission.py: _mission",
         "commands/description/new.py: _about",

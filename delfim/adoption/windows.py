@@ -19,6 +19,7 @@ HELD_S: Final = 1.5  # a command that is not repeated for this long is not known
 SEEN: Final = 0.2  # of the steps of a window, at least, have a velocity, and a heading, where they come once a second or faster
 MOST: Final = 60  # windows: 12 minutes; more of ordinary sailing tells the same again
 LEAST: Final = 5
+LONGEST_S: Final = 7.0 * 86_400.0  # of a record, from its first command to its last
 DIFFERENCE: Final = 0.03  # of full command, between the sides: else nothing is learned of her turning
 
 
@@ -29,6 +30,8 @@ def windows_of(record: BoatRecord, starboard: tuple[int, float], port: tuple[int
         raise DelfimError("the record has no commands")
     rows, signs = [starboard[0], port[0]], np.array([starboard[1], port[1]])
     zero_s, end_s = float(record.told.at_s[0]), float(record.told.at_s[-1])
+    if not end_s - zero_s <= LONGEST_S:
+        raise DelfimError(f"the record is {(end_s - zero_s) / 86_400.0:.3g} days long: fit a day of it")
     zero_s += _phase(record.heading.at_s - zero_s)
     steps, back = round(WINDOW_S / STEP_S), round(BACK_S / STEP_S)
     edges = zero_s + STEP_S * np.arange(-back, int((end_s - zero_s) / STEP_S) + 1)

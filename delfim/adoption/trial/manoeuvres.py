@@ -146,7 +146,7 @@ class SeaTrial:
             raise TrialEnded(f"{LIMIT_S / 60.0:.0f} minutes are over")
 
     def pause(self) -> None:
-        """MotorsFound off and out of the mode, for a question that may take its time."""
+        """Motors off and out of the mode, for a question that may take its time."""
         self.boat.end("idle")
         self._begun = False
         self._next()
@@ -157,7 +157,7 @@ class SeaTrial:
     # MotorsFound.
 
     def drift(self, seconds: float) -> None:
-        """MotorsFound off: what wind, current and noise do."""
+        """Motors off: what wind, current and noise do."""
         since_s = self.seen.at_s
         self.rest(seconds)
         self.quiet = motors.noise([_sample(each) for each in self.tape if each.at_s > since_s])
@@ -340,7 +340,7 @@ class SeaTrial:
             ("spins", "Turns on the spot.", self.spins),
             ("wiggle slow", "Random turns at low speed.", lambda: self.wiggle(0.35)),
             ("wiggle fast", "Random turns at speed.", lambda: self.wiggle(0.7)),
-            ("drift again", "MotorsFound off: what wind and current did meanwhile.", lambda: self.drift(10.0)),
+            ("drift again", "Motors off: what wind and current did meanwhile.", lambda: self.drift(10.0)),
         )
         for name, words, manoeuvre in steps:
             if name not in done or name == "gain":

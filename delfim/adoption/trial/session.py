@@ -16,7 +16,9 @@ from delfim import config
 from delfim.adoption.trial.manoeuvres import BoatOnTrial, MotionSeen, Played, SeaTrial, TrialEnded
 from delfim.adoption.trial.motors import DriftNoise, MotorsFound, Wiring, wiring
 from delfim.base.errors import DelfimError
+from delfim.base.input.untrusted import read_file
 
+KEPT_BYTES: Final = 50_000_000  # a trial of twenty minutes has 3 MB
 APART_S: Final = 60.0  # between the clocks of two sessions in one record
 DRIFT_S: Final = 15.0
 
@@ -41,10 +43,18 @@ class TrialProgress(msgspec.Struct):
 def kept(place: Path, settings: config.Vehicle) -> TrialProgress:
     """The progress that was kept for a boat with these thrusters, or a new one."""
     try:
-        found = msgspec.json.decode(place.read_bytes(), type=TrialProgress)
+        found = msgspec.json.decode(read_file(place, KEPT_BYTES), type=TrialProgress)
     except (OSError, msgspec.MsgspecError, ValueError):
         return TrialProgress(settings.thrusters)
-    return found if found.thrusters == settings.thrusters else TrialProgress(settings.thrusters)
+    return found if found.thrusters == settings.thrusters and _is_whole(found) else TrialProgress(settings.thrusters)
+
+
+def _is_whole(kept: TrialProgress) -> bool:
+    """Whether a trial can have left this: times in order, a part for each thruster, motors with a side each."""
+    if kept.motors is not None and (set(kept.motors.sides) != {1, -1} or not set(kept.motors.signs) <= {1, -1}):
+        return False
+    times_s = [each.at_s for each in kept.tape]
+    return times_s == sorted(times_s) and all(len(each.told) == len(kept.thrusters) for each in kept.tape)
 
 
 def keep(place: Path, progress: TrialProgress) -> None:
@@ -104,7 +114,7 @@ class TrialSession:
 
     def _motors(self) -> None:
         trial, progress = self.trial, self.progress
-        trial.play("drift", "MotorsFound off: what wind, current and noise do.", lambda: trial.drift(DRIFT_S))
+        trial.play("drift", "Motors off: what wind, current and noise do.", lambda: trial.drift(DRIFT_S))
         progress.quiet = trial.quiet
         trial.play("motors", "Each motor by itself, with little power first, then both.", trial.find_motors)
         progress.motors = trial.motors
