@@ -25,6 +25,7 @@ def test_a_drawn_boat_is_tried_and_what_was_found_is_told(capsys: pytest.Capture
     assert ("exchanged" in truth) is ("The motors of port and starboard are exchanged." in out)
     for name in ("starboard", "port"):
         assert (name in truth) is (f"The motor that {name} reaches is reversed." in out)
+    assert "Motors off: what wind, current and noise do." in out
     assert "The motors are proven." in out
     assert "adopted.proven = true" in out
     assert "speed at full power" in out

@@ -154,7 +154,7 @@ class SeaTrial:
     def rest(self, seconds: float) -> str:
         return self.drive((0.0,) * len(self.seen.told or (0.0, 0.0)), seconds, comes_back=True)
 
-    # MotorsFound.
+    # Motors.
 
     def drift(self, seconds: float) -> None:
         """Motors off: what wind, current and noise do."""
