@@ -178,3 +178,19 @@ def test_whatever_the_wall_clock_says_the_boat_does_the_same(steps_s: tuple[floa
     calm, odd = stepped(), stepped(*steps_s)
     assert odd.rows == calm.rows
     assert odd.notes == calm.notes
+
+
+def test_instruments_measure_on_while_the_program_of_the_boat_is_away() -> None:
+    settings = config.load(ROOT / "etc/boats/bait-boat.toml")
+    run = Lockstep(settings, 1, Bytes)
+    assert run.nodes.instruments is not None
+    (receiver,) = run.nodes.instruments.receivers
+    measured, step = list[float](), receiver.step
+
+    def counted(now_s: float) -> object:
+        measured.append(now_s)
+        return step(now_s)
+
+    receiver.step = counted  # type: ignore[method-assign,assignment]
+    run.restart(2.0)
+    assert len(measured) == 20
