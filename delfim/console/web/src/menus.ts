@@ -20,7 +20,7 @@ import type { Watch } from "./watch";
 import type { WayHome } from "./wayhome";
 import type { Boat, Mode, Order, Place } from "./wire";
 
-const ELSEWHERE: ReadonlySet<Mode> = new Set(["hold", "course"]); // modes with an entry of their own
+const ELSEWHERE: ReadonlySet<Mode> = new Set(["hold", "course", "trial"]); // modes with an entry of their own, and that of `delfim adopt`
 const NOTES: Record<Mode, string> = { goto: HOLDS_THERE, home: "back along the way it came, then hold" };
 const PROFILES = ["lean", "radio", "wifi"];
 
