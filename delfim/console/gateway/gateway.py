@@ -25,6 +25,7 @@ from delfim.console.gateway import foxglove, page_messages
 from delfim.console.gateway.admission import Admission, own_number
 from delfim.console.gateway.onwatch import WatchKeeper
 from delfim.console.gateway.plan_tools import Desk
+from delfim.console.gateway.surveys import SurveyDesk
 from delfim.console.gateway.watchlog import table
 from delfim.console.link.mavlink import Key
 from delfim.console.link.radio import radio
@@ -117,7 +118,7 @@ class Gateway:
         self.broker: BrokerLine | None = None
         self._complaints: dict[str, str] = {}  # the last complaint about each link and file, to say it once
         self.heard_on: list[str] = [*self.radios]  # addresses and radios, for the page
-        self._desk = Desk(self.fleet, missions, vehicle, self.charts)
+        self._desk, self._surveys = Desk(self.fleet, missions, vehicle, self.charts), SurveyDesk(vehicle)
         self._ticks = self._opened = 0
         self.app = web.Application(middlewares=[admission.admit], client_max_size=MESSAGE_BYTES)
         self.app.router.add_get("/", self._index)
@@ -125,6 +126,7 @@ class Gateway:
         self.app.router.add_get("/api/boats", self._boats)
         self.app.router.add_get("/foxglove.json", self._layout)
         self.app.router.add_get("/watch.csv", self._table)
+        self.app.router.add_post("/area", self._surveys.read)
         self.charts.routes(self.app)
         if PAGE.is_dir():
             self.app.router.add_static("/", PAGE)
@@ -137,6 +139,7 @@ class Gateway:
             self.session.flush()
             self._keep()
         self.charts.close()
+        self._surveys.close()
 
     def tell(self, message: dict[str, Any]) -> None:
         """Sends to every page and viewer; a text is kept in the log of the watch."""
@@ -358,6 +361,8 @@ class Gateway:
                 answer(True, "")
             case page_messages.Mission():
                 self._desk.ask(asked, words.get("mission"), page.tell, answer)
+            case page_messages.Survey():
+                self._surveys.ask(page.who, asked, page.tell, answer)
 
     def _stop_all(self, answer: Callable[[bool, str], None]) -> None:
         """Answers when all boats have stopped, or one has failed to."""

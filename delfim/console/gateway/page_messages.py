@@ -122,5 +122,30 @@ class Mission(Said, frozen=True):
     name: str = ""
 
 
-Message = Command | Input | Release | Profile | Forget | Home | Replay | Acknowledge | Mission
+Corner = tuple[Annotated[float, msgspec.Meta(ge=-89.0, le=89.0)], Annotated[float, msgspec.Meta(ge=-180.0, le=180.0)]]
+Ring = Annotated[list[Corner], msgspec.Meta(min_length=3, max_length=10_000)]
+Length = Annotated[float, msgspec.Meta(ge=0.0, le=1000.0)]
+
+
+class Survey(Said, frozen=True):
+    """Asks for the lines of areas, each an outline and its holes; `survey` tells them. A later one of the same page takes the
+    place of one that waits."""
+
+    boat: Number
+    areas: Annotated[list[tuple[Ring, list[Ring]]], msgspec.Meta(max_length=100)]
+    spacing_m: Length = 0.0  # 0: by swath and overlap
+    swath_m: Length = 0.0  # that a line covers; 0: the spacing
+    overlap_pct: Annotated[float, msgspec.Meta(ge=0.0, le=90.0)] = 20.0
+    heading_deg: Real | None = None  # of the lines; null: the quickest
+    cross_m: Length = 0.0  # spacing of cross lines; 0: none
+    start: Literal["", "nw", "ne", "sw", "se"] = ""  # the corner to begin near
+    inside: bool = False  # lines end where they leave the area
+    run_in_m: Length = 0.0  # 0: the boat's own
+    speed_mps: Length = 0.0  # 0: the boat's own
+    fence: Annotated[list[Corner], msgspec.Meta(max_length=1000)] = []  # of the plan
+    obstacles: Annotated[list[Obstacle], msgspec.Meta(max_length=1000)] = []  # of the plan
+    name: Annotated[str, msgspec.Meta(max_length=200)] = "Survey"
+
+
+Message = Command | Input | Release | Profile | Forget | Home | Replay | Acknowledge | Mission | Survey
 NO_NUMBERS = frozenset({"t", "seq", "boat", "command"})

@@ -161,6 +161,15 @@ export class Chart {
     this.view.fit(buffer(extent, margin), { duration, maxZoom: 21 });
   }
 
+  /** Show all these places beside a box on the right of the window, or below it where there is no room beside it. */
+  fitBeside(places: Place[], box: DOMRect, left_px: number): void {
+    if (!places.length) return;
+    const [beside, padding] = [box.left - left_px > 300, this.view.padding];
+    this.view.padding = beside ? [50, innerWidth - box.left + 30, 70, left_px + 30] : [box.bottom + 20, 30, 120, 30];
+    this.fit(places);
+    this.view.padding = padding; // the view goes on from where it is
+  }
+
   /** Bring a place into the middle when it is not well in sight. */
   follow(place: Place, duration = 250): void {
     const pixel = this.pixelOf(place);

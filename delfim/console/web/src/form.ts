@@ -56,8 +56,7 @@ export class FormView implements Open {
     box.replaceChildren(
       make("header", make("b", title)),
       ...fields.map((_, i) => this.row(i)),
-      this.words,
-      make("div.choice", button("Cancel", "plain", () => done(false)), button("OK", "main", () => this.enter())),
+      make("footer", this.words, make("div.choice", button("Cancel", "plain", () => done(false)), button("OK", "main", () => this.enter()))),
     );
     fields.forEach((_, i) => this.tell(i));
     this.say();
@@ -159,7 +158,8 @@ export class FormView implements Open {
     this.inputs[index]!.value = value === 0 && zero ? zero : show ? show(value) : `${Number(short) === Number(typed) ? short : typed} ${unit}`;
   }
 
-  private say(): void {
+  /** What is said of the numbers, anew. */
+  say(): void {
     const fault = this.faults.find(Boolean);
     const said = fault ? { refuse: fault } : this.live(this.values);
     this.refused = typeof said === "string" ? "" : said.refuse;

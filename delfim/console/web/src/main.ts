@@ -27,6 +27,7 @@ import { Replay } from "./replay";
 import { Sound } from "./sound";
 import { Others, vesselLines } from "./others";
 import { NOBODY, State, ageWords } from "./state";
+import { Survey, surveyed } from "./survey";
 import { Strips } from "./strip";
 import { Traffic } from "./traffic";
 import { Watch } from "./watch";
@@ -56,7 +57,8 @@ const fleet = new Fleet(chart, state);
 const watch = new Watch(state, sound);
 const others = new Others(chart, state, watch);
 const plans = new Plans(chart, state, (mission) => edit(state.planning, mission));
-const planning = new Planning(popup, state, actions, chart, plans, messages, edit, undo);
+const survey = new Survey(chart, popup, state, plans, net, messages, edit);
+const planning = new Planning(popup, state, actions, chart, plans, messages, edit, undo, survey);
 const wayHome = new WayHome(chart, state, net);
 popup.closed = () => wayHome.show(null);
 const menus = new Menus(popup, state, actions, chart, fleet, plans, planning, () => watchLog.open(), sound, watch, wayHome, () => keyCard.toggle());
@@ -152,6 +154,8 @@ function heard(message: Heard): void {
     case "missions":
       state.names = message.names;
       return state.tell("missions");
+    case "survey":
+      return survey.take(message);
     case "progress":
       if (message.part >= 1) state.progress.delete(message.boat);
       else state.progress.set(message.boat, message);
@@ -221,6 +225,7 @@ function tell(vessel: Vessel, at: Pixel): void {
 }
 
 function openMenu(): void {
+  if (survey.isDrawing) return survey.close();
   const boat = state.boat;
   if (!boat) return;
   const place = position(boat);
@@ -231,17 +236,20 @@ function escape(): void {
   popup.close();
   keyCard.close();
   plans.measure(null);
+  survey.giveUp();
 }
 
 function click(place: Place, pixel: Pixel, touch: boolean): void {
   if (plans.measuring) return plans.measureTo(place, true);
   if (popup.isOpen) return popup.close();
+  if (survey.isDrawing) return survey.add(place);
   if (!offer(pixel, touch)) menus.map(place, pixel);
 }
 
 /** A long press, or the other button: the same menus. */
 function press(place: Place, pixel: Pixel): void {
   popup.close();
+  if (survey.isDrawing) return survey.add(place);
   if (!offer(pixel, true)) menus.map(place, pixel);
 }
 
@@ -257,9 +265,10 @@ function offer(pixel: Pixel, touch: boolean): boolean {
 
 function hover(place: Place, pixel: Pixel): void {
   if (plans.measuring) plans.measureTo(place, false);
+  if (survey.isDrawing) survey.point(place);
   text(element("where"), whereWords(place, state));
   const over = fleet.at(pixel, REACH_PX) ?? plans.at(pixel, false) ?? others.at(pixel, REACH_PX);
-  element("map").style.cursor = plans.measuring ? "crosshair" : over ? "pointer" : "";
+  element("map").style.cursor = plans.measuring || survey.isDrawing ? "crosshair" : over ? "pointer" : "";
 }
 
 /** How long ago the gateway was heard. */
@@ -311,6 +320,9 @@ Object.assign(window, {
     pieces: (boat: number) => fleet.pieces(boat),
     frames: ofLastSecond,
     numbers: () => plans.numbers,
+    areas: () => surveyed(state.plan(state.planning).mission).length,
+    survey: () => survey.lines,
+    loadArea: (name: string, words: string) => survey.load(new File([words], name)),
     wayHome: (boat: number) => wayHome.words(boat),
     vessels: () => state.vessels.map((each) => [each.name, watch.gravity(each)]),
   },

@@ -12,6 +12,7 @@ import type { Planning } from "./planning";
 import type { Handle, Plans } from "./plans";
 import type { Entry, Item, Popup } from "./popup";
 import type { Sound } from "./sound";
+import { surveyed } from "./survey";
 import { age_s, freshness } from "./state";
 import type { State } from "./state";
 import { inKnots, setKnots } from "./units";
@@ -178,7 +179,7 @@ export class Menus {
     const boats = this.state.boats.flatMap((boat) => (boat.latitude_deg === null ? [] : [boat as Place]));
     const aboard = this.state.boats.flatMap((boat) => this.state.aboardOf(boat) ?? []);
     const missions = [...aboard, ...[...this.state.plans.values()].map(({ mission }) => mission)];
-    return [...boats, ...this.fleet.allWays, ...missions.flatMap((each) => [...each.waypoints, ...M.path(each), ...each.fence.map(M.cornerPlace)])];
+    return [...boats, ...this.fleet.allWays, ...missions.flatMap((each) => [...each.waypoints, ...M.path(each), ...surveyed(each), ...each.fence.map(M.cornerPlace)])];
   }
 
   private screen(): Entry[] {

@@ -34,6 +34,7 @@ export function same(a: Mission, b: Mission): boolean {
       mission.obstacles.map((each) => [at(each), each.radius_m]),
       mission.home && at(mission.home),
       mission.path ?? [],
+      mission.survey ?? null,
       (mission.zones ?? []).map((each) => [each.kind, each.polygon, each.centre, each.radius_m]),
     ]);
   return words(a) === words(b);

@@ -17,6 +17,8 @@ export interface Palette {
   steer: string; // where it is steering
   danger: string;
   dangerFill: string;
+  survey: string; // areas and lines of a survey
+  done: string; // lines that were sailed
   handle: string;
   port: string;
   starboard: string;
@@ -36,6 +38,8 @@ const DAY: Palette = {
   steer: "#a3148c",
   danger: "#b4232f",
   dangerFill: "rgba(180,35,47,.14)",
+  survey: "#00707f",
+  done: "#0f7a4d",
   handle: "#ffffff",
   port: "#b02a37",
   starboard: "#0f7a4d",
@@ -55,6 +59,8 @@ const NIGHT: Palette = {
   steer: "#c878c0",
   danger: "#d0525a",
   dangerFill: "rgba(208,82,90,.14)",
+  survey: "#3fa7b5",
+  done: "#4f9e78",
   handle: "#0c1c26",
   port: "#c8646c",
   starboard: "#4f9e78",

@@ -1,5 +1,6 @@
 // The menus and forms of a plan: the mission as a whole, its waypoints, patterns, fence, obstacles and home, and how it gets aboard.
 import type { Actions } from "./actions";
+import * as A from "./area";
 import type { Chart, Pixel } from "./chart";
 import type { Field } from "./form";
 import { bearing, bearing_deg, degreesIn, distance_m, duration, metres, position } from "./geo";
@@ -9,6 +10,7 @@ import { KINDS, newPattern, patternAt, withPattern } from "./patterns";
 import type { Found } from "./patterns";
 import type { Handle, Plans } from "./plans";
 import type { Entry, Item, Popup } from "./popup";
+import type { Survey } from "./survey";
 import { NOBODY } from "./state";
 import type { State } from "./state";
 import { enteredSpeed_mps, inKnots, shownSpeed, speedUnit, speedWords } from "./units";
@@ -39,6 +41,7 @@ export class Planning {
     private readonly messages: Messages,
     private readonly edit: (boat: number, mission: Mission) => void,
     private readonly undo: () => void,
+    private readonly survey: Survey,
   ) {}
 
   /** Enter a mode. If it sails the mission aboard and the plan on the screen differs, the operator is asked which one. */
@@ -87,6 +90,7 @@ export class Planning {
     if (handle.kind === "waypoint") this.waypoint(boat, handle.index, at);
     else if (handle.kind === "obstacle") this.obstacle(boat, handle.index, at);
     else if (handle.kind === "corner") this.corner(boat, handle.index, at);
+    else if (handle.kind === "area") this.areaCorner(boat, handle.ring!, handle.index, at);
     else if (handle.kind === "home") this.home(boat, at);
     else return false;
     return true;
@@ -220,6 +224,7 @@ export class Planning {
     ];
     if (best < size) entries.push({ title: "Insert waypoint", note: `between ${best} and ${best + 1}`, do: insert(best) });
     entries.push(
+      { title: "Survey", sub: () => this.survey.menu(place) },
       { title: "Pattern", sub: () => this.patterns(boat, place) },
       { title: "Fence, obstacle, home", sub: () => this.marks(boat, place) },
       { title: "Mission", sub: () => this.mission(boat) },
@@ -274,6 +279,7 @@ export class Planning {
     this.popup.menu(at, { title: `Waypoint ${index + 1}`, colour: boat.colour, note }, [
       { title: "Speed, acceptance, stay…", note: waypointWords(its), do: () => this.waypointForm(boat, index) },
       this.position(boat, `Waypoint ${index + 1}`, its, (each, to) => M.moveWaypoint(each, index, to)),
+      ...(A.areasOf(mission).length && mission.survey!.values.length ? [{ title: "Change the survey…", note: "its lines anew", do: () => this.survey.form() }] : []),
       ...(found ? [{ title: `Change the ${KINDS[found.pattern.kind].title.toLowerCase()}…`, note: `waypoints ${found.first + 1} to ${found.first + found.count}`, do: () => this.patternForm(boat, found.pattern, found) }] : []),
       { title: "Leg to it", refuse: before ? undefined : "it is the first", note: "as path following sails it", sub: () => this.legs(boat, index) },
       "line",
@@ -345,6 +351,18 @@ export class Planning {
       this.position(boat, `Fence corner ${index + 1}`, its, (each, to) => M.moveCorner(each, index, to)),
       { title: "Delete the corner", do: () => this.change(boat, (each) => M.deleteCorner(each, index)) },
       { title: "Delete the fence", do: () => this.change(boat, (each) => ({ ...each, fence: [] })) },
+    ]);
+  }
+
+  private areaCorner(boat: Boat, ring: number, index: number, at: Pixel): void {
+    const { corners, hole } = A.ringsOf(this.state.plan(boat.id).mission)[ring]!;
+    const its = M.cornerPlace(corners[index]!);
+    const words = hole < 0 ? "area" : "hole";
+    this.popup.menu(at, { title: `Corner ${index + 1} of the ${words}` }, [
+      { title: "Lines…", do: () => this.survey.form() },
+      this.position(boat, `Corner ${index + 1}`, its, (each, to) => A.moveRingCorner(each, ring, index, to)),
+      { title: "Delete the corner", do: () => this.change(boat, (each) => A.deleteRingCorner(each, ring, index)) },
+      { title: `Delete the ${words}`, do: () => this.change(boat, (each) => A.deleteRing(each, ring)) },
     ]);
   }
 

@@ -10,8 +10,10 @@ import type { Chart, Pixel } from "./chart";
 import { placeOf, point } from "./chart";
 import { keptAboard } from "./aboard";
 import { bearing, bearing_deg, distance_m, metres } from "./geo";
+import { insertRingCorner, moveRingCorner, ringsOf } from "./area";
 import { alike, cornerPlace, insertCorner, insertWaypoint, leg, moveCorner, moveWaypoint, path as pathOf, setObstacle } from "./mission";
 import { cased, inked, palette } from "./palette";
+import { drawnAreas } from "./survey";
 import type { State } from "./state";
 import type { Boat, Mission, Place, Waypoint } from "./wire";
 
@@ -23,8 +25,9 @@ const ASIDE_PX = 25; // between two discs that stand side by side
 const DRAFT = [8, 6];
 
 export interface Handle {
-  kind: "waypoint" | "middle" | "corner" | "edge" | "obstacle" | "home";
+  kind: "waypoint" | "middle" | "corner" | "edge" | "obstacle" | "home" | "area" | "side";
   index: number;
+  ring?: number; // of the areas
   place: Place;
 }
 
@@ -42,6 +45,7 @@ export class Plans {
   private readonly marks = new VectorSource({ useSpatialIndex: false });
   private readonly over = new VectorSource({ useSpatialIndex: false });
   private draft: Mission | null = null; // while something is dragged or a form is open
+  stand = false; // handles stay where they are, because clicks are something else now
   private rulers: [Place, Place][] = [];
   private ruler: Place | null = null;
 
@@ -87,7 +91,7 @@ export class Plans {
       const its = this.chart.pixelOf(handle.place);
       if (its && aside && handle.kind === "waypoint" && handle.index === this.mission().waypoints.length - 1) its[0] += ASIDE_PX;
       const far = its ? Math.hypot(its[0] - pixel[0], its[1] - pixel[1]) : Infinity;
-      const behind = handle.kind === "middle" || handle.kind === "edge" ? 3 : 0;
+      const behind = ["middle", "edge", "side"].includes(handle.kind) ? 3 : 0;
       if (far + behind < least) [best, least] = [handle, far + behind];
     }
     return best;
@@ -128,6 +132,7 @@ export class Plans {
     const mission = this.mission();
     const made: Handle[] = mission.waypoints.map((place, index) => ({ kind: "waypoint", index, place }));
     mission.fence.forEach((each, index) => made.push({ kind: "corner", index, place: cornerPlace(each) }));
+    ringsOf(mission).forEach(({ corners }, ring) => corners.forEach((each, index) => made.push({ kind: "area", ring, index, place: cornerPlace(each) })));
     mission.obstacles.forEach((place, index) => made.push({ kind: "obstacle", index, place }));
     if (mission.home) made.push({ kind: "home", index: 0, place: mission.home });
     return [...made, ...this.middles(mission)];
@@ -135,15 +140,16 @@ export class Plans {
 
   private middles(mission: Mission): Handle[] {
     const made: Handle[] = [];
-    const add = (kind: "middle" | "edge", index: number, a: Place, b: Place) => {
+    const add = (kind: "middle" | "edge" | "side", index: number, a: Place, b: Place, ring?: number) => {
       const [from, to] = [this.chart.pixelOf(a), this.chart.pixelOf(b)];
       if (!from || !to || Math.hypot(from[0] - to[0], from[1] - to[1]) < LEG_FOR_MIDDLE_PX) return;
       const place = { latitude_deg: (a.latitude_deg + b.latitude_deg) / 2, longitude_deg: (a.longitude_deg + b.longitude_deg) / 2 };
-      made.push({ kind, index, place });
+      made.push({ kind, index, place, ...(ring === undefined ? {} : { ring }) });
     };
-    mission.waypoints.forEach((to, i) => i && !to.turn && add("middle", i, mission.waypoints[i - 1]!, to));
+    if (!mission.survey?.values.length) mission.waypoints.forEach((to, i) => i && !to.turn && add("middle", i, mission.waypoints[i - 1]!, to));
     const corners = mission.fence.map(cornerPlace);
     corners.forEach((each, i) => add("edge", i + 1, each, corners[(i + 1) % corners.length]!));
+    ringsOf(mission).forEach(({ corners: round }, ring) => round.forEach((each, i) => add("side", i + 1, cornerPlace(each), cornerPlace(round[(i + 1) % round.length]!), ring)));
     return made;
   }
 
@@ -160,11 +166,12 @@ export class Plans {
     const aboard = boat && this.state.aboardOf(boat);
     const isAboard = aboard !== null && alike(mission, aboard);
     if (aboard && !isAboard) this.drawMission(aboard, boat!, { colour: palette.plan, small: mission.waypoints.length > 0 });
-    this.legs.addFeatures(keptAboard(mission, true));
+    this.legs.addFeatures([...drawnAreas(mission), ...keptAboard(mission, true)]);
     this.drawMission(mission, boat, isAboard ? { colour: palette.plan } : { colour: palette.draft, lineDash: DRAFT });
     mission.fence.forEach((each) => this.marks.addFeature(drawnCorner(cornerPlace(each), palette.danger, 5.5)));
-    const tint = isAboard ? palette.plan : palette.draft;
-    this.middles(mission).forEach(({ kind, place }) => this.marks.addFeature(drawnPlus(place, kind === "edge" ? palette.danger : tint)));
+    ringsOf(mission).forEach(({ corners }) => corners.forEach((each) => this.marks.addFeature(drawnCorner(cornerPlace(each), palette.survey, 5.5))));
+    const tints: Record<string, string> = { edge: palette.danger, side: palette.survey };
+    this.middles(mission).forEach(({ kind, place }) => this.marks.addFeature(drawnPlus(place, tints[kind] ?? (isAboard ? palette.plan : palette.draft))));
   }
 
   /** Solid: the mission aboard. Dashed: a plan that is on the screen only. */
@@ -176,8 +183,10 @@ export class Plans {
     const [current, last] = [sails ? boat!.mission.current : null, mission.waypoints.length - 1];
     const drawn = numbered(this.chart, mission.waypoints, current);
     const aside = besideTheFirst(this.chart, mission.waypoints);
+    const isSurvey = Boolean(mission.survey?.values.length); // hundreds of numbers would hide its lines
     mission.waypoints.forEach((each, i) => {
-      if (drawn.has(i)) this.marks.addFeature(drawnWaypoint(each, i, i === current, look, aside && i === last ? ASIDE_PX : 0));
+      if (isSurvey && i && i < last && i !== current) this.marks.addFeature(drawnCorner(each, look.colour, 3));
+      else if (drawn.has(i)) this.marks.addFeature(drawnWaypoint(each, i, i === current, look, aside && i === last ? ASIDE_PX : 0));
     });
   }
 
@@ -209,7 +218,7 @@ class Dragging extends PointerInteraction {
 
   override handleDownEvent(event: MapBrowserEvent): boolean {
     const pointer = event.originalEvent as PointerEvent;
-    if (pointer.button !== 0 || this.plans.measuring) return false;
+    if (pointer.button !== 0 || this.plans.measuring || this.plans.stand) return false;
     this.handle = this.plans.at(event.pixel as Pixel, pointer.pointerType === "touch");
     this.before = this.handle && this.state.plan(this.state.planning).mission;
     this.now = null;
@@ -230,8 +239,12 @@ class Dragging extends PointerInteraction {
   }
 }
 
-function dragged(mission: Mission, { kind, index }: Handle, to: Place): Mission {
+function dragged(mission: Mission, { kind, index, ring = 0 }: Handle, to: Place): Mission {
   switch (kind) {
+    case "area":
+      return moveRingCorner(mission, ring, index, to);
+    case "side":
+      return insertRingCorner(mission, ring, index, to);
     case "waypoint":
       return moveWaypoint(mission, index, to);
     case "middle":

@@ -47,6 +47,11 @@ export class Popup {
     return this.open !== null;
   }
 
+  /** What the open menu or form covers of the window. */
+  get covers(): DOMRect {
+    return this.box.getBoundingClientRect();
+  }
+
   close(): void {
     if (!this.open) return;
     const open = this.open;
@@ -76,7 +81,8 @@ export class Popup {
     this.show(heading, entries, []);
   }
 
-  form(at: [number, number], title: string, fields: Field[], live: (values: number[]) => Said, done: (ok: boolean) => void): void {
+  /** Returns what asks `live` again, when what it says has changed. */
+  form(at: [number, number], title: string, fields: Field[], live: (values: number[]) => Said, done: (ok: boolean) => void): () => void {
     this.close();
     const view = new FormView(this.box, title, fields, live, (ok) => {
       this.open = null;
@@ -87,6 +93,11 @@ export class Popup {
     this.open = view;
     this.at = at;
     this.place();
+    return () => {
+      if (this.open !== view) return;
+      view.say();
+      this.fit(); // its words may be longer now
+    };
   }
 
   /** Ask for a name; `note` comments on the name typed so far. */
@@ -116,8 +127,13 @@ export class Popup {
   private place(): void {
     this.box.hidden = false;
     this.opened();
-    this.box.style.maxHeight = "";
     [this.shownAt, this.meant] = [performance.now(), false];
+    this.fit();
+  }
+
+  private fit(): void {
+    this.box.style.maxHeight = "";
+    [this.box.style.left, this.box.style.top] = ["0px", "0px"]; // at the edge it would be narrower
     const { width, height } = this.box.getBoundingClientRect();
     const stop = this.stop.getBoundingClientRect();
     const clamp = (wanted: number, size: number, room: number) => Math.max(MARGIN_PX, Math.min(wanted, room - size - MARGIN_PX));

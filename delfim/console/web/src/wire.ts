@@ -40,6 +40,9 @@ export interface Pattern {
   values: number[]; // of its form
 }
 
+export type Ring = [latitude_deg: number, longitude_deg: number][];
+export type Area = [outline: Ring, holes: Ring[]];
+
 export interface Mission {
   name: string;
   waypoints: Waypoint[];
@@ -49,6 +52,7 @@ export interface Mission {
   home: Place | null;
   path?: PathPoint[]; // of its own, beside the waypoints
   patterns?: Pattern[];
+  survey?: { areas: Area[]; values: number[] }; // what its lines were made of, in the plan on the screen; values of its form
 }
 
 export type Pair = [number | null, number | null];
@@ -220,6 +224,7 @@ export type Heard =
   | { t: "answer"; seq: number; ok: boolean; reason: string; stage?: string }
   | { t: "mission"; boat: number; where: "here" | "aboard"; mission: Mission }
   | { t: "missions"; names: string[] }
+  | { t: "survey"; boat: number; lines: [Ring[0], Ring[0]][]; across: number; way: Ring; heading_deg: number; spacing_m: number; line_m: number; way_m: number; time_s: number; covered: [number, number]; room_m: number; mission: Mission }
   | { t: "progress"; boat: number; what: string; part: number }
   | { t: "dryrun"; boat: number; time_s: number; distance_m: number; track: [number, number][] };
 
@@ -229,6 +234,7 @@ export type Said =
   | { t: "command"; boat: number | "all"; command: string; [key: string]: Values[string] }
   | { t: "mission"; boat: number; do: MissionDeed; mission?: Mission; name?: string }
   | { t: "profile"; boat: number; profile: string }
+  | { t: "survey"; boat: number; areas: Area[]; heading_deg: number | null; start: string; inside: boolean; fence: Ring; obstacles: Obstacle[]; name: string; [key: `${string}_m` | `${string}_mps` | `${string}_pct`]: number }
   | { t: "forget"; boat: number }
   | { t: "home"; boat: number }
   | { t: "acknowledge"; ids: number[] }

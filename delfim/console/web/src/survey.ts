@@ -1,0 +1,318 @@
+// Surveys: areas are drawn or loaded, and a form shows their lines on the map while it changes. The gateway makes the lines.
+import Feature from "ol/Feature";
+import { LineString, Point, Polygon } from "ol/geom";
+import VectorLayer from "ol/layer/Vector";
+import VectorSource from "ol/source/Vector";
+import { Fill, RegularShape, Stroke, Style } from "ol/style";
+import { areasOf, corner, ringsOf, square, withAreas, withHole } from "./area";
+import type { Chart, Pixel } from "./chart";
+import { point } from "./chart";
+import type { Field } from "./form";
+import { bearing, bearing_deg, duration, metres } from "./geo";
+import type { Messages } from "./messages";
+import { cornerPlace, understood } from "./mission";
+import type { Answer, Net } from "./net";
+import { cased, palette } from "./palette";
+import type { Plans } from "./plans";
+import type { Entry, Popup } from "./popup";
+import type { State } from "./state";
+import { enteredSpeed_mps, inKnots, speedUnit } from "./units";
+import type { Area, Heard, Mission, Place, Ring, Said } from "./wire";
+
+type Told = Extract<Heard, { t: "survey" }>;
+type Asked = Extract<Said, { t: "survey" }>;
+
+const ASIDE: Pixel = [Infinity, 60]; // the form must not cover the area
+const STARTS = ["", "nw", "ne", "se", "sw"] as const;
+const BEGIN = [10, 0, 20, 0, 0, 0, 0, 0, 0]; // of the form: spacing, swath, overlap, heading, cross lines, start, edges, run-in, speed
+const CLOSE_PX = 14;
+const ENDINGS = ".geojson,.json,.kml,.gpx,.shp,.plan";
+
+export class Survey {
+  private readonly shown = new VectorSource({ useSpatialIndex: false });
+  private drawing: Place[] | null = null; // corners of a ring so far
+  private isHole = false;
+  private pointer: Place | null = null;
+  private told: Told | null = null;
+  private asked = ""; // what was asked last, and its answer
+  private answer: Answer | null = null;
+  private wanted: Asked | null = null; // while an answer is waited for: what is asked next
+  private again = () => {};
+
+  constructor(
+    private readonly chart: Chart,
+    private readonly popup: Popup,
+    private readonly state: State,
+    private readonly plans: Plans,
+    private readonly net: Net,
+    private readonly messages: Messages,
+    private readonly edit: (boat: number, mission: Mission) => void,
+  ) {
+    chart.add(new VectorLayer({ source: this.shown, updateWhileAnimating: true, updateWhileInteracting: true }), 6);
+    state.on(["theme"], () => this.draw());
+  }
+
+  private get mission(): Mission {
+    return this.state.plan(this.state.planning).mission;
+  }
+
+  private change(next: Mission): void {
+    this.edit(this.state.planning, next);
+  }
+
+  menu(place: Place): Entry[] {
+    const none = areasOf(this.mission).length ? undefined : "draw an area first, or load one";
+    const side: Field = { title: "Side", unit: "m", value: 200, step: 10, least: 10, most: 5000 };
+    const hole: Field = { ...side, value: 30, step: 5, least: 2 };
+    return [
+      { title: "Draw an area", note: "corner by corner", do: () => this.begin(false) },
+      { title: "Area around here…", do: () => this.square("Area", side, place, (mission, ring) => withAreas(mission, [...areasOf(mission), [ring, []]])) },
+      { title: "Load an area…", note: "GeoJSON, KML, GPX, Shapefile, .plan", do: () => this.choose() },
+      "line",
+      { title: "Draw a hole", note: "which the boat must not enter", refuse: none, do: () => this.begin(true) },
+      { title: "Hole around here…", refuse: none, do: () => this.square("Hole", hole, place, (mission, ring) => withHole(mission, ring, place)) },
+      "line",
+      { title: "Lines…", refuse: none, do: () => this.form() },
+      { title: "Delete the areas", refuse: none, do: () => this.change(withAreas(this.mission, [])) },
+    ];
+  }
+
+  private square(title: string, field: Field, place: Place, made: (mission: Mission, ring: Ring) => Mission): void {
+    const before = this.mission;
+    let next = before;
+    const live = ([side]: number[]) => {
+      this.plans.preview((next = made(before, square(place, side!))));
+      return "drag its corners afterwards";
+    };
+    this.popup.form(ASIDE, title, [field], live, (ok) => {
+      this.plans.preview(null);
+      if (ok) this.change(next);
+    });
+  }
+
+  // Corner by corner.
+
+  get isDrawing(): boolean {
+    return this.drawing !== null;
+  }
+
+  private begin(isHole: boolean): void {
+    [this.drawing, this.isHole, this.plans.stand] = [[], isHole, true];
+    this.messages.say(null, 6, `click the corners of the ${isHole ? "hole" : "area"}; the first one again, or Enter, closes it; Esc gives it up`);
+  }
+
+  /** A corner; the first one again closes the ring. */
+  add(place: Place): void {
+    if (!this.drawing) return;
+    const [first, here] = [this.drawing[0] && this.chart.pixelOf(this.drawing[0]), this.chart.pixelOf(place)];
+    if (first && here && this.drawing.length > 2 && Math.hypot(first[0] - here[0], first[1] - here[1]) < CLOSE_PX) return this.close();
+    this.drawing.push(place);
+    this.draw();
+  }
+
+  point(place: Place): void {
+    this.pointer = place;
+    this.draw();
+  }
+
+  close(): void {
+    const corners = this.drawing ?? [];
+    if (corners.length < 3) return;
+    const ring = corners.map(corner);
+    this.giveUp();
+    this.change(this.isHole ? withHole(this.mission, ring, corners[0]!) : withAreas(this.mission, [...areasOf(this.mission), [ring, []]]));
+    if (!this.isHole) this.form();
+  }
+
+  giveUp(): void {
+    this.drawing = this.pointer = null;
+    this.plans.stand = false;
+    this.draw();
+  }
+
+  // From a file.
+
+  private choose(): void {
+    const input = document.createElement("input");
+    Object.assign(input, { type: "file", accept: ENDINGS });
+    input.addEventListener("change", () => input.files?.[0] && void this.load(input.files[0]));
+    input.click();
+  }
+
+  /** Takes the areas of a file. Returns why it is refused, in words. */
+  async load(file: File): Promise<string> {
+    const answer = await fetch(`area?name=${encodeURIComponent(file.name)}`, { method: "POST", body: file }).catch(() => null);
+    const told = answer?.ok ? ((await answer.json()) as { areas?: Area[]; refused?: string }) : { refused: "the console does not take it" };
+    if (!told.areas) {
+      this.messages.say(null, 3, `area refused: ${told.refused}`);
+      return told.refused ?? "";
+    }
+    const areas = joined(told.areas);
+    this.change(withAreas(this.mission, [...areasOf(this.mission), ...areas]));
+    this.chart.fit(areas.flatMap(([outline]) => outline.map(cornerPlace)), 250);
+    this.form();
+    return "";
+  }
+
+  // Lines.
+
+  /** The form of the lines, with the lines on the map. */
+  form(): void {
+    const before = this.mission;
+    const kept = before.survey?.values ?? [];
+    const fields = formFields(kept.length === BEGIN.length ? kept : BEGIN);
+    const bare: Mission = { ...before, waypoints: [], path: [] };
+    let values: number[] = [];
+    const live = (now: number[]) => {
+      values = [...now];
+      this.ask({ ...asked(before, now), boat: this.state.planning });
+      return this.words(before);
+    };
+    this.plans.preview(bare);
+    this.again = this.popup.form(ASIDE, "Survey lines", fields, live, (ok) => {
+      const { told } = this;
+      [this.told, this.asked, this.wanted, this.again] = [null, "", null, () => {}];
+      this.plans.preview(null);
+      this.draw();
+      if (ok && told) this.change(planned(before, told, values));
+    });
+  }
+
+  /** How many lines are on the map while they are planned. */
+  get lines(): number {
+    return this.told?.lines.length ?? 0;
+  }
+
+  take(told: Told): void {
+    if (!this.told) this.chart.fitBeside([...surveyed(this.mission), ...told.way.map(cornerPlace)], this.popup.covers, document.getElementById("strips")!.offsetWidth);
+    this.told = told;
+  }
+
+  private ask(next: Asked): void {
+    const words = JSON.stringify(next);
+    if (words === this.asked) return;
+    if (this.asked && !this.answer) {
+      this.wanted = next; // one question at a time
+      return;
+    }
+    [this.asked, this.answer] = [words, null];
+    void this.net.ask(next).then((answer) => {
+      if (words !== this.asked) return; // the form is another one by now
+      this.answer = answer;
+      if (!answer.ok) this.told = null;
+      const { wanted } = this;
+      this.wanted = null;
+      if (wanted) this.ask(wanted);
+      this.draw();
+      this.again();
+    });
+  }
+
+  private words(before: Mission) {
+    const { answer, told, wanted } = this;
+    if (!answer || wanted) return { refuse: "the lines are being made" };
+    if (!answer.ok || !told) return { refuse: answer.reason };
+    const [free, area] = told.covered.map((part) => `${(100 * part).toFixed(1)} %`);
+    const left = free === area ? "" : `, which is ${area} of the area: ${told.room_m} m about holes and fences are left`;
+    const old = before.waypoints.length ? `\nThey take the place of the plan’s ${before.waypoints.length} waypoints.` : "";
+    const across = told.across ? `, ${told.across} across` : "";
+    return (
+      `${told.lines.length} lines${across}, ${metres(told.spacing_m)} apart, ${bearing(told.heading_deg)}\n` +
+      `${metres(told.line_m)} of lines, ${metres(told.way_m)} in all, ${duration(told.time_s)}\n` +
+      `covered: ${free} of what may be sailed${left}${old}`
+    );
+  }
+
+  // On the map.
+
+  private draw(): void {
+    this.shown.clear();
+    if (this.told && !this.drawing) this.shown.addFeatures(drawnLines(this.told));
+    if (!this.drawing) return;
+    const points = [...this.drawing, ...(this.pointer ? [this.pointer] : [])].map(point);
+    const line = new Feature(new LineString(points));
+    line.setStyle(cased(palette.survey, 2, [6, 5]));
+    this.shown.addFeatures([...(points.length > 1 ? [line] : []), ...this.drawing.map((each) => handle(point(each)))]);
+  }
+}
+
+/** The plan with these lines as its waypoints. Its fence, obstacles and home stay; holes of an earlier survey go. */
+function planned(before: Mission, told: Told, values: number[]): Mission {
+  const made = understood(told.mission);
+  const zones = [...(before.zones ?? []).filter(({ name }) => !/^hole \d+$/.test(name)), ...(made.zones ?? [])];
+  const { patterns: _, ...rest } = before;
+  return { ...rest, waypoints: made.waypoints, path: made.path ?? [], zones, survey: { areas: areasOf(before), values } };
+}
+
+function asked(mission: Mission, [spacing, swath, overlap, heading, cross, start, edges, run_in, speed]: number[]): Asked {
+  return {
+    t: "survey",
+    boat: 0,
+    areas: areasOf(mission),
+    ...{ spacing_m: spacing!, swath_m: swath!, overlap_pct: overlap!, heading_deg: heading || null, cross_m: cross!, start: STARTS[start!]! },
+    ...{ inside: edges === 1, run_in_m: run_in!, speed_mps: enteredSpeed_mps(speed!) },
+    fence: mission.fence,
+    obstacles: mission.obstacles,
+    name: mission.name,
+  };
+}
+
+function formFields([spacing, swath, overlap, heading, cross, start, edges, run_in, speed]: number[]): Field[] {
+  const m = (title: string, value: number, step: number, zero: string): Field => ({ title, unit: "m", value, step, least: 0, most: 1000, zero });
+  const corners = ["anywhere", ...STARTS.slice(1).map((each) => each.toUpperCase())];
+  const cornerIn = (words: string) => corners.findIndex((each) => each.toLowerCase() === words.trim().toLowerCase());
+  return [
+    m("Spacing", spacing!, 1, "by swath"),
+    m("Swath", swath!, 1, "the spacing"),
+    { title: "Overlap", unit: "%", value: overlap!, step: 5, least: 0, most: 90 },
+    { title: "Along", unit: "°", value: heading!, step: 5, least: 0, most: 180, zero: "the quickest", show: bearing },
+    m("Cross lines", cross!, 5, "none"),
+    { title: "Begin", unit: "", value: start!, step: 1, least: 0, most: 4, show: (value) => corners[value]!, read: (words) => (cornerIn(words) < 0 ? null : cornerIn(words)), zero: corners[0]! },
+    { title: "Cover", unit: "", value: edges!, step: 1, least: 0, most: 1, zero: "to the edge", show: () => "inside" },
+    m("Run-in", run_in!, 1, "its own"),
+    { title: "Speed", unit: speedUnit(), value: speed!, step: 0.1, least: 0, most: inKnots ? 20 : 10, zero: "its own" },
+  ];
+}
+
+/** Holes that a file has beside its outlines belong to the first area. */
+function joined(areas: Area[]): Area[] {
+  const loose = areas.filter(([outline]) => !outline.length).flatMap(([, holes]) => holes);
+  return areas.filter(([outline]) => outline.length).map(([outline, holes], i) => [outline, i ? holes : [...holes, ...loose]]);
+}
+
+function drawnLines({ lines, across, way }: Told): Feature[] {
+  const thin = new Feature(new LineString(way.map((each) => point(cornerPlace(each)))));
+  thin.setStyle(cased(palette.draft, 1.1));
+  return [thin, ...lines.flatMap(([from, to], i) => directed(cornerPlace(from), cornerPlace(to), i < lines.length - across ? palette.survey : palette.steer))];
+}
+
+/** A line, its direction at its middle. */
+export function directed(from: Place, to: Place, colour: string, width = 2.4): Feature[] {
+  const [a, b] = [point(from), point(to)];
+  const line = new Feature(new LineString([a, b]));
+  line.setStyle(cased(colour, width));
+  const arrow = new Feature(new Point([(a[0]! + b[0]!) / 2, (a[1]! + b[1]!) / 2]));
+  const rotation = (bearing_deg(from, to) * Math.PI) / 180;
+  arrow.setStyle(new Style({ image: new RegularShape({ points: 3, radius: 6.5, rotation, scale: [0.75, 1], fill: new Fill({ color: colour }) }) }));
+  return [line, arrow];
+}
+
+/** The areas of a plan. */
+export function drawnAreas(mission: Mission): Feature[] {
+  const shade = new Style({ fill: new Fill({ color: `${palette.survey}1f` }), stroke: new Stroke({ color: palette.survey, width: 1.6 }) });
+  return areasOf(mission).map(([outline, holes]) => {
+    const ring = (corners: Ring) => [...corners, corners[0]!].map((each) => point(cornerPlace(each)));
+    const area = new Feature(new Polygon([outline, ...holes].map(ring)));
+    area.setStyle(shade);
+    return area;
+  });
+}
+
+function handle(at: number[]): Feature {
+  const mark = new Feature(new Point(at));
+  mark.setStyle(new Style({ image: new RegularShape({ points: 4, angle: Math.PI / 4, radius: 7, fill: new Fill({ color: palette.handle }), stroke: new Stroke({ color: palette.survey, width: 2 }) }) }));
+  return mark;
+}
+
+/** All corners of a plan's areas. */
+export const surveyed = (mission: Mission): Place[] => ringsOf(mission).flatMap(({ corners }) => corners.map(cornerPlace));
