@@ -741,6 +741,20 @@ class Sensors(Table, frozen=True):
     stale_s: Seconds = 5.0  # a value older than this is not known
 
 
+class SounderTable(Table, frozen=True):
+    """The echo sounder, as the chart of its soundings must know it (docs/survey.md). Nothing of it counts aboard: the log keeps
+    what the sounder said."""
+
+    ahead_m: Annotated[float, msgspec.Meta(ge=-100.0, le=100.0)] = 0.0  # of the transducer, from the place navigation tells
+    starboard_m: Annotated[float, msgspec.Meta(ge=-100.0, le=100.0)] = 0.0  # of it
+    draught_m: Annotated[float, msgspec.Meta(ge=0.0, le=20.0)] = 0.0  # of it below the water line; 0: what the sounder tells
+    antenna_m: Annotated[float, msgspec.Meta(ge=-5.0, le=50.0)] = 0.0  # of navigation above the water line, for the tide by RTK
+    latency_s: Annotated[float, msgspec.Meta(ge=-2.0, le=5.0)] = 0.0  # a depth comes so much later than its position
+    sound_mps: Annotated[float, msgspec.Meta(ge=1300.0, le=1700.0)] = 1500.0  # the speed of sound that the sounder takes
+    confidence: Fraction = 0.5  # a ping of less is no depth
+    beam_deg: Annotated[float, msgspec.Meta(ge=0.0, le=90.0)] = 25.0  # of its beam: the echo is of what is nearest within it
+
+
 class Sysstat(Table, frozen=True):
     """The nodes that must report, and how old a report may be. A bad or silent required node stops the boat."""
 
@@ -920,6 +934,7 @@ class Vehicle(Table, frozen=True):
     checks: Checks = Checks()
     clock: ClockTable = ClockTable()
     sensors: Sensors = Sensors()
+    sounder: SounderTable = SounderTable()
     sysstat: Sysstat = Sysstat()
     console: Console = Console()
     handset: HandsetTable = HandsetTable()

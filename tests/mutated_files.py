@@ -274,6 +274,20 @@ def surveyed(name: str) -> Callable[[Path], Said]:
     return lambda here: refused(lambda: planned(laid(read_area(here / name)), LinesWanted(20.0, 1.5), config.Zones()))
 
 
+def charted(here: Path) -> Said:
+    from delfim.survey.chart.making import made
+    from delfim.survey.chart.reduction import SoundingCorrections
+    from delfim.survey.chart.soundings import read
+
+    return refused(lambda: made("a boat", read([here / "soundings.csv"]), SoundingCorrections()))
+
+
+def tide(here: Path) -> Said:
+    from delfim.survey.chart.tide import read_tide
+
+    return refused(lambda: read_tide(here / "tide.csv"))
+
+
 def database(here: Path) -> Said:
     from delfim.base.frames import Frame, standard
     from delfim.console.terminal.framefilter import decoder
@@ -420,6 +434,8 @@ READERS = {
     "area, KML": Reader("dock.kml", surveyed("dock.kml"), TEXT),
     "area, GPX": Reader("dock.gpx", surveyed("dock.gpx"), TEXT),
     "area of a plan": Reader("dock.plan", surveyed("dock.plan"), TEXT),
+    "soundings as CSV": Reader("soundings.csv", charted, TEXT),
+    "tide": Reader("tide.csv", tide, TEXT),
     "area, shapefile": Reader("dock.shp", surveyed("dock.shp"), BINARY),
     "mission to send": Reader("lake.toml", operators_mission, TEXT),
     "session": Reader("day.tlog", replayed, BINARY),

@@ -226,6 +226,21 @@ def images(folder: Path) -> None:
             shutil.copytree(yard.boot / name, folder / name)
 
 
+def sounded(folder: Path) -> None:
+    """Two lines beside each other and one across, of a depth each second."""
+    head = "utc,latitude [deg],longitude [deg],depth_m [m],confidence,line\n"
+    places = [(38.69 + 1e-5 * i, -9.21 + 1e-4 * line, line) for line in (1, 2) for i in range(0, 60, 2 - line % 2)]
+    places += [(38.6903, -9.2102 + 1e-5 * i, 3) for i in range(40)]
+    rows = (
+        f"2026-09-21T12:{i // 60:02}:{i % 60:02}Z,{n:.6f},{e:.6f},{5 + 0.01 * i:.2f},0.9,{k}\n"
+        for i, (n, e, k) in enumerate(places)
+    )
+    (folder / "soundings.csv").write_text(head + "".join(rows))
+    (folder / "tide.csv").write_text(
+        "time,metres\n" + "".join(f"2026-09-21T12:{minute:02},1.{minute}\n" for minute in range(0, 60, 10))
+    )
+
+
 SAMPLES = {
     settings: (
         "vehicle",
@@ -255,6 +270,7 @@ SAMPLES = {
     worlds: ("PNG", "JPEG", "world file"),
     geotiffs: ("GeoTIFF",),
     tiles: ("MBTiles",),
+    sounded: ("soundings as CSV", "tide"),
     areas: ("area", "area, KML", "area, GPX", "area of a plan", "area, shapefile"),
     keys: (
         "user's ssh key",
@@ -335,6 +351,8 @@ READ_BY = {  # function: the readers above that come by it
     "console/gateway/admission.py: kept_token": {"page's token"},
     "logging/kept/record.py: newest": {"kept voyage"},
     "console/terminal/drive.py: _file": {"mission to send"},
+    "survey/chart/soundings.py: _rows": {"soundings as CSV"},
+    "survey/chart/tide.py: read_tide": {"tide"},
     "survey/areafile.py: read_area": {"area", "area, KML", "area, GPX", "area of a plan", "area, shapefile"},
     "console/charts/georeference.py: _header": {"PNG", "JPEG", "GeoTIFF"},
     "console/charts/georeference.py: _world": {"world file"},

@@ -1,1 +1,2 @@
-"""Surveys, ashore: an area becomes lines in the order in which a boat sails them (docs/survey.md). Nothing runs aboard."""
+"""Surveys, ashore: an area becomes lines in the order in which a boat sails them, and soundings become a chart
+(docs/survey.md). Nothing runs aboard."""

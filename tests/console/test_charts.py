@@ -17,9 +17,9 @@ from hypothesis import strategies as st
 from PIL import Image, TiffImagePlugin
 
 from delfim.base.errors import ConfigError, FormatError
+from delfim.base.projection import plane
 from delfim.console.charts.charts import Charts
 from delfim.console.charts.georeference import placed
-from delfim.console.charts.projection import plane
 from delfim.console.charts.warp import warp
 
 RED, BLUE = (255, 0, 0), (0, 0, 255)

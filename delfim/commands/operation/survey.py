@@ -1,17 +1,28 @@
-"""`delfim survey`: an area drawn on a map becomes the lines of a survey, as a mission."""
+"""`delfim survey`: an area drawn on a map becomes the lines of a survey, as a mission; its soundings become a chart."""
 
 import argparse
+import shlex
+import sys
+from collections.abc import Callable
 from pathlib import Path
 
 from delfim.base.errors import DelfimError
-from delfim.commands import OWN_FILE, overrides, shipped
+from delfim.commands import OWN_FILE, Formatter, overrides, shipped
 
 MOST_M = 1000.0  # of a spacing, a swath, a run-in
 
 
 def options(parser: argparse.ArgumentParser) -> None:
-    tasks = parser.add_subparsers(dest="task", required=True, metavar="lines")
-    lines = tasks.add_parser("lines", help="Make the mission that sails an area line by line.")
+    tasks = parser.add_subparsers(dest="task", required=True, metavar="TASK")
+    for declare, name, told in (
+        (_lines_options, "lines", "Make the mission that sails an area line by line."),
+        (_chart_options, "chart", "Make a chart of the soundings in a log."),
+    ):
+        declare(tasks.add_parser(name, help=told, description=told, formatter_class=Formatter))
+
+
+def _lines_options(lines: argparse.ArgumentParser) -> None:
+    lines.set_defaults(does=_lines)
     lines.add_argument(
         "area", metavar="AREA", type=shipped, help="GeoJSON, KML, GPX, a shapefile or a .plan of QGroundControl."
     )
@@ -42,6 +53,39 @@ def options(parser: argparse.ArgumentParser) -> None:
     lines.add_argument("--picture", metavar="FILE", help="Draw it, too, as .png or .svg.")
 
 
+def _chart_options(chart: argparse.ArgumentParser) -> None:
+    chart.set_defaults(does=_chart)
+    chart.add_argument("--vehicle", metavar="FILE", type=shipped, help="Its [sounder], instead of that in the log.")
+    overrides(chart)
+    chart.add_argument("--tide", metavar="FILE", help="A table of times and metres above the chart's datum.")
+    told = "The tide by the height of the antenna with RTK: the datum is so far above the ellipsoid."
+    chart.add_argument("--rtk-datum", type=float, metavar="M", help=told)
+    chart.add_argument("--sound", type=_speed, metavar="M/S", help="Speed of sound in the water (default: the sounder's).")
+    told = "Find by lines to and fro how late depths come, and use it."
+    chart.add_argument("--patch-test", action="store_true", help=told)
+    told = "A bar hung this deep from FROM to TO (09:30): finds the draught of the transducer. Two depths find the sound, too."
+    chart.add_argument("--bar", action="append", nargs=3, default=[], metavar=("M", "FROM", "TO"), help=told)
+    chart.add_argument("--cell", type=metres, default=2.0, metavar="M", help="Of the chart.")
+    chart.add_argument("--spacing", type=metres, metavar="M", help="Between lines (default: as they were sailed).")
+    chart.add_argument("--contours", type=metres, metavar="M", help="From one to the next (default: ten to twenty of them).")
+    told = "NAME <name@place.pt>: write crowd-sourced bathymetry (IHO B-12), too, by this provider."
+    chart.add_argument("--csb", metavar="PROVIDER", help=told)
+    chart.add_argument("--from", dest="from_", metavar="TIME", help="From this time on: UTC, as 2010-01-01T09:30:00.")
+    chart.add_argument("--to", metavar="TIME", help="Up to this time.")
+    chart.add_argument("-o", "--output", required=True, metavar="FOLDER", help="Write the files and report.html here.")
+    chart.add_argument("log", nargs="+", metavar="LOG", help="Trees, days, folders or files of logs, or a CSV of soundings.")
+    chart.set_defaults(many="log")
+
+
+def _speed(text: str) -> float:
+    try:
+        if 1300.0 <= float(text) <= 1700.0:
+            return float(text)
+    except ValueError:
+        pass
+    raise argparse.ArgumentTypeError(f"{text} is not a speed of sound in water, 1300 to 1700 m/s")
+
+
 def metres(text: str) -> float:
     try:
         if 0.0 < float(text) <= MOST_M:
@@ -61,6 +105,11 @@ def percent(text: str) -> float:
 
 
 def run(asked: argparse.Namespace) -> int:
+    code: int = asked.does(asked)
+    return code
+
+
+def _lines(asked: argparse.Namespace) -> int:
     if asked.spacing is None and asked.swath is None:
         raise DelfimError("say --spacing, or --swath with its --overlap")
     from delfim import config
@@ -106,3 +155,74 @@ def run(asked: argparse.Namespace) -> int:
         draw(plan, f"{name}: {len(plan.lines)} lines, {in_hours(plan.time_s)}", Path(asked.picture))
         print(asked.picture)
     return 0
+
+
+def _chart(asked: argparse.Namespace) -> int:
+    from delfim import config
+    from delfim.logging.ashore import tree
+    from delfim.survey.chart import making, report, soundings, takehome, tide
+
+    provider = takehome.provider_of(asked.csb) if asked.csb else None
+    if asked.tide and asked.rtk_datum is not None:
+        raise DelfimError("the tide is from --tide or from --rtk-datum, not from both")
+    if asked.set and not asked.vehicle:
+        raise DelfimError("--set changes the file that --vehicle names")
+    levels = tide.read_tide(asked.tide) if asked.tide else None
+    say = _steps(11)
+    say("soundings")
+    read = soundings.read(asked.log, tree.span(asked.from_, asked.to, 0))
+    sounder = config.load(asked.vehicle, asked.set).sounder if asked.vehicle else read.sounder or config.SounderTable()
+    if asked.rtk_datum is not None:
+        levels = tide.by_rtk(read.track, sounder.antenna_m, asked.rtk_datum)
+    first_ns = round(read.at_s[0] * 1e9)
+    bars = [
+        making.Bar(float(deep), *(tree.instant(text, first_ns, "--bar") / 1e9 for text in times))
+        for deep, *times in ((metres(deep), *times) for deep, *times in asked.bar)
+    ]
+    made = making.made(
+        read.boat,
+        read,
+        making.corrections(sounder, asked.sound, levels),
+        cell_m=asked.cell,
+        spacing_m=asked.spacing,
+        interval_m=asked.contours,
+        find_latency=asked.patch_test,
+        bars=bars,
+        say=say,
+    )
+    folder = Path(asked.output)
+    files = making.write(made, folder, provider, say)
+    say("report")
+    report.depths(made).savefig(folder / "depth.png", dpi=120)
+    files.append(folder / "depth.png")
+    page = report.page(made, files, _again(asked))
+    (folder / "report.html").write_text(page, encoding="utf-8")
+    say("")
+    print(*making.told(made), sep="\n")
+    print(f"{folder}: report.html, {', '.join(file.name for file in files)}")
+    return 0
+
+
+def _again(asked: argparse.Namespace) -> str:
+    """The command that makes the same chart."""
+    words = ["delfim", "survey", "chart", *asked.log]
+    for key in ("vehicle", "tide", "rtk_datum", "sound", "cell", "spacing", "contours", "csb", "from_", "to"):
+        value = getattr(asked, key)
+        words += [f"--{key.strip('_').replace('_', '-')}", str(value)] if value is not None else []
+    words += [word for each in asked.set for word in ("--set", each)] + [
+        word for each in asked.bar for word in ("--bar", *each)
+    ]
+    return shlex.join([*words, *(["--patch-test"] if asked.patch_test else []), "-o", asked.output])
+
+
+def _steps(count: int) -> Callable[[str], None]:
+    """Say on a terminal what is done now, and how much of it is done."""
+    if not sys.stderr.isatty():
+        return lambda words: None
+    done = iter(range(count))
+
+    def say(words: str) -> None:
+        told = f"{100 * next(done, count) // count:3} % {words}" if words else ""
+        print(f"\r{told:40}", end="" if words else "\r", file=sys.stderr, flush=True)
+
+    return say

@@ -18,7 +18,7 @@ from delfim.base import tables
 from delfim.base.errors import ConfigError, DelfimError
 from delfim.base.geodesy import origin
 from delfim.base.input.untrusted import read_text
-from delfim.console.charts.projection import GEOGRAPHIC, plane
+from delfim.base.projection import GEOGRAPHIC, plane
 
 WORLD_FILES: Final = {".png": ".pgw", ".jpg": ".jgw", ".jpeg": ".jgw", ".tif": ".tfw", ".tiff": ".tfw"}
 MISPLACED: Final = 0.05  # of the points' spread: a control point farther from where the others put it is a slip of the hand

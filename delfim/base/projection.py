@@ -5,11 +5,11 @@ ETRS89 (4258, 258zz) is taken for WGS 84: they differ by less than a metre, whic
 
 import math
 from collections.abc import Callable
-from typing import Final
+from typing import Any, Final
 
 from delfim.base.errors import FormatError
 
-Plane = tuple[Callable[[float, float], tuple[float, float]], Callable[[float, float], tuple[float, float]]]
+Plane = tuple[Callable[[Any, Any], tuple[Any, Any]], Callable[[Any, Any], tuple[Any, Any]]]
 
 GEOGRAPHIC: Final = 4326
 _A, _F = 6378137.0, 1.0 / 298.257223563  # WGS 84: semi-major axis, m; flattening
@@ -22,15 +22,22 @@ _SCALE, _FALSE_EAST_M, _FALSE_NORTH_M = 0.9996, 500_000.0, 10_000_000.0
 _E: Final = math.sqrt(_F * (2.0 - _F))
 
 
-def plane(epsg: int) -> Plane:
-    """(from degrees, to degrees): (longitude_deg, latitude_deg) -> (x, y) and back. Raises FormatError for other planes."""
+def utm_of(latitude_deg: float, longitude_deg: float) -> int:
+    """The EPSG number of the zone of UTM that a place lies in, of WGS 84."""
+    zone = int((longitude_deg + 180.0) // 6.0) % 60 + 1
+    return (32700 if latitude_deg < 0.0 else 32600) + zone
+
+
+def plane(epsg: int, functions: Any = math) -> Plane:
+    """(from degrees, to degrees): (longitude_deg, latitude_deg) -> (x, y) and back. With numpy for `functions` UTM takes
+    arrays, of any one shape. Raises FormatError for other planes."""
     if epsg in (GEOGRAPHIC, 4258):
         return _same, _same
     if epsg == 3857:
         return _to_mercator, _from_mercator
     for first, south in ((32600, False), (32700, True), (25800, False)):
         if 1 <= epsg - first <= 60:
-            return _utm(epsg - first, _FALSE_NORTH_M if south else 0.0)
+            return _utm(epsg - first, _FALSE_NORTH_M if south else 0.0, functions)
     raise FormatError(f"EPSG:{epsg} is not known here: 4326, 3857 and UTM (326zz, 327zz, 258zz) are")
 
 
@@ -46,31 +53,31 @@ def _from_mercator(x: float, y: float) -> tuple[float, float]:
     return math.degrees(x / _A), math.degrees(math.atan(math.sinh(y / _A)))
 
 
-def _utm(zone: int, false_north_m: float) -> Plane:
+def _utm(zone: int, false_north_m: float, m: Any) -> Plane:
     middle_deg = zone * 6.0 - 183.0
 
-    def forward(longitude_deg: float, latitude_deg: float) -> tuple[float, float]:
-        sine = math.sin(math.radians(latitude_deg))
-        tau = math.sinh(math.atanh(sine) - _E * math.atanh(_E * sine))  # of the conformal latitude
-        off = math.radians(longitude_deg - middle_deg)
-        xi, eta = math.atan2(tau, math.cos(off)), math.asinh(math.sin(off) / math.hypot(tau, math.cos(off)))
+    def forward(longitude_deg: Any, latitude_deg: Any) -> tuple[Any, Any]:
+        sine = m.sin(m.radians(latitude_deg))
+        tau = m.sinh(m.atanh(sine) - _E * m.atanh(_E * sine))  # of the conformal latitude
+        off = m.radians(longitude_deg - middle_deg)
+        xi, eta = m.atan2(tau, m.cos(off)), m.asinh(m.sin(off) / m.hypot(tau, m.cos(off)))
         north, east = xi, eta
         for order, factor in enumerate(_ALPHA, 1):
-            north += factor * math.sin(2 * order * xi) * math.cosh(2 * order * eta)
-            east += factor * math.cos(2 * order * xi) * math.sinh(2 * order * eta)
+            north = north + factor * m.sin(2 * order * xi) * m.cosh(2 * order * eta)
+            east = east + factor * m.cos(2 * order * xi) * m.sinh(2 * order * eta)
         return _FALSE_EAST_M + _SCALE * _RADIUS * east, false_north_m + _SCALE * _RADIUS * north
 
-    def back(x: float, y: float) -> tuple[float, float]:
+    def back(x: Any, y: Any) -> tuple[Any, Any]:
         north = (y - false_north_m) / (_SCALE * _RADIUS)
         east = (x - _FALSE_EAST_M) / (_SCALE * _RADIUS)
         xi, eta = north, east
         for order, factor in enumerate(_BETA, 1):
-            xi -= factor * math.sin(2 * order * north) * math.cosh(2 * order * east)
-            eta -= factor * math.cos(2 * order * north) * math.sinh(2 * order * east)
-        sine = math.sin(xi) / math.cosh(eta)  # of the conformal latitude
-        isometric, latitude = math.atanh(sine), math.asin(sine)
+            xi = xi - factor * m.sin(2 * order * north) * m.cosh(2 * order * east)
+            eta = eta - factor * m.cos(2 * order * north) * m.sinh(2 * order * east)
+        sine = m.sin(xi) / m.cosh(eta)  # of the conformal latitude
+        isometric, latitude = m.atanh(sine), m.asin(sine)
         for _ in range(5):
-            latitude = math.asin(math.tanh(isometric + _E * math.atanh(_E * math.sin(latitude))))
-        return middle_deg + math.degrees(math.atan2(math.sinh(eta), math.cos(xi))), math.degrees(latitude)
+            latitude = m.asin(m.tanh(isometric + _E * m.atanh(_E * m.sin(latitude))))
+        return middle_deg + m.degrees(m.atan2(m.sinh(eta), m.cos(xi))), m.degrees(latitude)
 
     return forward, back
