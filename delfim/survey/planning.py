@@ -1,10 +1,11 @@
 """A survey planned: the lines of an area in order, with run-ins and turns that the boat can make, and the mission of it."""
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from itertools import pairwise
 from typing import Any, Final, NamedTuple
 
+import msgspec
 from shapely.geometry import LineString
 from shapely.geometry.base import BaseGeometry
 
@@ -17,7 +18,7 @@ from delfim.survey.order import ordered
 from delfim.survey.turns import Bend, turn
 from delfim.survey.ways import OpenWater
 from delfim.vehicle.helm.planning import laid
-from delfim.vehicle.plans.mission import LEG_MIN_M, RADIUS_MIN_M, ROWS, Mission, PathPoint, Waypoint
+from delfim.vehicle.plans.mission import LEG_MIN_M, RADIUS_MIN_M, ROWS, Mission, PathPoint, PayloadItem, Waypoint
 
 ARC_S: Final = 7.0  # of a turn of a boat that steers, beyond its length, as the skiff sailed it
 CORNER_S: Final = -4.0  # of a turn on the spot, beyond its length: corners are cut ...
@@ -254,24 +255,44 @@ def drawn(plan: SurveyPlan) -> list[Place]:
     return _drawn(plan.begin, (each.bend for each in plan.way))
 
 
-def stops(plan: SurveyPlan) -> list[Place]:
-    """The whole way as few places: the straight ways between them are water, too."""
-    places = [plan.begin]
-    for bend, _ in plan.way:
-        found, steps = [bend.to], 1
-        while steps < STEPS and not all(plan.ways.free(a, b) for a, b in pairwise([places[-1], *found])):
+def stops(plan: SurveyPlan) -> list[tuple[Place, int]]:
+    """The whole way as few places: the straight ways between them are water, too. Beside each is the line, from 1, that the
+    way to it sails; 0: none."""
+    kept = [(plan.begin, 0)]
+    for bend, line in plan.way:
+        begin, found, steps = kept[-1][0], [bend.to], 1
+        while steps < STEPS and not all(plan.ways.free(a, b) for a, b in pairwise([begin, *found])):
             steps *= 2
-            found = _along(places[-1], bend, steps)
-        places += found
-    kept = places[:1]
-    for place in places[1:]:
-        if math.dist(kept[-1], place) >= LEG_MIN_M:
-            kept.append(place)
+            found = _along(begin, bend, steps)
+        for place in found:
+            if math.dist(kept[-1][0], place) >= LEG_MIN_M:
+                kept.append((place, _number(line)))
     return kept
 
 
-def mission(plan: SurveyPlan, name: str) -> Mission:
-    """The mission of a plan: its holes are zones of its fence. Where the boat turns on the spot the waypoints are the path."""
+def _number(line: int | None) -> int:
+    return 0 if line is None else line + 1
+
+
+class LineActions(NamedTuple):
+    """What is announced to payloads at the beginning and at the end of each line: commands of MAVLink with their numbers."""
+
+    begin: tuple[PayloadItem, ...] = ()
+    end: tuple[PayloadItem, ...] = ()
+
+    def at(self, lines: list[int], key: str) -> Iterator[PayloadItem]:
+        """The actions of legs or pieces with these lines; `key` is that of their places."""
+        for number, line in enumerate(lines):
+            for place, actions in ((number, self.begin), (number + 1, self.end)):
+                yield from (msgspec.structs.replace(each, **{key: place}) for each in actions if line)
+
+
+SILENT: Final = LineActions()
+
+
+def mission(plan: SurveyPlan, name: str, actions: LineActions = SILENT) -> Mission:
+    """The mission of a plan: its holes are zones of its fence. Where the boat turns on the spot the waypoints are the path.
+    Each leg or piece has the number of its line."""
     at, speed_mps = plan.ground.at, plan.wanted.speed_mps
 
     def place(point: Place) -> tuple[float, float]:
@@ -281,18 +302,21 @@ def mission(plan: SurveyPlan, name: str) -> Mission:
     places = stops(plan)
     if len(places) > ROWS:
         raise DelfimError(f"{len(places)} places, and a mission has {ROWS}: take the area in parts")
-    waypoints = [Waypoint(latitude_deg=n, longitude_deg=e, speed_mps=speed_mps) for n, e in map(place, places)]
-    path = list[PathPoint]()
+    waypoints = [
+        Waypoint(latitude_deg=n, longitude_deg=e, speed_mps=speed_mps, line=line)
+        for (n, e), line in ((place(point), line) for point, line in places)
+    ]
+    items, path = list(actions.at([line for _, line in places], "after")), list[PathPoint]()
     if plan.wanted.radius_m:
         n, e = place(plan.begin)
         path.append(PathPoint(latitude_deg=n, longitude_deg=e))
-        for bend, _ in plan.way:
+        for bend, line in plan.way:
             n, e = place(bend.centre or bend.to)
-            turn_deg = round(math.degrees(bend.turn_rad), 4)
-            row = PathPoint(latitude_deg=n, longitude_deg=e, speed_mps=speed_mps, turn_deg=turn_deg, radius_m=bend.radius_m)
-            path.append(row)
-    zones = _zones(plan, place)
-    return Mission(version=1, name=name, waypoint=tuple(waypoints), path=tuple(path), fence=config.Zones(keep_out=zones))
+            more = {"turn_deg": round(math.degrees(bend.turn_rad), 4), "radius_m": bend.radius_m, "line": _number(line)}
+            path.append(msgspec.convert({"latitude_deg": n, "longitude_deg": e, "speed_mps": speed_mps} | more, PathPoint))
+        items += actions.at([row.line for row in path[1:]], "after_piece")
+    fence, stations, pieces = config.Zones(keep_out=_zones(plan, place)), tuple(waypoints), tuple(path)
+    return Mission(version=1, name=name, waypoint=stations, path=pieces, action=tuple(items), fence=fence)
 
 
 def check(its: Mission, plan: SurveyPlan, settings: config.Vehicle) -> None:

@@ -81,10 +81,12 @@ class Leave(Command, frozen=True):
 
 class SetMode(OperatorOrder, frozen=True, tag="mode"):
     """Enter a mode with the set points as they are; manual without thrust, goto without a point: the boat waits for one.
-    `piece` is the piece of the path to begin with; without it a path begins at its first, or goes on after a pause."""
+    `piece` is the piece of the path to begin with, or `line` the line of a survey, from 1, with its run-in; without them a path
+    begins at its first piece, or goes on after a pause."""
 
     mode: str
     piece: Annotated[int, msgspec.Meta(ge=0, le=100_000)] | None = None
+    line: Annotated[int, msgspec.Meta(ge=1, le=100_000)] | None = None
 
 
 class Manual(Command, frozen=True):

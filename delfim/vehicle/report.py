@@ -21,6 +21,7 @@ class ReferenceFacts(Facts, frozen=True):
     cross_track_m: float | None = None  # positive: the boat is to starboard of its line
     distance_m: float | None = None
     leg: int = 0  # from 0
+    line: int = 0  # of a survey, that the boat is on; 0: none
     latitude_deg: float | None = None  # of the place that it steers for
     longitude_deg: float | None = None
 

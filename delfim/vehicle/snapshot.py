@@ -95,6 +95,7 @@ def _reference(state: State) -> LocalReference:
         cross_track_m=_rounded(r.cross_track_m),
         distance_m=_rounded(r.distance_m),
         leg=r.leg,
+        line=r.line,
         speed_override_mps=state.setpoint.override_mps,
         latitude_deg=latitude_deg,
         longitude_deg=longitude_deg,

@@ -79,6 +79,7 @@ class Waypoint(NamedTuple):
     speed_mps: float
     acceptance_m: float
     hold_s: float = 0.0  # how long the boat stays there, once it is reached
+    line: int = 0  # of a survey, that the leg to it sails; 0: none
 
 
 class Arc(NamedTuple):
@@ -90,6 +91,8 @@ class Arc(NamedTuple):
     start_rad: float  # bearing from the centre to where the arc starts
     turn_rad: float
     speed_mps: float
+    hold_s: float = 0.0  # how long the boat stays at its end
+    line: int = 0  # of a survey, that it sails; 0: none
 
 
 class Line(NamedTuple):
@@ -98,6 +101,8 @@ class Line(NamedTuple):
     to_north_m: float
     to_east_m: float
     speed_mps: float
+    hold_s: float = 0.0  # as of an arc
+    line: int = 0
 
 
 class Plan(NamedTuple):
@@ -108,6 +113,7 @@ class Plan(NamedTuple):
     path: tuple[Line | Arc, ...]
     then_home: bool = False  # at the end; otherwise the boat holds
     number: int = 0  # of the plans aboard, from 1: one that changes while it is sailed keeps it
+    lines: int = 0  # the highest number of a line of a survey; 0: it has none
 
 
 class TrialPieces(NamedTuple):
@@ -156,6 +162,7 @@ class Reference(NamedTuple):
     done: bool = False  # the mode has reached its end: the loop goes to hold
     reason: str = ""  # why control stopped the propellers, in words; empty while it drives. With `done`: how a trial ended
     course_rad: float | None = None  # over ground
+    line: int = 0  # of a survey, that the boat is on; 0: none
 
 
 class Notice(NamedTuple):

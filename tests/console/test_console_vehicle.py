@@ -334,7 +334,7 @@ def test_a_path_with_an_arc_goes_along_with_the_waypoints(sea: Afloat) -> None:
     sea.fleet.put(1, PLAN | {"path": [begin, half, end | {"latitude_deg": 38.6938}]})
     assert sea.do(sea.fleet.upload) == (True, "")
     back = sea.fleet.missions[1]["aboard"]
-    assert back["path"][1] == pytest.approx(half, rel=1e-6)
+    assert back["path"][1] == pytest.approx(half | {"hold_s": 0.0, "line": 0}, rel=1e-6)
     assert len(back["waypoints"]) == 4
     assert sea.shown["mission"]["state"] == "same"
 

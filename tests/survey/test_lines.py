@@ -192,7 +192,8 @@ def test_the_waypoints_of_arcs_lead_round_holes_as_the_arcs_do() -> None:
     plan = planned(ROUND_AN_ISLAND, wanted_of(skiff, spacing_m=10.0), skiff.fence)
     its = mission(plan, "arcs")
     assert len(its.waypoint) > len({place.to for place, _ in plan.way}) / 2
-    assert not any(ISLAND.buffer(plan.wanted.room_m - 0.1).intersects(LineString(pair)) for pair in pairwise(stops(plan)))
+    ways = [LineString(pair) for pair in pairwise(place for place, _ in stops(plan))]
+    assert not any(ISLAND.buffer(plan.wanted.room_m - 0.1).intersects(way) for way in ways)
     check(its, plan, skiff)
 
 

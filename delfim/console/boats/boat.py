@@ -10,7 +10,7 @@ import msgspec
 from delfim.base.modes import Mode
 from delfim.console.boats.othervessels import VesselsTold
 from delfim.console.boats.wayhome import HeardTrack
-from delfim.console.link.mavlink import BOAT_NAME, GUARDED, ORDERED, Offer, mavlink, own_offers
+from delfim.console.link.mavlink import BOAT_NAME, GUARDED, LINE, ORDERED, Offer, mavlink, own_offers
 from delfim.console.link.reception import Reception
 from delfim.console.link.statustext import Words
 
@@ -227,8 +227,8 @@ _PLAIN: Final = (
 
 
 _FIXES: Final = {1: "no fix", 2: "2D", 3: "3D", 4: "differential", 5: "RTK float", 6: "RTK"}  # GPS_FIX_TYPE
-_REFERENCE: Final = ("heading_deg", "course_deg", "latitude_deg", "longitude_deg", "cross_track_m", "distance_m", "leg")
-_NOWHERE: Final = dict.fromkeys(_REFERENCE[:-1])  # the leg is kept
+_REFERENCE: Final = ("heading_deg", "course_deg", "latitude_deg", "longitude_deg", "cross_track_m", "distance_m", "leg", "line")
+_NOWHERE: Final = dict.fromkeys(_REFERENCE[:-2])  # leg and line are kept
 _GROUPS: Final = {"HIGH_LATENCY2": ("HIGH_LATENCY2", "GLOBAL_POSITION_INT", "SYS_STATUS")}  # one message has all of them
 
 
@@ -315,6 +315,8 @@ def _current(boat: Boat, m: Any) -> None:
 def _named(boat: Boat, m: Any) -> None:
     if m.name == "OWNER":
         boat.commander = m.value
+    elif m.name == LINE:
+        boat.reference["line"] = m.value
     elif m.name == GUARDED.decode():
         boat.others.guarded(m.value, boat.heard_s)
 

@@ -27,8 +27,8 @@ def page_of(mission: Mission) -> dict[str, Any]:
     """A mission as the page has it, without a home. The page edits one polygon to stay in and the circles to stay out of; it
     shows the other `zones`, and carries them and the path along; actions lie at the waypoint that they follow."""
     zones, actions = mission.fence, dict[int, list[dict[str, Any]]]()
-    for action in mission.action:
-        row = msgspec.to_builtins(action)
+    for action in (each for each in mission.action if each.after is not None):
+        row = {name: value for name, value in msgspec.to_builtins(action).items() if name != "after_piece"}
         actions.setdefault(row.pop("after"), []).append(row)
     fence = next((area for area in zones.keep_in if area.polygon), None)
     circles = [area for area in zones.keep_out if area.centre]
@@ -43,6 +43,7 @@ def page_of(mission: Mission) -> dict[str, Any]:
         "actions": actions.get(0, []),
         "then": mission.then,
         "path": [msgspec.to_builtins(each) for each in mission.path],
+        "path_actions": [msgspec.to_builtins(each) for each in mission.action if each.after_piece is not None],
         "fence": [list(corner) for corner in fence.polygon] if fence is not None else [],
         "obstacles": [_named(each.centre[0]) | {"radius_m": each.radius_m} for each in circles],
         "zones": [{"kind": kind} | msgspec.to_builtins(area) for kind, area in others],
@@ -67,7 +68,7 @@ def tables_of(plan: Mapping[str, Any]) -> Mission:
         return Mission(
             version=1,
             name=str(plan.get("name", "")),
-            action=tuple(msgspec.convert(each, PayloadItem) for each in actions),
+            action=tuple(msgspec.convert(each, PayloadItem) for each in (*actions, *(plan.get("path_actions") or ()))),
             then="home" if plan.get("then") == "home" else "hold",
             waypoint=tuple(_row(Waypoint, each) for each in stops),
             path=tuple(_row(PathPoint, each) for each in plan.get("path") or ()),
@@ -119,9 +120,15 @@ def with_digest(plan: dict[str, Any]) -> dict[str, Any]:
 def digest(plan: Mapping[str, Any]) -> str:
     """A hash of a plan without its title."""
     said = [
-        [(i.command, *(round(p, 3) for p in (i.p1, i.p2, i.p3, i.p4)), i.x, i.y) for i in items] for items in items_of(plan)
+        [(i.command, *(round(p, 3) for p in (i.p1, i.p2, i.p3, i.p4, *_hold_s(i))), i.x, i.y) for i in items]
+        for items in items_of(plan)
     ]
     return hashlib.sha256(json.dumps(said).encode()).hexdigest()[:12]
+
+
+def _hold_s(item: Item) -> tuple[float, ...]:
+    """The stay at the end of a piece of the path, where there is one."""
+    return (item.z,) if item.command == plans.PATH and item.z else ()
 
 
 def item_of(plan: Mapping[str, Any], waypoint: int) -> int:
@@ -146,8 +153,8 @@ def _places(plan: Mapping[str, Any]) -> list[int]:
 
 def _row(kind: type[Row], each: Mapping[str, Any]) -> Row:
     latitude_deg, longitude_deg = _place(each)
-    numbers = {name: float(each.get(name) or 0.0) for name in kind.__struct_fields__}
-    return kind(**numbers | {"latitude_deg": latitude_deg, "longitude_deg": longitude_deg})
+    numbers: dict[str, Any] = {name: float(each.get(name) or 0.0) for name in kind.__struct_fields__}
+    return kind(**numbers | {"latitude_deg": latitude_deg, "longitude_deg": longitude_deg, "line": int(numbers["line"])})
 
 
 def _place(where: Mapping[str, Any]) -> tuple[float, float]:

@@ -54,6 +54,7 @@ WORDS: dict[str, Word] = {
     ),
     "play": Word("play the mission, from a leg; the first is 1", (), ("leg",)),
     "path": Word("follow the mission's path, from a piece; the first is 1", (), ("piece",)),
+    "line": Word("follow the mission's path from the run-in of a line of the survey; the first is 1", ("line",)),
     "pause": Word("hold here; continue goes on from here"),
     "continue": Word("go on with what a hold interrupted, from where it was"),
     "mission": Word("load a mission file", ("file",)),
@@ -64,6 +65,7 @@ WORDS: dict[str, Word] = {
     "reboot": Word("stop, and start the computer again"),
     "help": Word("show all commands, or one", (), ("command",)),
 }
+COUNTED = "leg", "piece", "line"
 ENTERED = tuple(mode.name.lower() for mode in Mode if mode.name.lower() not in WORDS)  # commands by the mode's name alone
 
 
@@ -101,6 +103,8 @@ def command(words: list[str]) -> dict[str, Any]:
             return {"command": verb, "name": said["name"]}
         case "path":
             verb, end = "mode", {"mode": "path"}
+        case "line":
+            return {"command": "mode", "mode": "path", "line": _number(verb, said[verb], shape) + 1}
     return {"command": verb} | {name: _number(name, text, shape) for name, text in said.items()} | end
 
 
@@ -118,12 +122,11 @@ def _key(word: str) -> tuple[str, Any]:
 def _number(name: str, text: str, where: str) -> float | int:
     """Raises FormatError. Legs and pieces are counted from 1, as on the page; the vehicle counts them from 0."""
     with contextlib.suppress(ValueError):
-        if name in ("leg", "piece") and int(text) >= 1:
+        if name in COUNTED and int(text) >= 1:
             return int(text) - 1
-        if name not in ("leg", "piece", "end") and math.isfinite(float(text)):
+        if name not in (*COUNTED, "end") and math.isfinite(float(text)):
             return float(text)
-    whole = "a whole number from 1 on"
-    kind = {"leg": whole, "piece": whole, "end": "hold or idle"}.get(name, "a number")
+    kind = {**dict.fromkeys(COUNTED, "a whole number from 1 on"), "end": "hold or idle"}.get(name, "a number")
     raise FormatError(f"{name} must be {kind}, not {text!r}: {where}")
 
 

@@ -100,6 +100,7 @@ def retained_state(state: BoatReport, utc_ns: int) -> dict[str, Any]:
         "navigation_age_s": navigation_s,
         "mission": state.mission,
         "leg": state.reference.leg,
+        "line": state.reference.line,
         "charge": min((each.charge for each in state.sysstat.values() if each.charge is not None), default=None),
         "troubles": [notice.name for notice in state.notices],
     }

@@ -28,13 +28,14 @@ class News:
         self._said: tuple[str, str, tuple[tuple[str, str], ...], str, str] | None = None
         self._told: dict[tuple[str, str], tuple[str, float]] = {}  # by trouble and action: the last text, and when it was told
         self._leg_now: tuple[int, int] = 0, 0  # the number of the plan, and its leg
-        self._announced = 0
+        self._announced = self._line = 0
         self._ordered: tuple[str, float, float] | None = None
 
     def tell(self, commander: Speaker | None) -> None:
         """Changes of mode and troubles, in words, and a heartbeat at once when the mode changed."""
         self._tell_reached()
         self._tell_actions()
+        self._tell_line()
         self._tell_order()
         state, say = self._boat.state, self._peers.say
         troubles = tuple((notice.name, notice.action) for notice in state.notices)
@@ -82,6 +83,12 @@ class News:
                 self._announced = action.number
                 words = " ".join("-" if each is None else f"{each:g}" for each in action.params)
                 self._peers.say(dialect.MAV_SEVERITY_INFO, f"{command_name(action.command)}: {words}")
+
+    def _tell_line(self) -> None:
+        """Tell the line of a survey as soon as it begins or ends."""
+        was, self._line = self._line, self._boat.state.reference.line
+        if was != self._line:
+            self._peers.hurry(dialect.MAVLINK_MSG_ID_NAMED_VALUE_INT)
 
     def _tell_reached(self) -> None:
         """The boat reached a waypoint of the mission: tell its item to everybody."""

@@ -13,7 +13,7 @@ from delfim.base.modes import PAYLOADS, Mode
 from delfim.canproxy.dsor.messages import BatteriesStatus, Node
 from delfim.parts.mavlink.codec.aisvessel import guard, ordered, vessels
 from delfim.parts.mavlink.codec.ardupilot import WaterDepth, Wind
-from delfim.parts.mavlink.codec.params import TROUBLES
+from delfim.parts.mavlink.codec.params import LINE, TROUBLES
 from delfim.parts.mavlink.codec.plans import ALL
 from delfim.parts.mavlink.codec.wire import Message, dialect
 from delfim.parts.mavlink.table import Mavlink
@@ -233,6 +233,8 @@ def checksum(view: TelemetryView) -> Iterator[Message]:
 def numbers(view: TelemetryView) -> Iterator[Message]:
     yield dialect.MAVLink_named_value_int_message(_boot_ms(view), TROUBLES.encode(), bits(view.boat.state.notices))
     yield dialect.MAVLink_named_value_int_message(_boot_ms(view), b"OWNER", view.owner)
+    if (state := view.boat.state).setpoint.plan is not None and state.setpoint.plan.lines:
+        yield dialect.MAVLink_named_value_int_message(_boot_ms(view), LINE.encode(), state.reference.line)
     yield from guard(view.boat.state, _boot_ms(view))
 
 

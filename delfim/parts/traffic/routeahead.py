@@ -11,6 +11,7 @@ from delfim.parts.traffic.trialways import RouteAhead
 from delfim.vehicle.control.memory import Memory, Settings
 from delfim.vehicle.control.modes.path import arc_point, nearest, piece_of, start
 from delfim.vehicle.helm import setpoints
+from delfim.vehicle.plans.underway import SAILS
 from delfim.vehicle.plans.zones import Point
 from delfim.vehicle.state import Arc, Line, Motion, Setpoint
 
@@ -35,7 +36,9 @@ def route_ahead(mode: Mode, memory: Memory, setpoint: Setpoint, motion: Motion, 
     is requested, it goes no faster than its file allows, or than it goes by hand."""
     own, speeds, override_mps, has_end = own_of(motion), settings.control.speed, setpoint.override_mps, True
     points, speed_mps, here = list[Point](), 0.0, (memory.north_m, memory.east_m)  # the last: where it stays, if it does
-    if mode is Mode.PLAY and setpoint.plan is not None and not memory.left_s > 0.0:
+    if mode in SAILS and memory.left_s > 0.0:
+        pass
+    elif mode is Mode.PLAY and setpoint.plan is not None:
         ahead = list(islice(setpoint.plan.waypoints, memory.leg, memory.leg + POINTS))
         stays = next((i for i, to in enumerate(ahead) if to.hold_s > 0.0), len(ahead))
         points = [(to.north_m, to.east_m) for to in ahead[: stays + 1]]
@@ -77,7 +80,9 @@ def _along_path(memory: Memory, setpoint: Setpoint, motion: Motion, settings: Se
             cos, sin = math.cos(tangent_rad), math.sin(tangent_rad)
             onto = motion.north_m + ahead_m * cos + cross_m * sin, motion.east_m + ahead_m * sin - cross_m * cos
             first.append(onto)
-    return list(islice(chain(first, _ends(path[leg:], memory.swept_rad)), POINTS)), path[leg].speed_mps
+    ahead = path[leg : leg + POINTS]
+    stays = next((i for i, piece in enumerate(ahead) if piece.hold_s > 0.0), POINTS)
+    return list(islice(chain(first, _ends(ahead[: stays + 1], memory.swept_rad)), POINTS)), path[leg].speed_mps
 
 
 def _ends(pieces: Sequence[Line | Arc], swept_rad: float) -> Iterator[Point]:

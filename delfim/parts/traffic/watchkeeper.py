@@ -195,7 +195,7 @@ class Watchkeeper:
         course, heading_rad = course_to_steer(was, motion, order.course_rad, 0.0, settings.control.path, dt_s)
         integrals, wanted = steer(memory.integrals, motion, heading_rad, order.speed_mps, settings, dt_s)
         done = reference.done and mode is not Mode.PATH  # its end is passed abeam, however far away
-        told = wrap(heading_rad), order.speed_mps, *reference[2:7], done, reference.reason, order.course_rad
+        told = wrap(heading_rad), order.speed_mps, *reference[2:7], done, reference.reason, order.course_rad, reference.line
         reference = _new(Reference, told)
         return _new(Memory, (integrals, course, *after[2:])), reference, wanted
 

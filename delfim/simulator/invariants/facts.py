@@ -242,6 +242,7 @@ class Reported:
             "guest_s": state.guest_s,
             "watchdog_s": state.watchdog_s,
             "leg": state.reference.leg,
+            "line": state.reference.line,
         }
         if "position" in state.motion.has:
             should |= {"north": state.motion.north_m, "east": state.motion.east_m}

@@ -180,7 +180,7 @@ class Guidance:
     def _path(self, cycle: CycleSeen) -> Iterator[str]:
         state, was = cycle.state, cycle.was.memory
         plan, motion, control = state.setpoint.plan, state.motion, cycle.run.vehicle.helm.limits.control
-        if plan is None or was.leg >= len(plan.path):
+        if plan is None or was.leg >= len(plan.path) or was.left_s or cycle.memory.left_s:
             return
         piece = plan.path[was.leg] if was.leg >= 0 else None
         onwards = was.leg + 1 if piece is not None else -1 - was.leg
@@ -191,13 +191,14 @@ class Guidance:
             a, b, speed_mps = (piece.north_m, piece.east_m), (piece.to_north_m, piece.to_east_m), piece.speed_mps
         else:
             return  # an arc
+        stops = following is None or (piece is not None and piece.hold_s > 0.0)
         bearing_rad, cross_m, left_m = onto(a, b, motion)
         ahead_m, off_m = control.path.lookahead_m, cross_m
-        if abs(cross_m) > ahead_m and not (following is None and left_m < abs(cross_m)):
+        if abs(cross_m) > ahead_m and not (stops and left_m < abs(cross_m)):
             off_m = math.copysign(ahead_m, cross_m)
         course, heading_rad = line_of_sight(was.course, motion, bearing_rad, off_m, cycle)
         speed_mps = speed_mps if state.setpoint.override_mps is None else state.setpoint.override_mps
-        if following is None:
+        if stops:
             speed_mps = min(speed_mps, max(math.sqrt(control.speed.ramp_mps2 * max(left_m, 0.0)), CREEP_MPS))
         yield from self._steers(cycle, heading_rad, speed_mps)
         yield from _remembers(cycle, course)
@@ -206,7 +207,7 @@ class Guidance:
         if state.reference.done is not (following is None and left_m <= 0.0):
             yield f"path is {'done' if state.reference.done else 'not done'} {left_m:.1f} m before its end"
         over_m = 0.0
-        if isinstance(following, Line):
+        if isinstance(following, Line) and not stops:
             next_rad = math.atan2(following.to_east_m - following.east_m, following.to_north_m - following.north_m)
             corner_rad = min(abs(wrap(next_rad - bearing_rad)), math.radians(120.0))
             over_m = min(3.0 * speed_mps * math.tan(corner_rad / 2.0), ahead_m)

@@ -13,7 +13,7 @@ from delfim.simulator.invariants.guidance import begun
 from delfim.simulator.invariants.troubles import BATTERIES, NEEDS
 from delfim.simulator.lockstep import Lockstep
 from delfim.vehicle import console
-from delfim.vehicle.state import Motion, Setpoint, Waypoint
+from delfim.vehicle.state import Line, Motion, Setpoint, Waypoint
 
 SAME: Final = 1e-9
 NEAR: Final = 1e-6
@@ -172,6 +172,7 @@ class Orders:
                 mode = Mode.__members__.get(command.mode.upper())
                 if (
                     mode is None
+                    or command.line is not None
                     or mode in (Mode.HEADING, Mode.COURSE, Mode.GOTO)
                     or getattr(self._was.paused, "mode", None) is mode
                 ):
@@ -269,7 +270,7 @@ class Orders:
         elif mode is Mode.PATH:
             if plan is None or not 0 <= setpoint.piece < len(plan.path):
                 return "there is no such piece"
-            if len(plan.path[setpoint.piece]) != 5:
+            if not isinstance(plan.path[setpoint.piece], Line):
                 return None  # an arc
             to = plan.path[setpoint.piece][:2]
         elif mode is Mode.GOTO and setpoint.target is not None:

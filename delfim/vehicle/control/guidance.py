@@ -70,5 +70,5 @@ def leg(
     if last:
         speed_mps = min(speed_mps, max(math.sqrt(settings.control.speed.ramp_mps2 * distance_m), CREEP_MPS))
     integrals, wanted = steer(memory.integrals, motion, heading_rad, speed_mps, settings, dt_s)
-    told = wrap(heading_rad), speed_mps, cross_m, distance_m, to.north_m, to.east_m, memory.leg, False, "", None
+    told = wrap(heading_rad), speed_mps, cross_m, distance_m, to.north_m, to.east_m, memory.leg, False, "", None, to.line
     return _new(Memory, (integrals, course, *memory[2:])), _new(Reference, told), wanted, reached

@@ -3,41 +3,60 @@
 from typing import Final
 
 from delfim.base.modes import Mode
+from delfim.vehicle.control.modes.path import piece_of
 from delfim.vehicle.plans.mission import Mission, PayloadItem
 from delfim.vehicle.report import Announced
 from delfim.vehicle.state import State, StateLog
 
 KEPT: Final = 20  # the newest
+WAYPOINTS: Final = "after"  # keys of an action
+PIECES: Final = "after_piece"
+
+Place = tuple[int, int, str]
+NOWHERE: Final[Place] = 0, -1, ""
 
 
 class Announcing:
-    """Call `news` ten times a second. Actions come as the boat sets out on the leg behind them, those behind the last waypoint
-    at the end of play. A leg that goes on after a pause announces nothing again, one that is begun again after idle does."""
+    """Call `news` ten times a second. Actions come as the boat sets out on the leg or piece behind them, those behind the last
+    one at the end of play or path. A path that connects the waypoints has their actions. A leg that goes on after a pause
+    announces nothing again, one that is begun again after idle does."""
 
     def __init__(self, state: State, log: StateLog) -> None:
         self._state, self._log = state, log
-        self._on: tuple[int, int] = 0, -1  # the number of the plan, and the leg whose actions were announced
+        self._on = NOWHERE  # the plan's number, its leg or piece whose actions were announced, and which of the two
         self._count = 0
 
-    def news(self, mission: Mission | None) -> tuple[Announced, ...]:
-        """The newest of all that were announced, oldest first."""
-        state, plan = self._state, self._state.setpoint.plan
-        number = plan.number if plan is not None else 0
-        if state.mode is Mode.PLAY:
-            now = number, state.reference.leg
-        elif state.mode is Mode.IDLE:
-            now = 0, -1
-        elif plan is not None and self._on[0] == number and state.reason.startswith("play done"):
-            now = number, len(plan.waypoints)
-        else:
+    def news(self, mission: Mission | None, leg: int) -> tuple[Announced, ...]:
+        """The newest of all that were announced, oldest first. `leg`: of the mode's memory."""
+        state, before = self._state, self._on
+        begin, self._on = self._now(mission, leg)
+        here, now = self._on[1:]
+        same = (before[0], before[2]) == (self._on[0], now)
+        if mission is None or self._on == before or not now:
             return state.announced
-        before, self._on = self._on, now
-        same = now[0] == before[0]
-        if mission is None or (same and now[1] == before[1]):
-            return state.announced
-        first = max(before[1] + 1 if same and before[1] < now[1] else 0, state.setpoint.leg)  # short legs come several at once
-        new = [self._announced(each) for each in mission.action if min(first, now[1]) <= each.after <= now[1]]
+        first = max(before[1] + 1 if same and before[1] < here else 0, begin)  # short legs come several at once
+        places = ((each, getattr(each, now)) for each in mission.action)
+        new = [self._announced(each) for each, at in places if at is not None and min(first, here) <= at <= here]
         return (*state.announced, *new)[-KEPT:]
+
+    def _now(self, mission: Mission | None, leg: int) -> tuple[int, Place]:
+        """The leg or piece with which the boat began, and where it is."""
+        state, plan = self._state, self._state.setpoint.plan
+        if state.mode is Mode.IDLE or plan is None or mission is None:
+            return 0, NOWHERE if state.mode is Mode.IDLE else self._on
+        setpoint, number, is_joined = state.setpoint, plan.number, not mission.path
+        is_here = self._on[0] == number
+        if state.mode is Mode.PLAY:
+            return setpoint.leg, (number, state.reference.leg, WAYPOINTS)
+        if state.mode is Mode.PATH and is_joined:  # on piece 1 it has left waypoint 1
+            return setpoint.piece, (number, leg + 1 if leg >= 0 else piece_of(leg), WAYPOINTS)
+        if state.mode is Mode.PATH:  # on its way to piece 1 it has come to nothing yet
+            return setpoint.piece, (number, leg, PIECES) if leg >= 0 else (number, -1, PIECES)
+        if is_here and state.reason.startswith("play done"):
+            return setpoint.leg, (number, len(plan.waypoints), WAYPOINTS)
+        if is_here and state.reason.startswith("path done"):
+            return setpoint.piece, (number, len(plan.waypoints), WAYPOINTS) if is_joined else (number, len(plan.path), PIECES)
+        return 0, self._on
 
     def _announced(self, action: PayloadItem) -> Announced:
         given = (*action.params, float(action.x), float(action.y), action.z)

@@ -174,7 +174,7 @@ class Helm:
         if self.detour is not None and (found := self.detour.step()) is not None:
             self.state.setpoint, reason = found
             self.enter(Mode.GOTO, reason)
-        self.state.announced = self._announcing.news(self.plans.mission)
+        self.state.announced = self._announcing.news(self.plans.mission, self.memory.leg)
 
     def _seek(self) -> None:
         """The place to hold moves to a better one as soon as that is found, and the radius to what the fence leaves."""

@@ -88,7 +88,7 @@ _NAVIGATION = (
 
 def _control(s: State, now_s: float) -> Sequence[float]:
     r = s.reference
-    return _known((r.heading_rad, r.speed_mps, r.cross_track_m, r.distance_m, r.leg & 0xFFFF, s.actuation.run))
+    return _known((r.heading_rad, r.speed_mps, r.cross_track_m, r.distance_m, r.leg & 0xFFFF, r.line, s.actuation.run))
 
 
 _CONTROL = (
@@ -97,6 +97,7 @@ _CONTROL = (
     Field("cross_track", "f", "m", "positive: boat to starboard of the line"),
     Field("distance", "f", "m", "to the point steered for"),
     Field("leg", "H", "", "leg of the mission"),
+    Field("line", "H", "", "line of the survey that the boat is on; 0: none"),
     Field("run", "?", "", "thrusters enabled"),
 )
 

@@ -10,6 +10,7 @@ from delfim.base.errors import ConfigError, Refused, did_you_mean
 from delfim.base.modes import Mode, mode_named
 from delfim.vehicle import console
 from delfim.vehicle.control.control import MODES, settings_of
+from delfim.vehicle.control.modes import path
 from delfim.vehicle.failsafe import failsafe
 from delfim.vehicle.failsafe.failsafe import Action
 from delfim.vehicle.failsafe.troubles import unstopped
@@ -62,6 +63,11 @@ def _change_mode(helm: Helm, command: console.SetMode, now_s: float) -> None:
         setpoint = setpoint._replace(target=None, via=())
     elif wanted is Mode.TRIAL:  # an old manoeuvre is not played again
         setpoint = setpoint._replace(trial=None)
+    elif command.line is not None and wanted is Mode.PATH:
+        found = path.piece_before(setpoint.plan, command.line) if setpoint.plan is not None else None
+        if found is None:
+            raise Refused(f"path refused: the mission has no line {command.line}")
+        setpoint = setpoint._replace(piece=found)
     elif command.piece is None and (way := helm.under_way()) is not None and way.is_paused and way.mode is wanted:
         _continue(helm, None, now_s)
         return

@@ -34,11 +34,13 @@ _encode: Final = msgspec.json.Encoder().encode
 
 def lines(now: BoatReport, before: BoatReport | None) -> Iterator[bytes]:
     """The lines that programs get of a state: events since the one before, then navigation as the guest gets it, with the
-    mission and the leg."""
+    mission, the leg and the line of a survey."""
     if before is None or (now.mode, now.helmsman) != (before.mode, before.helmsman):
         yield _line({"event": "mode", "mode": now.mode, "helmsman": now.helmsman, "reason": now.reason[:REASON]})
     if before is not None and (now.mission, now.reference.leg) != (before.mission, before.reference.leg):
         yield _line({"event": "leg", "mission": now.mission, "leg": now.reference.leg})
+    if before is not None and now.reference.line != before.reference.line:
+        yield _line({"event": "line", "mission": now.mission, "line": now.reference.line})
     heard = max((each.number for each in before.announced), default=0) if before is not None else 0
     for action in now.announced if before is not None else ():
         if action.number > heard:
@@ -61,6 +63,7 @@ def lines(now: BoatReport, before: BoatReport | None) -> Iterator[bytes]:
             "helmsman": now.helmsman,
             "mission": now.mission,
             "leg": now.reference.leg,
+            "line": now.reference.line,
         }
     )
 

@@ -7,7 +7,7 @@ from typing import Final, NamedTuple
 
 from delfim.base import geodesy
 from delfim.base.cooperative import Work
-from delfim.vehicle.control.modes.path import arc_point
+from delfim.vehicle.control.modes.path import arc_point, end_of
 from delfim.vehicle.plans.fence import BOXES, Fence, stopping_m, through
 from delfim.vehicle.plans.zones import Box, Point, Zone, apart, box_of, circle, searched
 from delfim.vehicle.state import Line, Plan
@@ -42,11 +42,11 @@ def complaint(fence: Fence, plan: Plan, radius_m: float, behind: Behind = NOTHIN
     without room to drift about within `radius_m`. What is behind the boat is left out.
     """
     room_m = radius_m + fence.limits.margin_m
-    for number, to in islice(enumerate(plan.waypoints, 1), behind.legs, None):
-        for zone in fence.zones if to.hold_s else ():
-            if (yield from searched(zone, (to.north_m, to.east_m), (to.north_m, to.east_m), room_m)) < room_m:
-                return f"no room to wait at waypoint {number}: {zone.name} is nearer than {room_m:g} m"
-        yield 1 + len(fence.zones) // BOXES if to.hold_s else 0
+    for text, at, hold_s in _stays(plan, behind):
+        for zone in fence.zones if hold_s else ():
+            if (yield from searched(zone, at, at, room_m)) < room_m:
+                return f"no room to wait at {text}: {zone.name} is nearer than {room_m:g} m"
+        yield 1 + len(fence.zones) // BOXES if hold_s else 0
     for ways in (_legs(plan, behind.legs), _pieces(plan, behind.pieces)):
         way, around, zones = next(ways, None), None, fence.zones
         while way is not None:
@@ -59,6 +59,15 @@ def complaint(fence: Fence, plan: Plan, radius_m: float, behind: Behind = NOTHIN
                 return why
             way = onwards
     return None
+
+
+def _stays(plan: Plan, behind: Behind) -> Iterator[tuple[str, Point, float]]:
+    """The waypoints and ends of pieces ahead, by name, and how long the boat stays there."""
+    for number, to in islice(enumerate(plan.waypoints, 1), behind.legs, None):
+        yield f"waypoint {number}", (to.north_m, to.east_m), to.hold_s
+    for number, piece in islice(enumerate(plan.path, 1), behind.pieces, None):
+        if piece.hold_s:
+            yield f"the end of piece {number} of the path", end_of(piece), piece.hold_s
 
 
 def _near(fence: Fence, way: Stretch) -> tuple[Zone, ...]:

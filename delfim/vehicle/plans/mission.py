@@ -9,6 +9,7 @@ import hashlib
 import itertools
 import json
 import math
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Literal
@@ -30,6 +31,7 @@ HOLD_MAX_S = 86_400.0  # at a waypoint
 ROW = 4  # time for a waypoint or a piece of the path, counted in comparisons
 ROWS = 1000  # waypoints, pieces of the path, and actions, at most
 AT_ONCE = 20  # actions at one place
+LINES_MAX = 9999  # of a survey
 # Commands of MAVLink (MAV_CMD) that a mission carries for payloads; the boat itself does not move by them.
 CARRIED = frozenset(
     {
@@ -46,6 +48,9 @@ JOINT_M = 1.0  # an arc's stated radius and the distance from its beginning to i
 Latitude = Annotated[float, msgspec.Meta(ge=-89.0, le=89.0)]
 Longitude = Annotated[float, msgspec.Meta(ge=-180.0, le=180.0)]
 MissionSpeed = Annotated[float, msgspec.Meta(ge=0.0, le=30.0)]
+Stay = Annotated[float, msgspec.Meta(ge=0.0, le=HOLD_MAX_S)]
+SurveyLine = Annotated[int, msgspec.Meta(ge=0, le=LINES_MAX)]  # of the survey, from 1; 0: none
+Count = Annotated[int, msgspec.Meta(ge=0, le=ROWS)]
 Title = Annotated[str, tables.text(r"[^\x00-\x1f\x7f]{1,64}", "1 to 64 characters")]
 
 
@@ -56,16 +61,18 @@ class Waypoint(tables.Table, frozen=True):
     longitude_deg: Longitude
     speed_mps: MissionSpeed = 0.0  # on the way to it
     acceptance_m: Annotated[float, msgspec.Meta(ge=0.0, le=1000.0)] = 0.0
-    hold_s: Annotated[float, msgspec.Meta(ge=0.0, le=HOLD_MAX_S)] = 0.0
+    hold_s: Stay = 0.0
+    line: SurveyLine = 0  # that the leg to it sails
 
 
 Number = Annotated[float, msgspec.Meta(ge=-3.5e38, le=3.5e38)] | Literal["nan"]  # of an action; "nan": not given
 
 
-class PayloadItem(tables.Table, frozen=True):
+class PayloadItem(tables.Table, frozen=True, kw_only=True):
     """An item of MAVLink for payloads, which the boat carries as it came, and announces at its place."""
 
-    after: Annotated[int, msgspec.Meta(ge=0, le=ROWS)]  # so many waypoints; 0: as the boat sets out for the first
+    after: Count | None = None  # so many waypoints; 0: as the boat sets out for the first
+    after_piece: Count | None = None  # or so many pieces of the path; 0: as it sets out on the first
     command: Annotated[int, msgspec.Meta(ge=0, le=0xFFFF)]  # one of CARRIED
     params: tuple[Number, Number, Number, Number] = (0.0, 0.0, 0.0, 0.0)  # 1 to 4
     x: Annotated[int, msgspec.Meta(ge=-(1 << 31), le=(1 << 31) - 1)] = 0  # 5; a latitude in 1e-7 degrees
@@ -84,6 +91,8 @@ class PathPoint(tables.Table, frozen=True):
     speed_mps: MissionSpeed = 0.0
     turn_deg: Annotated[float, msgspec.Meta(ge=-3600.0, le=3600.0)] = 0.0  # positive to starboard
     radius_m: Annotated[float, msgspec.Meta(ge=0.0, le=RADIUS_MAX_M)] = 0.0  # of an arc
+    hold_s: Stay = 0.0  # at its end
+    line: SurveyLine = 0  # that it sails
 
 
 class Mission(tables.Table, frozen=True):
@@ -93,7 +102,7 @@ class Mission(tables.Table, frozen=True):
     name: Title
     waypoint: Annotated[tuple[Waypoint, ...], msgspec.Meta(min_length=1, max_length=ROWS)]
     path: Annotated[tuple[PathPoint, ...], msgspec.Meta(max_length=ROWS)] = ()
-    action: Annotated[tuple[PayloadItem, ...], msgspec.Meta(max_length=ROWS)] = ()  # in the order of `after`
+    action: Annotated[tuple[PayloadItem, ...], msgspec.Meta(max_length=ROWS)] = ()  # in the order of their places
     then: Literal["hold", "home"] = "hold"  # at the end of waypoints or path
     fence: config.Zones = config.Zones()
 
@@ -179,19 +188,20 @@ def plan(mission: Mission, origin: geodesy.Origin, control: config.ControlTable)
     for stop in mission.waypoint:
         yield ROW
         speed_mps, reach_m = stop.speed_mps or control.speed.cruise_mps, stop.acceptance_m or control.path.acceptance_m
-        waypoints.append(PlanWaypoint(*_plane(origin, stop), speed_mps, reach_m, stop.hold_s))
+        waypoints.append(PlanWaypoint(*_plane(origin, stop), speed_mps, reach_m, stop.hold_s, stop.line))
     path: list[Line | Arc] = []
     if mission.path:
         pieces: Iterator[Line | Arc] = _pieces(mission.path, origin, control.speed.cruise_mps)
     else:
         pieces = (
-            Line(start.north_m, start.east_m, end.north_m, end.east_m, end.speed_mps)
+            Line(start.north_m, start.east_m, end.north_m, end.east_m, end.speed_mps, end.hold_s, end.line)
             for start, end in itertools.pairwise(waypoints)
         )
     for piece in pieces:
         yield ROW
         path.append(piece)
-    return Plan(mission.name, tuple(waypoints), tuple(path), mission.then == "home")
+    lines = max(each.line for each in (*waypoints, *path))
+    return Plan(mission.name, tuple(waypoints), tuple(path), mission.then == "home", lines=lines)
 
 
 def checked(mission: Mission, file: str = "mission") -> Work[None]:
@@ -211,18 +221,25 @@ def checked(mission: Mission, file: str = "mission") -> Work[None]:
 
 
 def _check_actions(mission: Mission, file: str) -> Work[None]:
-    before, here = 0, 0
+    last, before = {"after": len(mission.waypoint), "after_piece": len(mission.path) - 1}, {"after": 0, "after_piece": 0}
+    here = Counter[tuple[str, int]]()
     for index, action in enumerate(mission.action):
         yield ROW
-        key = f"action[{index}]"
+        key, places = f"action[{index}]", {"after": action.after, "after_piece": action.after_piece}
         if action.command not in CARRIED:
             raise ConfigError(file, f"{key}.command", "not a command that a mission carries for payloads", "docs/missions.md")
-        if not before <= action.after <= len(mission.waypoint):
-            raise ConfigError(file, f"{key}.after", "not in the order of the mission", f"{before} to {len(mission.waypoint)}")
-        here = here + 1 if action.after == before else 1
-        if here > AT_ONCE:
+        told = [(name, place) for name, place in places.items() if place is not None]
+        if len(told) != 1:
+            raise ConfigError(file, key, "it needs its place", "after or after_piece")
+        ((name, place),) = told
+        if last[name] < 0:
+            raise ConfigError(file, f"{key}.{name}", "the mission has no [[path]]: say after")
+        if not before[name] <= place <= last[name]:
+            raise ConfigError(file, f"{key}.{name}", "not in the order of the mission", f"{before[name]} to {last[name]}")
+        here[name, place] += 1
+        if here[name, place] > AT_ONCE:
             raise ConfigError(file, key, "too many actions at one place", f"up to {AT_ONCE}")
-        before = action.after
+        before[name] = place
 
 
 def _check_path(path: tuple[PathPoint, ...], origin: geodesy.Origin, file: str) -> Work[None]:
@@ -231,6 +248,8 @@ def _check_path(path: tuple[PathPoint, ...], origin: geodesy.Origin, file: str) 
         raise ConfigError(file, "path", "a single point is only the beginning: add a line or an arc")
     if path[0].turn_deg:
         raise ConfigError(file, "path[0].turn_deg", "an arc cannot be the first: the first point says where the path begins")
+    if path[0].line or path[0].hold_s:
+        raise ConfigError(file, "path[0]", "the first point says where the path begins: it is no line, and nobody stays there")
     for index, (row, piece) in enumerate(zip(path[1:], _pieces(path, origin, 1.0), strict=True), 1):
         yield ROW
         key = f"path[{index}]"
@@ -259,13 +278,13 @@ def _pieces(path: tuple[PathPoint, ...], origin: geodesy.Origin, cruise_mps: flo
         to_north_m, to_east_m = _plane(origin, row)
         speed_mps = row.speed_mps or cruise_mps
         if not row.turn_deg:
-            yield Line(north_m, east_m, to_north_m, to_east_m, speed_mps)
+            yield Line(north_m, east_m, to_north_m, to_east_m, speed_mps, row.hold_s, row.line)
             north_m, east_m = to_north_m, to_east_m
             continue
         radius_m = math.hypot(north_m - to_north_m, east_m - to_east_m)
         start_rad = math.atan2(east_m - to_east_m, north_m - to_north_m)
         turn_rad = math.radians(row.turn_deg)
-        yield Arc(to_north_m, to_east_m, radius_m, start_rad, turn_rad, speed_mps)
+        yield Arc(to_north_m, to_east_m, radius_m, start_rad, turn_rad, speed_mps, row.hold_s, row.line)
         north_m = to_north_m + radius_m * math.cos(start_rad + turn_rad)
         east_m = to_east_m + radius_m * math.sin(start_rad + turn_rad)
 

@@ -313,7 +313,7 @@ def test_a_program_is_told_events_and_navigation_as_the_guest_is() -> None:
     assert first[0] == {"event": "mode", "mode": "play", "helmsman": "", "reason": "operator"}
     assert first[1] == {
         "utc_ns": 5, "latitude_deg": None, "longitude_deg": None, "heading_deg": 91.0, "north_mps": 0.0, "east_mps": 2.0,
-        "mode": "play", "helmsman": "", "mission": "Doca", "leg": 0,
+        "mode": "play", "helmsman": "", "mission": "Doca", "leg": 0, "line": 0,
     }  # fmt: skip
     assert list(lines(SAILS, SAILS)) == [], "no new navigation"
     hold = BoatReport(mode="hold", reason="x" * 5000, cycle=8, mission="Doca")

@@ -358,7 +358,7 @@ def test_an_order_has_course_and_speed_and_all_else_is_the_modes_own(monkeypatch
     assert after[2:] == own_after[2:]
     assert after.integrals.speed_mps < 1.4 < own_after.integrals.speed_mps
     assert reference[:2] == (pytest.approx(wrap(math.pi / 2.0 - crab_rad)), 1.25)
-    assert reference[2:] == (*own[2:9], math.pi / 2.0)
+    assert reference[2:] == (*own[2:9], math.pi / 2.0, own.line)
     assert None not in own[2:6]
     assert wanted.run
     assert wanted.yaw_nm != own_wanted.yaw_nm

@@ -98,6 +98,7 @@ export interface Boat {
     cross_track_m: number | null;
     distance_m: number | null;
     leg: number | null;
+    line?: number | null; // of a survey, from 1; 0: none
   } | null;
   age_s: Record<"heard" | "position" | "attitude" | "rpm" | "battery", number | null>;
   link: {

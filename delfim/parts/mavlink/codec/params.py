@@ -50,6 +50,7 @@ PARAMS: Final = (
 BOAT_NAME: Final = "BOAT_NAME"  # the parameters that are texts; read only
 BOAT_RUN: Final = "BOAT_RUN"  # drawn at the start: two addresses with the same value are one boat
 TROUBLES: Final = "TROUBLES"  # the named value of those that are there now: bit n is number n of `Trigger`
+LINE: Final = "LINE"  # the named value of the line of a survey that the boat is on; 0: none
 NAMES: Final = (PROFILE, *(param.name for param in PARAMS))
 BY_NAME: Final = {param.name: param for param in PARAMS}
 

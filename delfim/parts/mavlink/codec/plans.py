@@ -19,7 +19,7 @@ from delfim.base import tables
 from delfim.base.cooperative import Work
 from delfim.base.errors import ConfigError, FormatError
 from delfim.parts.mavlink.codec.wire import dialect
-from delfim.vehicle.plans.mission import CARRIED, HOLD_MAX_S, ROWS, Mission, Number, PathPoint, PayloadItem, Waypoint
+from delfim.vehicle.plans.mission import CARRIED, HOLD_MAX_S, LINES_MAX, ROWS, Mission, Number, PathPoint, PayloadItem, Waypoint
 
 MISSION, FENCE, RALLY, ALL = 0, 1, 2, 255  # MAV_MISSION_TYPE
 ITEMS: Final = 2000  # of a plan, at most
@@ -32,7 +32,7 @@ STAY: Final = int(dialect.MAV_CMD_NAV_LOITER_UNLIM)
 HOME: Final = int(dialect.MAV_CMD_NAV_RETURN_TO_LAUNCH)
 DELAY: Final = int(dialect.MAV_CMD_NAV_DELAY)  # wait where the boat is
 SPEED: Final = int(dialect.MAV_CMD_DO_CHANGE_SPEED)
-PATH: Final = int(dialect.MAV_CMD_WAYPOINT_USER_1)  # a piece of the path: turn_deg, radius_m, speed_mps
+PATH: Final = int(dialect.MAV_CMD_WAYPOINT_USER_1)  # a piece of the path: turn_deg, radius_m, speed_mps, line; z: hold_s
 KEEP_IN: Final = int(dialect.MAV_CMD_NAV_FENCE_POLYGON_VERTEX_INCLUSION)
 KEEP_OUT: Final = int(dialect.MAV_CMD_NAV_FENCE_POLYGON_VERTEX_EXCLUSION)
 CIRCLE_IN: Final = int(dialect.MAV_CMD_NAV_FENCE_CIRCLE_INCLUSION)
@@ -66,22 +66,25 @@ class Item(NamedTuple):
 
 def mission_items(tables: Mission) -> Iterator[Item]:
     """Waypoints, with a change of speed before those that have another one, and the actions between them; the way home, if it
-    ends the mission; then the pieces of the path, if any."""
-    speed_mps, actions = 0.0, deque(tables.action)
+    ends the mission; then the pieces of the path, if any, and the actions between them."""
+    speed_mps, actions = 0.0, deque(each for each in tables.action if each.after is not None)
     for number, waypoint in enumerate(tables.waypoint):
-        while actions and actions[0].after <= number:
+        while actions and (actions[0].after or 0) <= number:
             yield _carried(actions.popleft())
         if waypoint.speed_mps != speed_mps:
             speed_mps = waypoint.speed_mps
             yield Item(SPEED, 1.0, speed_mps or USUAL_SPEED, -1.0, frame=int(dialect.MAV_FRAME_MISSION))
         place = _e7(waypoint.latitude_deg), _e7(waypoint.longitude_deg)
-        yield Item(WAYPOINT, waypoint.hold_s, waypoint.acceptance_m, 0.0, 0.0, *place)
+        yield Item(WAYPOINT, waypoint.hold_s, waypoint.acceptance_m, float(waypoint.line), 0.0, *place)
     yield from map(_carried, actions)
     if tables.then == "home":
         yield Item(HOME, frame=int(dialect.MAV_FRAME_MISSION))
-    for piece in tables.path:
+    actions = deque(each for each in tables.action if each.after_piece is not None)
+    for number, piece in enumerate(tables.path):
         place = _e7(piece.latitude_deg), _e7(piece.longitude_deg)
-        yield Item(PATH, piece.turn_deg, piece.radius_m, piece.speed_mps, 0.0, *place)
+        yield Item(PATH, piece.turn_deg, piece.radius_m, piece.speed_mps, float(piece.line), *place, piece.hold_s)
+        while actions and (actions[0].after_piece or 0) <= number:
+            yield _carried(actions.popleft())
 
 
 def _carried(action: PayloadItem) -> Item:
@@ -131,7 +134,7 @@ class MissionDraft:
         self._stays = False  # at the last waypoint, for ever
 
     def add(self, number: int, item: Item) -> None:
-        if self.then == "home" and item.command not in (SPEED, PATH):
+        if self.then == "home" and item.command not in (SPEED, PATH) and not self.path:
             raise FormatError(f"item {number}: the mission ends with NAV_RETURN_TO_LAUNCH before it")
         if item.command == SPEED:
             self._speed_mps = _asked_mps(number, item)
@@ -141,7 +144,8 @@ class MissionDraft:
         elif item.command == HOME:
             self.then = "home"
         elif item.command in CARRIED:
-            self.actions.append(_action(number, item, len(self.waypoints)))
+            place = {"after_piece": len(self.path) - 1} if self.path else {"after": len(self.waypoints)}
+            self.actions.append(_action(number, item, place))
         elif item.command == DELAY:
             if not self.waypoints:
                 raise FormatError(f"item {number}: a delay before the first waypoint")
@@ -289,10 +293,16 @@ def _waypoint(number: int, item: Item, speed_mps: float) -> Waypoint:
     hold_s = HOLD_MAX_S if item.command == STAY else _number(number, item.p1)
     reach_m = _number(number, item.p2) if item.command == WAYPOINT else 0.0
     place = _fields(number, item)
-    return _row(number, Waypoint, **place, speed_mps=speed_mps, acceptance_m=reach_m, hold_s=hold_s)
+    line = _line(item.p3) if item.command == WAYPOINT else 0
+    return _row(number, Waypoint, **place, speed_mps=speed_mps, acceptance_m=reach_m, hold_s=hold_s, line=line)
 
 
-def _action(number: int, item: Item, after: int) -> PayloadItem:
+def _line(value: float) -> int:
+    """The line of a survey in a number that other programs use otherwise: what is none is 0."""
+    return int(value) if math.isfinite(value) and 0.0 < value <= LINES_MAX and value == int(value) else 0
+
+
+def _action(number: int, item: Item, where: dict[str, int]) -> PayloadItem:
     """As it came, to the last bit."""
     numbers = list[Number]()
     for value in (item.p1, item.p2, item.p3, item.p4, item.z):
@@ -300,7 +310,7 @@ def _action(number: int, item: Item, after: int) -> PayloadItem:
             raise FormatError(f"item {number}: {value} is not a number")
         numbers.append("nan" if math.isnan(value) else value)
     place = {"x": item.x, "y": item.y, "z": numbers[4], "frame": item.frame}
-    return _row(number, PayloadItem, after=after, command=item.command, params=numbers[:4], **place)
+    return _row(number, PayloadItem, **where, command=item.command, params=numbers[:4], **place)
 
 
 def _delayed(number: int, item: Item, waypoint: Waypoint) -> Waypoint:
@@ -313,7 +323,9 @@ def _delayed(number: int, item: Item, waypoint: Waypoint) -> Waypoint:
 
 def _piece(number: int, item: Item) -> PathPoint:
     turn_deg, radius_m, speed_mps = (_number(number, value) for value in (item.p1, item.p2, item.p3))
-    return _row(number, PathPoint, **_fields(number, item), speed_mps=speed_mps, turn_deg=turn_deg, radius_m=radius_m)
+    hold_s, line = _number(number, item.z) if item.z > 0.0 else 0.0, _line(item.p4)
+    more = {"speed_mps": speed_mps, "turn_deg": turn_deg, "radius_m": radius_m, "hold_s": hold_s, "line": line}
+    return _row(number, PathPoint, **_fields(number, item), **more)
 
 
 def command_name(command: int) -> str:

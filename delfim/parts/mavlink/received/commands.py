@@ -70,8 +70,10 @@ def stops(o: Order) -> bool:
 
 def _mode(o: Order, boat: Terms) -> console.Commands:
     """DO_SET_MODE. Raises FormatError for a mode that is not ours, which must change nothing. The third number of the path is
-    the piece to begin with, from 1: no other autopilot has that mode."""
-    base, custom, sub = o.p[:3]
+    the piece to begin with, from 1, or its fourth the line of a survey: no other autopilot has that mode."""
+    base, custom, sub, line = (*o.p, 0.0)[:4]
+    if custom == Mode.PATH and line > 0.0:
+        return console.asked(console.SetMode, mode="path", line=_whole(line))
     if sub and custom == Mode.PATH:
         return console.asked(console.SetMode, mode="path", piece=_whole(sub) - 1)
     if sub:

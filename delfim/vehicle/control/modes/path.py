@@ -2,7 +2,8 @@
 
 A boat goes to the beginning of the first piece, or of the one that it is told to begin with, wherever it is. At a corner the
 boat leaves a line early by R tan(angle / 2), where a turn of radius R begins that ends on the next one. A boat that kept clear
-of others comes back at 45 degrees.
+of others comes back at 45 degrees. A piece at whose end the boat stays for a while is sailed to its end, slowly at last, and
+the boat stays there as in hold mode.
 """
 
 import math
@@ -11,11 +12,12 @@ from delfim.base.geodesy import wrap
 from delfim.vehicle.control.autopilot import entered, steer
 from delfim.vehicle.control.guidance import CREEP_MPS, along, course_to_steer
 from delfim.vehicle.control.memory import Memory, Settings
+from delfim.vehicle.control.modes import hold
 from delfim.vehicle.control.safe import STOP
-from delfim.vehicle.state import Arc, Line, Motion, Reference, Setpoint, Wanted
+from delfim.vehicle.state import Arc, Line, Motion, Plan, Reference, Setpoint, Wanted
 
 NEEDS = frozenset({"position", "heading", "velocity"})
-SENTENCE = "Follows the mission's lines and arcs, then holds."
+SENTENCE = "Follows the mission's lines and arcs, stays at their ends where told, then holds."
 
 APPROACH = -1  # leg: on the way to where the first piece begins; to the second it is -2, and so on
 TURN_S = 3.0  # radius of a turn at a corner, over speed
@@ -40,6 +42,13 @@ def piece_of(leg: int) -> int:
     return max(leg, APPROACH - leg)
 
 
+def piece_before(plan: Plan, line: int) -> int | None:
+    """The piece with which a boat begins that is to sail a line of a survey: the run-in, where there is one. None: the path has
+    no such line."""
+    found = next((number for number, piece in enumerate(plan.path) if piece.line == line), None)
+    return found if not found or plan.path[found - 1].line else found - 1
+
+
 def step(
     memory: Memory, motion: Motion, setpoint: Setpoint, settings: Settings, dt_s: float
 ) -> tuple[Memory, Reference, Wanted]:
@@ -47,25 +56,44 @@ def step(
     if memory.leg >= len(path):
         return memory, Reference(leg=memory.leg, done=True), STOP
     onwards = memory.leg + 1 if memory.leg >= 0 else piece_of(memory.leg)
+    if memory.left_s > 0.0:
+        return _stay(memory, motion, setpoint, settings, dt_s, onwards == len(path))
     piece = path[memory.leg] if memory.leg >= 0 else _approach(memory, path[onwards])
     tangent_rad, cross_m, left_m, swept_rad = nearest(piece, motion, memory.swept_rad)
-    ahead_m, last = settings.control.path.lookahead_m, onwards == len(path)
-    is_gentle = abs(cross_m) > ahead_m and not (last and left_m < abs(cross_m))  # onto it at 45 degrees, but for its end
+    ahead_m, stops = settings.control.path.lookahead_m, onwards == len(path) or piece.hold_s > 0.0
+    is_gentle = abs(cross_m) > ahead_m and not (stops and left_m < abs(cross_m))  # onto it at 45 degrees, but for its end
     off_m = math.copysign(ahead_m, cross_m) if is_gentle else cross_m
     course, heading_rad = course_to_steer(memory.course, motion, tangent_rad, off_m, settings.control.path, dt_s)
     speed_mps = piece.speed_mps if setpoint.override_mps is None else setpoint.override_mps
-    if last:
+    if stops:
         speed_mps = min(speed_mps, max(math.sqrt(settings.control.speed.ramp_mps2 * max(left_m, 0.0)), CREEP_MPS))
     turn_radps = math.copysign(speed_mps / piece.radius_m, piece.turn_rad) if isinstance(piece, Arc) else 0.0
     integrals, wanted = steer(memory.integrals, motion, heading_rad, speed_mps, settings, dt_s, turn_radps)
-    north_m, east_m = _end(piece)
+    north_m, east_m = end_of(piece)
     reference = Reference(wrap(heading_rad), speed_mps, cross_m, max(left_m, 0.0), north_m, east_m, piece_of(memory.leg))
+    if piece.line:
+        reference = reference._replace(line=piece.line)
     after = Memory(integrals, course, *memory[2:5], swept_rad)
-    if last:
+    if stops and (left_m > 0.0 or not piece.hold_s):
         return after, reference._replace(done=True) if left_m <= 0.0 else reference, wanted
+    if stops:
+        return after._replace(north_m=north_m, east_m=east_m, heading_rad=None, left_s=piece.hold_s), reference, wanted
     if left_m > _wheel_over_m(tangent_rad, path[onwards], speed_mps, ahead_m):
         return after, reference, wanted
     return after._replace(leg=onwards, swept_rad=0.0), reference, wanted
+
+
+def _stay(
+    memory: Memory, motion: Motion, setpoint: Setpoint, settings: Settings, dt_s: float, last: bool
+) -> tuple[Memory, Reference, Wanted]:
+    """Stay at the end of a piece."""
+    memory, reference, wanted = hold.step(memory, motion, setpoint, settings, dt_s)
+    reference, left_s = reference._replace(leg=piece_of(memory.leg)), memory.left_s - dt_s
+    if left_s > 0.0:
+        return memory._replace(left_s=left_s), reference, wanted
+    if last:
+        return memory, reference._replace(done=True), wanted
+    return memory._replace(leg=memory.leg + 1, swept_rad=0.0, driving=0, left_s=0.0), reference, wanted
 
 
 def _approach(memory: Memory, first: Line | Arc) -> Line:
@@ -103,7 +131,7 @@ def start(piece: Line | Arc) -> tuple[float, float]:
     return (piece.north_m, piece.east_m) if isinstance(piece, Line) else arc_point(piece, 0.0)
 
 
-def _end(piece: Line | Arc) -> tuple[float, float]:
+def end_of(piece: Line | Arc) -> tuple[float, float]:
     return (piece.to_north_m, piece.to_east_m) if isinstance(piece, Line) else arc_point(piece, piece.turn_rad)
 
 
