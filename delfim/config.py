@@ -742,8 +742,8 @@ class Sensors(Table, frozen=True):
 
 
 class SounderTable(Table, frozen=True):
-    """The echo sounder, as the chart of its soundings must know it (docs/survey.md). Nothing of it counts aboard: the log keeps
-    what the sounder said."""
+    """The echo sounder, as the chart of its soundings must know it (docs/survey.md). Aboard `confidence` alone counts: the log
+    keeps what the sounder said."""
 
     ahead_m: Annotated[float, msgspec.Meta(ge=-100.0, le=100.0)] = 0.0  # of the transducer, from the place navigation tells
     starboard_m: Annotated[float, msgspec.Meta(ge=-100.0, le=100.0)] = 0.0  # of it

@@ -151,6 +151,13 @@ OWN: Final = {  # in the order in which sources are listed
             ports=True,
         ),
         Part(
+            "ping",
+            "delfim.parts.ping.table:PingTable",
+            after="nmea0183",
+            sensor="delfim.parts.ping.sensor",
+            played="delfim.parts.ping.sim",
+        ),
+        Part(
             "mavlink",
             "delfim.parts.mavlink.table:Mavlink",
             after="console",

@@ -140,6 +140,9 @@ class LoggedSounding(msgspec.Struct, frozen=True):
     measured_s: Second
     depth_m: float
     offset_m: float = 0.0
+    source: str = ""
+    confidence: float | None = None  # 0..1
+    number: int | None = None
 
 
 def read_events(path: str | Path) -> Iterator[dict[str, Any]]:

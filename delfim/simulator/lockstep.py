@@ -44,6 +44,7 @@ class OrderLog(Protocol):
     """A log that keeps orders, as the Logbook does."""
 
     def command(self, command: console.Commands, refused: str | None, state: State, operator: str) -> None: ...
+    def watch(self, state: State) -> None: ...
 
 
 class Ordered(NamedTuple):
@@ -89,6 +90,7 @@ class Lockstep:
         self._world = bus.end("nodes", *self.nodes.hears)
         self.faults = Faults(self.nodes, seed)
         self.log = make_log(self.clock)
+        self._logbook = self.log if isinstance(self.log, OrderLog) else None
         self.lines = dict[str, LockstepLine]()  # by device
         self._aboard = settings if handset else msgspec.structs.replace(settings, handset=config.HandsetTable())
         if model is None:  # its motors are those of the file
@@ -241,6 +243,8 @@ class Lockstep:
         if now_s >= self._watchdog_s:
             self._watchdog_s = now_s + WATCHDOG_S
             vehicle.on_watchdog()
+            if self._logbook is not None:
+                self._logbook.watch(self.state)
         for actuator in vehicle.propulsion.actuators:
             if actuator.period_s:
                 vehicle.on_outlet(actuator)

@@ -27,7 +27,7 @@ from delfim.base.ranges import address, is_loopback
 from delfim.canproxy.tables import Cantcpd, Routing
 from delfim.logging.blackbox import device
 from delfim.logging.kept.writer import VOYAGE
-from delfim.simulator.nodes.talkers import BOARD
+from delfim.simulator.nodes.talkers import BOARD, on_lines
 from delfim.simulator.tables import Simulation
 
 SIMULATED: Final = "run/sim"  # the folder of the first one
@@ -176,8 +176,8 @@ def _instruments(vehicle: config.Vehicle, its: Workspace) -> dict[str, str]:
 
 
 def _of_parts(vehicle: config.Vehicle, place: Path, loop: str) -> dict[str, str]:
-    """The overrides for the devices of a laboratory's parts: none of them is a real one."""
-    tables = [(part.name, vehicle.table(part.name)) for part in vehicle.aboard if part.table is not None]
+    """The overrides for the devices of parts: none of them is a real one."""
+    tables = [(part.name, vehicle.table(part.name)) for part in on_lines(vehicle) if part.table is not None]
     lines = {f"{name}.device": f"{place}/{name}" for name, table in tables if hasattr(table, "device")}
     return lines | {f"{name}.interface": f"{loop}-{name}" for name, table in tables if hasattr(table, "interface")}
 

@@ -9,7 +9,7 @@ from delfim.base.clock import Clock
 from delfim.base.parts import OWN, Part, load
 from delfim.canproxy.socket import CanAddress, CanSocket
 from delfim.lines.forms import Form
-from delfim.vehicle.aboard import Added, Hand, OpenedWith
+from delfim.vehicle.aboard import Added, Hand, OpenedWith, PartWatch
 from delfim.vehicle.control.control import MODES
 from delfim.vehicle.failsafe.troubles import PartTrigger
 from delfim.vehicle.grex import Guest
@@ -80,6 +80,7 @@ def build(
     guest = make_guest(state, clock)
     aboard = tuple(opened_part(part, OpenedWith(settings, clock, state, links, log, guest)) for part in fitted(settings))
     watches = tuple(each.watch for each in aboard if each.watch is not None)
+    watches += tuple(cast(PartWatch, each) for each in readings if hasattr(each, "look"))
     MODES.load()
     vehicle = VehicleLoop(settings, clock, state, sources, propulsion, guest, log, watches, triggers(settings))
     if settings.aboard:

@@ -67,6 +67,18 @@ class Sighting(NamedTuple):
     key: str = ""  # of the vessel, where it is not its number of AIS
 
 
+class Ping(NamedTuple):
+    """A ping of an echo sounder, as it told it. Nothing is corrected."""
+
+    heard_s: float  # monotonic time
+    depth_m: float  # below the transducer
+    source: str  # the sensor, and the device among several
+    offset_m: float | None = None  # as the device tells it: above 0 from the transducer to the water line, below to the keel
+    confidence: float | None = None  # 0..1; None: it does not tell
+    number: int | None = None  # of the ping, as the device counts them
+
+
+SOUNDINGS_MAX = 64  # that wait for the log
 HEARD_MAX = 512  # reports that wait for the next look
 HEARD_MANY = 128  # from so many on a vessel's newest report replaces the one that waits
 HANDSET = "hand-set"  # the operator at the radio control, who is above all others
@@ -238,6 +250,8 @@ class State:
     unsteerable: str = ""  # why the boat cannot be steered without them, in words; empty: it can
     sysstat: dict[str, tuple[SystemStatus, float]] = field(default_factory=dict)  # by node: last report, its time
     measured: dict[str, tuple[float, float]] = field(default_factory=dict)  # by sensors: last value, its time
+    soundings: deque[Ping] = field(default_factory=lambda: deque(maxlen=SOUNDINGS_MAX))  # the newest, each ping once
+    sounded: int = 0  # all that were heard
     operator: str = ""  # the console, or HANDSET, that commands; its silence is a trouble; empty: none
     console_s: float = -1e9  # monotonic time of the last word of the console
     ordered_s: float = -1e9  # monotonic time of the last order of anybody, obeyed or refused
@@ -282,6 +296,15 @@ class State:
         for reason, times in lost.items():
             self.count(f"nmea2000_{pgn}_{reason.partition(': ')[2].replace(' ', '_')}", times)
         lost.clear()
+
+    def sound(self, ping: Ping, is_sure: bool = True) -> None:
+        """A ping: it is logged, and where it is sure it is the depth."""
+        self.soundings.append(ping)
+        self.sounded += 1
+        if is_sure:
+            self.measured["depth_m"] = ping.depth_m, ping.heard_s
+            if ping.offset_m is not None:
+                self.measured["depth_offset_m"] = ping.offset_m, ping.heard_s
 
     def hear(self, told: Report | str, by: str, now_s: float, key: str = "") -> None:
         """A report of another vessel, for the next look. Costs next to nothing, and is bounded: where many wait, of each vessel

@@ -17,11 +17,11 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from delfim import config
-from delfim.base.clock import ManualClock
 from delfim.base.errors import BusError, ConfigError, DelfimError
 from delfim.base.modes import Mode
 from delfim.canproxy.opening import open_can
@@ -253,14 +253,8 @@ def _lockstep(asked: argparse.Namespace, settings: config.Vehicle, mission: Miss
         print(f"delfim: waits for the model at {settings.of(Simulation).external}", flush=True)
         model.begin()
         started = time.monotonic()
-    logbook = list[Logbook]()
-
-    def opened(clock: ManualClock) -> Logbook:
-        logbook.append(Logbook(settings, clock))
-        return logbook[0]
-
-    run = Lockstep(settings, asked.seed, opened, model)
-    end = run.sail(canonical(mission), asked.for_s or LOCKSTEP_S, lambda run: logbook[0].watch(run.state))
+    run = Lockstep(settings, asked.seed, partial(Logbook, settings), model)
+    end = run.sail(canonical(mission), asked.for_s or LOCKSTEP_S)
     run.close()
     wall_s = time.monotonic() - started
     data = columns(log.glob("*/state/*.state*"))

@@ -20,6 +20,7 @@ SPEED_MAX_MPS: Final = 200.0
 TURN_MAX_RADPS: Final = 4.0 * math.tau
 DEPTH_MAX_M: Final = 12_000.0
 CORRECTIONS_MAX_S: Final = 1e5  # a receiver that had corrections long ago may still tell their age
+HEIGHT_MAX_M: Final = 20_000.0
 _NUMBER: Final = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)").fullmatch
 _CLOCK: Final = re.compile(r"\d{6}(\.\d*)?").fullmatch
 _QUALITY: Final = {"0": 0, "1": 3, "2": 4, "3": 3, "4": 5, "5": 6}  # GGA; reckoned, typed and simulated (6, 7, 8) are no fix
@@ -42,6 +43,7 @@ class Located(NamedTuple):
     movement: "Movement | None" = None  # RMC
     variation_rad: float | None = None  # RMC; east positive
     corrections_s: float | None = None  # GGA, GNS: age of the differential corrections
+    height_m: float | None = None  # GGA: of the antenna above the ellipsoid of WGS 84
 
 
 class Movement(NamedTuple):
@@ -229,8 +231,27 @@ def _gga(f: list[str]) -> Located:
     fix = _QUALITY.get(f[6], 0)
     latitude_rad, longitude_rad = _position(*f[2:6]) if fix else (None, None)
     age_s = _age(f, 13)
-    told = _day_s(f[1]), latitude_rad, longitude_rad, fix, _count(f[7]), _within(f[8], 1000.0), None, None, None, age_s
+    told = (
+        _day_s(f[1]),
+        latitude_rad,
+        longitude_rad,
+        fix,
+        _count(f[7]),
+        _within(f[8], 1000.0),
+        None,
+        None,
+        None,
+        age_s,
+        _height(f),
+    )
     return _new(Located, told)
+
+
+def _height(f: list[str]) -> float | None:
+    """The antenna's height above the ellipsoid: that above the sea and the geoid's. None: not told; a position needs none."""
+    both = (f[9], f[11]) if len(f) > 11 else ("", "")
+    height_m = sum(float(each) for each in both) if all(map(_NUMBER, both)) else math.nan
+    return height_m if abs(height_m) <= HEIGHT_MAX_M else None
 
 
 def _gns(f: list[str]) -> Located:
@@ -268,7 +289,7 @@ def _rmc(f: list[str]) -> Located:
         raise FormatError("not a date")
     century = "19" if f[9][4:] >= "80" else "20"
     utc_ns = _utc_ns(day_s, century + f[9][4:], f[9][2:4], f[9][:2]) if f[9] else None
-    return _new(Located, (day_s, latitude_rad, longitude_rad, fix, None, None, utc_ns, movement, variation_rad, None))
+    return _new(Located, (day_s, latitude_rad, longitude_rad, fix, None, None, utc_ns, movement, variation_rad, None, None))
 
 
 def _vtg(f: list[str]) -> Movement:

@@ -43,6 +43,7 @@ class Solution(NamedTuple):
     accuracy_m: float | None  # of the position in the plane
     velocity_accuracy_mps: float | None
     corrections_s: float | None  # age of the last one, at most; CORRECTIONS_OLD_S: more than 120 s
+    height_m: float | None = None  # of the antenna above the ellipsoid; None without a fix in three dimensions
 
 
 class Baseline(NamedTuple):
@@ -71,7 +72,7 @@ def _pvt(payload: bytes) -> Solution:
     """Parse NAV-PVT, whose gnssFixOK says whether it is a fix. Reckoning alone and time alone are no fix, and neither is an
     invalid position."""
     week_ms, year, month, day, hour, minute, second, valid, _, nano, kind, flags, _, satellites, *rest = _PVT.unpack(payload)
-    longitude, latitude, _, _, accuracy_mm, _, north, east, _, _, _, velocity_accuracy, _, _, flags3, _, _, _ = rest
+    longitude, latitude, height_mm, _, accuracy_mm, _, north, east, _, _, _, velocity_accuracy, _, _, flags3, _, _, _ = rest
     if week_ms >= _WEEK_MS:
         raise FormatError("no time of week")
     utc_ns = _utc_ns(year, month, day, hour, minute, second, nano) if valid & 7 == 7 else None
@@ -96,6 +97,7 @@ def _pvt(payload: bytes) -> Solution:
         _accuracy(accuracy_mm),
         _accuracy(velocity_accuracy),
         corrections_s,
+        None if kind == 2 else height_mm / 1000.0,
     )
 
 

@@ -7,7 +7,6 @@ Numbers stay in SI units and radians, as they were logged, except in CSV and whe
 import csv
 import json
 import math
-from bisect import bisect_left
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -66,26 +65,58 @@ def _readable(name: str, unit: str, column: "NDArray[Any]") -> list[Any]:
     return ["" if isinstance(value, float) and math.isnan(value) else value for value in values]
 
 
+SOUNDED: Final = (  # what stands beside a sounding: head, name of the field, in degrees, between two records or as before it
+    ("latitude [deg]", "latitude", True, True),
+    ("longitude [deg]", "longitude", True, True),
+    ("line", "line", False, False),
+    ("heading [deg]", "heading", True, True),
+    ("roll [deg]", "roll", True, True),
+    ("pitch [deg]", "pitch", True, True),
+    ("fix", "fix", False, False),
+    ("accuracy [m]", "accuracy", False, True),
+    ("height_m [m]", "height_m", False, True),
+)
+TOLD: Final = {"depth_m [m]": "depth_m", "depth_offset_m [m]": "offset_m", "confidence": "confidence"}
+TOLD_MORE: Final = {"source": "source", "number": "number"}
+
+
 def to_soundings(columns: Columns, schema: Schema, events: Events, file: Path) -> None:
-    """CSV for charts: each sounding once, at its own time, where the boat was then, between the positions before and after."""
-    points = list(_positions(columns))
-    stamps = [point[0] for point in points]
+    """CSV for charts: each ping once, raw, at its own time, and where the boat was and how it lay then, between the positions
+    before and after. What is not known is empty."""
+    pings = [event for event in events if event["event"] == "sounding"]
+    stamps = [told["t_ns"] - round((told["monotonic_s"] - told["measured_s"]) * 1e9) for told in pings]
+    beside = {head: _beside(columns, stamps, name, is_angle, between) for head, name, is_angle, between in SOUNDED}
+    place = dict(list(beside.items())[:2])
+    heads = ["utc", *place, *TOLD, *TOLD_MORE, *list(beside)[2:]]
     with file.open("w", newline="", encoding="utf-8") as text:
-        writer = csv.writer(text)
-        writer.writerow(["utc", "latitude [deg]", "longitude [deg]", "depth_m [m]", "depth_offset_m [m]"])
-        for told in (event for event in events if event["event"] == "sounding"):
-            t_ns = told["t_ns"] - round((told["monotonic_s"] - told["measured_s"]) * 1e9)
-            after = bisect_left(stamps, t_ns)
-            place: tuple[object, object] = "", ""
-            if 0 < after < len(points) and stamps[after] - stamps[after - 1] <= SOUNDED_NS:
-                place = _between(points[after - 1], points[after], t_ns)
-            writer.writerow([_iso(t_ns), *place, told["depth_m"], told.get("offset_m", "")])
+        writer = csv.DictWriter(text, heads)
+        writer.writeheader()
+        for number, (t_ns, told) in enumerate(zip(stamps, pings, strict=True)):
+            row = {head: told.get(key, "") for head, key in (TOLD | TOLD_MORE).items()}
+            writer.writerow({"utc": _iso(t_ns)} | row | {head: values[number] for head, values in beside.items()})
 
 
-def _between(a: tuple[int, float, float], b: tuple[int, float, float], t_ns: int) -> tuple[float, float]:
-    part = (t_ns - a[0]) / (b[0] - a[0])
-    east_deg = math.remainder(b[2] - a[2], 360.0)
-    return round(a[1] + part * (b[1] - a[1]), 9), round(math.remainder(a[2] + part * east_deg, 360.0), 9)
+def _beside(columns: Columns, stamps: list[int], name: str, is_angle: bool, is_between: bool) -> list[object]:
+    """The values of a field at these times; empty where no position is known shortly before and after."""
+    import numpy as np
+
+    known = np.isfinite(columns["latitude"]) & np.isfinite(columns["longitude"])
+    times, at = columns[TIME][known], np.array(stamps, dtype=np.int64)
+    if name not in columns or len(times) < 2:
+        return [""] * len(stamps)
+    values = columns[name][known].astype(float)
+    after = np.clip(np.searchsorted(times, at), 1, len(times) - 1)
+    apart = times[after] - times[after - 1]
+    is_near = (at > times[after - 1]) & (at <= times[after]) & (apart <= SOUNDED_NS)
+    step = values[after] - values[after - 1]
+    step = np.remainder(step + math.pi, math.tau) - math.pi if is_angle else step
+    found = values[after - 1] + (step * (at - times[after - 1]) / np.maximum(apart, 1) if is_between else 0.0)
+    if is_angle:
+        found = np.degrees(found)
+        found = np.remainder(found, 360.0) if name == "heading" else np.remainder(found + 180.0, 360.0) - 180.0
+    digits = 9 if name in ("latitude", "longitude") else 3
+    told = zip(found.tolist(), (is_near & np.isfinite(found)).tolist(), strict=True)
+    return [round(value, digits) if is_known else "" for value, is_known in told]
 
 
 def to_parquet(columns: Columns, schema: Schema, events: Events, file: Path) -> None:

@@ -1,6 +1,7 @@
 """Navigation from NMEA 0183 sentences: each kind of data has its talker and its age (docs/nmea0183.md)."""
 
 import math
+from collections.abc import Callable
 from typing import Final
 
 from delfim.canproxy.dsor.messages import Navigation
@@ -20,6 +21,7 @@ from delfim.lines.nmea0183.sentences import (
 from delfim.parts.nmea0183.table import Nmea0183
 from delfim.vehicle.navigation.fusion import MOVING, SLOW_S, SQRT2, UNSTATED, VARIATION_S, Fusion, Quality, over_ground
 from delfim.vehicle.navigation.iron import Iron
+from delfim.vehicle.state import Ping
 
 TALKERS_MAX: Final = 32
 UBX: Final = "UB"  # the talker of delfim.lines.ubx: of a receiver that sends both, it is the better one
@@ -89,9 +91,16 @@ class Combined:
     receiver, GN."""
 
     def __init__(
-        self, settings: Nmea0183, stale_s: float, measured: dict[str, tuple[float, float]], iron: Iron | None = None
+        self,
+        settings: Nmea0183,
+        stale_s: float,
+        measured: dict[str, tuple[float, float]],
+        iron: Iron | None = None,
+        sound: Callable[[Ping], object] = lambda ping: None,
     ) -> None:
-        """measured: gets the values beside navigation, with their times. `iron` is undone in magnetic headings."""
+        """measured: gets the values beside navigation, with their times; `sound` gets the depths. `iron` is undone in magnetic
+        headings."""
+        self._sound = sound
         self._iron = iron
         self._settings, self._stale_s, self._measured = settings, stale_s, measured
         self.fusion: Fusion[str] = Fusion(_KINDS, stale_s, variation_deg=settings.variation_deg)
@@ -114,8 +123,18 @@ class Combined:
         message = sentence.message
         if isinstance(message, Located | Movement):
             return self._moving(talker, sentence.formatter, message, now_s)
-        self._file(talker, message, now_s)
+        if isinstance(message, Sounding):
+            self._sounded(talker, sentence.formatter, message, now_s)
+        else:
+            self._file(talker, message, now_s)
         return None
+
+    def _sounded(self, talker: str, formatter: str, said: Sounding, now_s: float) -> None:
+        """A depth. Many sounders tell each twice: DPT, which may have an offset, and DBT."""
+        if said.depth_m is not None and not self._outranked("depth", talker, int(formatter == "DBT"), now_s, True):
+            self.fusion.put("depth", talker, True, now_s)
+            if self.fusion.kinds["depth"].choose(now_s) == talker:
+                self._sound(Ping(now_s, said.depth_m, f"nmea0183 {talker}", said.offset_m))
 
     def _has_room(self, talker: str, port: str, now_s: float) -> bool:
         """Whether there is room for a talker. It drops the one that was silent for longest, if it gives no values any more or
@@ -149,10 +168,6 @@ class Combined:
                 else:
                     accuracy_m = math.hypot(north_m, east_m)
                     self._measure("accuracy", talker, {"position_sigma_m": accuracy_m}, now_s, accuracy_m)
-            case Sounding(depth_m, offset_m):
-                if depth_m is not None:
-                    offset = {} if offset_m is None else {"depth_offset_m": offset_m}
-                    self._measure("depth", talker, {"depth_m": depth_m} | offset, now_s)
             case Breeze(angle_rad, speed_mps, is_apparent):
                 if angle_rad is not None and speed_mps is not None:
                     name = "apparent" if is_apparent else "true"
@@ -234,6 +249,8 @@ class Combined:
             self.fusion.put("quality", talker, quality, now_s)
             if said.corrections_s is not None and self.fusion.kinds["quality"].choose(now_s) == talker:
                 self._measured["corrections_age_s"] = said.corrections_s, now_s
+            if said.height_m is not None and self.fusion.kinds["quality"].choose(now_s) == talker:
+                self._measured["height_m"] = said.height_m, now_s
         if said.utc_ns is not None:
             self.fusion.set_time(talker, said.utc_ns, now_s)
         if said.variation_rad is not None:

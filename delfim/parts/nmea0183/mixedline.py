@@ -105,5 +105,6 @@ def _solution(s: Solution) -> list[Sentence]:
         s.utc_ns,
         movement,
         corrections_s=s.corrections_s,
+        height_m=s.height_m,
     )
     return [Sentence(UBX, "ACC", Spread(each_m, each_m)), Sentence(UBX, "PVT", located)]

@@ -7,7 +7,7 @@ from delfim.base.vessels import Report
 from delfim.parts.nmea0183.source import AnyPort, Nmea0183Navigation, opened
 from delfim.vehicle.links import Links, Readable
 from delfim.vehicle.sensors import Sensor, Value
-from delfim.vehicle.state import State
+from delfim.vehicle.state import Ping, State
 
 VALUES = (
     Value("depth_m", "m", "below the transducer"),
@@ -17,6 +17,7 @@ VALUES = (
     Value("wind_true_mps", "m/s", "true wind", "tws_mps"),
     Value("position_sigma_m", "m", "standard deviation of the position, as the receiver states it", "sigma_m"),
     Value("corrections_age_s", "s", "since the receiver's last correction", "corr_s"),
+    Value("height_m", "m", "of the antenna above the ellipsoid of WGS 84"),
 )
 
 
@@ -26,17 +27,24 @@ class Instruments:
     name = "nmea0183"
 
     def __init__(
-        self, lines: Nmea0183Navigation, measured: dict[str, tuple[float, float]], heard: list[tuple[Report | str, str, float]]
+        self,
+        lines: Nmea0183Navigation,
+        measured: dict[str, tuple[float, float]],
+        heard: list[tuple[Report | str, str, float]],
+        pings: list[Ping],
     ) -> None:
         self.input: Readable = lines.input
-        self._lines, self._measured, self._heard = lines, measured, heard
+        self._lines, self._measured, self._heard, self._pings = lines, measured, heard, pings
 
     def read(self, state: State, now_s: float) -> None:
         self._lines.read(now_s)
         state.measured.update(self._measured)
         for each in self._heard:
             state.hear(*each)
+        for ping in self._pings:
+            state.sound(ping)
         self._heard.clear()
+        self._pings.clear()
 
 
 class ReadByTheSource:
@@ -54,6 +62,6 @@ class ReadByTheSource:
 def open_sensor(settings: config.Vehicle, links: Links) -> Sensor:
     if "nmea0183" in settings.navigation.sources:
         return ReadByTheSource()
-    measured, heard = dict[str, tuple[float, float]](), list[tuple[Report | str, str, float]]()
-    lines = opened(settings, links, measured, lambda *report: heard.append(report))
-    return Instruments(lines, measured, heard)
+    measured, heard, pings = dict[str, tuple[float, float]](), list[tuple[Report | str, str, float]](), list[Ping]()
+    lines = opened(settings, links, measured, lambda *report: heard.append(report), pings.append)
+    return Instruments(lines, measured, heard, pings)

@@ -16,7 +16,7 @@ from delfim.vehicle.links import Links, ReadableLine
 from delfim.vehicle.navigation.fixes import Fix
 from delfim.vehicle.navigation.fusion import Hearer
 from delfim.vehicle.navigation.iron import iron_of
-from delfim.vehicle.state import State
+from delfim.vehicle.state import Ping, State
 
 GREETING: Final = b'{"class":"VERSION"'  # of gpsd, whoever connects
 WATCH: Final = b'?WATCH={"enable":true,"nmea":true};\r\n'  # it answers with sentences
@@ -139,14 +139,20 @@ class Nmea0183Navigation:
 
 
 def open_source(settings: config.Vehicle, links: Links, state: State) -> Nmea0183Navigation:
-    return opened(settings, links, state.measured if NAME in settings.sensors.names else {}, state.hear)
+    if NAME in settings.sensors.names:
+        return opened(settings, links, state.measured, state.hear, state.sound)
+    return opened(settings, links, {}, state.hear)
 
 
 def opened(
-    settings: config.Vehicle, links: Links, measured: dict[str, tuple[float, float]], hear: HearAis
+    settings: config.Vehicle,
+    links: Links,
+    measured: dict[str, tuple[float, float]],
+    hear: HearAis,
+    sound: Callable[[Ping], object] = lambda ping: None,
 ) -> Nmea0183Navigation:
-    """Open the source. `measured` gets the values beside navigation, `hear` the reports of other vessels. Raises
-    DelfimError."""
+    """Open the source. `measured` gets the values beside navigation, `hear` the reports of other vessels, `sound` the depths.
+    Raises DelfimError."""
     table = settings.of(Nmea0183)
     ports = tuple(
         Port(
@@ -157,5 +163,5 @@ def opened(
         )
         for name, port in table.ports.items()
     )
-    combined = Combined(table, settings.navigation.stale_s, measured, iron_of(settings.compass))
+    combined = Combined(table, settings.navigation.stale_s, measured, iron_of(settings.compass), sound)
     return Nmea0183Navigation(ports, combined, hear if NAME in settings.traffic.hears else None)

@@ -11,7 +11,7 @@ from delfim.base.selection import Newest
 from delfim.canproxy.dsor.messages import BatteriesStatus, Fault, Node, Status
 from delfim.canproxy.nmea2000.device import device_name, facts_of
 from delfim.canproxy.nmea2000.fastpacket import FastPacket
-from delfim.canproxy.nmea2000.instruments import FAST, MESSAGES, Battery, BatteryCharge, Told, decode
+from delfim.canproxy.nmea2000.instruments import FAST, MESSAGES, WATER_DEPTH, Battery, BatteryCharge, Told, decode
 from delfim.canproxy.nmea2000.names import CLAIMED, Names
 from delfim.canproxy.nmea2000.pgns import ADDRESS_MAX
 from delfim.canproxy.socket import CanAddress, CanSocket
@@ -21,10 +21,10 @@ from delfim.parts.nmea2000.table import Nmea2000
 from delfim.vehicle.failsafe.nodehealth import NAMES
 from delfim.vehicle.links import Links, received
 from delfim.vehicle.sensors import Value
-from delfim.vehicle.state import State
+from delfim.vehicle.state import Ping, State
 
 VALUES = (
-    *(each for each in nmea0183.VALUES if each.name not in ("position_sigma_m", "corrections_age_s")),
+    *(each for each in nmea0183.VALUES if each.name not in ("position_sigma_m", "corrections_age_s", "height_m")),
     Value("speed_water_mps", "m/s", "through the water", "stw_mps"),
     Value("water_c", "degC", "temperature of the water"),
     Value("air_c", "degC", "temperature of the air"),
@@ -83,6 +83,10 @@ class Nmea2000Instruments:
             self._newest[name].put(address, value, now_s)
             if value is not None and self._newest[name].choose(now_s) == address:
                 state.measured[name] = value, now_s
+        if pgn == WATER_DEPTH and self._newest["depth_m"].choose(now_s) == address:
+            depth_m, offset_m = (self._newest[name].of(address, now_s) for name in ("depth_m", "depth_offset_m"))
+            if depth_m is not None:
+                state.sound(Ping(now_s, depth_m, f"{self.name} {address}", offset_m))
 
     def _filed(self, state: State, address: int, told: Told, now_s: float) -> Iterator[tuple[str, float | None]]:
         """File the values of a message; those of a battery go into the health at once."""

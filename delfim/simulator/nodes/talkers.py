@@ -12,7 +12,7 @@ from importlib import import_module
 from typing import Any, Final, NamedTuple, Protocol
 
 from delfim import config
-from delfim.base.parts import load
+from delfim.base.parts import OWN, Part, load
 from delfim.canproxy.dsor.messages import Navigation
 from delfim.lines.nmea0183.framing import framed
 from delfim.lines.nmea0183.speaking import clock, gga, rmc
@@ -173,13 +173,19 @@ def placed(settings: config.Vehicle) -> tuple[str, ...]:
 def port_devices(settings: config.Vehicle) -> dict[str, str]:
     """The devices of all ports by their names."""
     ports = {name: port.device.replace("gpsd:", "tcp:") for name, port in settings.table("nmea0183").ports.items()}
-    of_parts = {part.name: str(getattr(settings.table(part.name), "device", "")) for part in settings.aboard}
+    of_parts = {part.name: str(getattr(settings.table(part.name), "device", "")) for part in on_lines(settings)}
     return ports | {BOARD: settings.table(BOARD).device} | of_parts
 
 
+def on_lines(settings: config.Vehicle) -> tuple[Part, ...]:
+    """The parts whose devices may be on lines of their own: of sensors of the boat's own, and all of a laboratory."""
+    own = (OWN[name] for name in settings.sensors.names if name in OWN)
+    return (*(part for part in own if part.played and hasattr(settings.table(part.name), "device")), *settings.aboard)
+
+
 def _of_parts(settings: config.Vehicle, model: Model, seed: int) -> Iterator[Instrument]:
-    """The devices of a laboratory's parts on lines."""
-    for part in settings.aboard:
+    """The devices of parts on lines."""
+    for part in on_lines(settings):
         if part.played and hasattr(module := load(part, part.played), "instrument_of"):
             device = module.instrument_of(settings, model, seed)
             yield Instrument(part.name, device, device.say)
@@ -189,5 +195,5 @@ def instruments_of(
     settings: config.Vehicle, model: Model, seed: int, ais: deque[bytes] | None = None
 ) -> SimulatedInstruments | None:
     """The instruments that the vehicle's file calls for; None: there are none."""
-    has_any = placed(settings) or BOARD in settings.navigation.sources or any(part.played for part in settings.aboard)
+    has_any = placed(settings) or BOARD in settings.navigation.sources or any(part.played for part in on_lines(settings))
     return SimulatedInstruments(settings, model, seed, ais) if has_any else None

@@ -17,7 +17,7 @@ from delfim.logging.statelog import Schema, StateWriter
 from delfim.vehicle.console import Alive, Commands, Manual, TellState, Try, Watch
 from delfim.vehicle.log import record
 from delfim.vehicle.orders.entrusting import payload_of
-from delfim.vehicle.state import State
+from delfim.vehicle.state import Ping, State
 
 COMMAND_MAX: Final = 160  # characters of a command in the system log; all of it is in the sidecar
 VESSELS_S: Final = 10.0  # between two lists of other vessels ...
@@ -40,7 +40,7 @@ class Logbook:
         self._log = open_log(settings.log, "state", ".state", settings.log.state_method, clock, header=schema.header)
         self._writer = StateWriter(self._log.put, schema)
         self.status, self.poll = self._log.status, self._log.poll
-        self._noted, self._jumped_s, self._vessels_s, self._sounding = False, -1e9, -1e9, UNSOUNDED
+        self._noted, self._jumped_s, self._vessels_s, self._sounding, self._sounded = False, -1e9, -1e9, UNSOUNDED, 0
         self._say, self._manual = say, ""  # why the last manual command, or one of a payload program, was refused
         self.event("start", version=__version__, settings=tables.shown(settings))
 
@@ -92,7 +92,7 @@ class Logbook:
 
     def watch(self, state: State) -> None:
         """Called after each check of the watchdog: logs its time when something was noted or a position refused since the one
-        before, now and then where other vessels are, and each new sounding."""
+        before, now and then where other vessels are, and each new ping."""
         if state.jumped_s != self._jumped_s:  # it made no record, and a replay cannot know when it was read
             self._noted, self._jumped_s = False, state.jumped_s
             self.event("watchdog", at_s=state.watchdog_s, jumping_s=state.jumping_s, jumped_s=state.jumped_s)
@@ -102,11 +102,21 @@ class Logbook:
         elif state.traffic.told and state.watchdog_s - self._vessels_s >= VESSELS_S:
             self._vessels_s = state.watchdog_s
             self._note({"event": "vessels", "value": state.traffic.told[:VESSELS_MAX]})
-        if (sounding := state.measured.get("depth_m", UNSOUNDED)) != self._sounding:  # records repeat it: a chart needs it once
-            self._sounding = depth_m, at_s = sounding
-            offset_m, told_s = state.measured.get("depth_offset_m", UNSOUNDED)
-            offset = {"offset_m": offset_m} if told_s == at_s else {}
-            self._note({"event": "sounding", "measured_s": at_s, "depth_m": depth_m} | offset)
+        self._note_soundings(state)
+
+    def _note_soundings(self, state: State) -> None:
+        """Note what was heard since the last look. Records repeat the depth: a chart needs each ping once."""
+        new, self._sounded = min(max(state.sounded - self._sounded, 0), len(state.soundings)), state.sounded
+        pings = list(state.soundings)[len(state.soundings) - new :]
+        (depth_m, at_s), before = state.measured.get("depth_m", UNSOUNDED), self._sounding
+        self._sounding = depth_m, at_s
+        if self._sounding != before and (not state.soundings or at_s != state.soundings[-1].heard_s) and not new:
+            pings.append(Ping(at_s, depth_m, ""))  # of a laboratory's sensor
+        for ping in pings:
+            heard_s, depth_m, source, *more = ping
+            told = zip(("source", "offset_m", "confidence", "number"), (source or None, *more), strict=True)
+            known = {name: value for name, value in told if value is not None}
+            self._note({"event": "sounding", "measured_s": heard_s, "depth_m": depth_m} | known)
 
     def reason(self) -> str:
         status = self._log.status()

@@ -41,8 +41,9 @@ def open_sensors(settings: config.Vehicle, links: Links) -> tuple[Sensor, ...]:
 
 
 def values(settings: config.Vehicle) -> tuple[Value, ...]:
-    """The values of all sensors of the boat."""
-    return tuple(each for name in settings.sensors.names for each in module(name, settings).VALUES)
+    """The values of all sensors of the boat. Where several tell a value it is the newest."""
+    told = (each for name in settings.sensors.names for each in module(name, settings).VALUES)
+    return tuple({each.name: each for each in told}.values())
 
 
 def module(name: str, settings: config.Vehicle) -> Any:

@@ -11,6 +11,7 @@ from delfim.lines.nmea0183.sentences import KNOT
 from delfim.parts.nmea0183.combining import TALKERS_MAX, Combined
 from delfim.parts.nmea0183.table import Nmea0183, Nmea0183Port
 from delfim.vehicle.navigation.fusion import SLOW_S, VARIATION_S
+from delfim.vehicle.state import Ping
 
 DEG = math.radians
 STALE_S = 2.5
@@ -23,7 +24,8 @@ class Boat:
     def __init__(self, *ports: str, **more: object) -> None:
         table = {name: Nmea0183Port(device=f"/dev/{name}") for name in ports or ("gnss", "compass")}
         self.measured = dict[str, tuple[float, float]]()
-        self.combined = Combined(Nmea0183(ports=table, **more), STALE_S, self.measured)
+        self.pings = list[Ping]()
+        self.combined = Combined(Nmea0183(ports=table, **more), STALE_S, self.measured, sound=self.pings.append)
         self.now_s, self.lines = 100.0, {name: Sentences() for name in table}
 
     def hear(self, *bodies: str, port: str = "gnss") -> list[Navigation]:
@@ -224,12 +226,32 @@ def test_pitch_and_roll_by_the_names_and_signs_of_the_file():
 def test_values_beside_navigation_and_their_time():
     boat = Boat("gnss", "compass", "sounder")
     boat.hear("SDDPT,7.5,0.5,", "WIMWV,45.0,R,10.0,M,A", "WIMWV,60.0,T,18.0,K,A", port="sounder")
-    assert boat.measured["depth_offset_m"] == (0.5, 100.0)
     boat.hear("GPGST,120000.00,,,,,3.0,4.0,5.0", "SDDPT,9.9,,")
-    assert boat.measured["depth_m"] == (9.9, 100.0), "the port gnss stands first"
+    boat.hear("SDDPT,7.6,0.5,", port="sounder")
+    told = Ping(100.0, 7.5, "nmea0183 sounder:SD", 0.5), Ping(100.0, 9.9, "nmea0183 gnss:SD")
+    assert boat.pings == [*told], "the port gnss stands first"
     assert boat.measured["position_sigma_m"] == (5.0, 100.0)
     assert boat.measured["wind_apparent_rad"][0] == pytest.approx(DEG(45.0))
     assert boat.measured["wind_true_mps"][0] == pytest.approx(5.0)
+
+
+def test_a_sounder_that_tells_each_depth_twice_is_heard_once():
+    boat = Boat()
+    for depth_m in (7.5, 7.6):
+        boat.hear(f"SDDPT,{depth_m},0.5,", f"SDDBT,24.6,f,{depth_m},M,4.1,F")
+    assert [(each.depth_m, each.offset_m) for each in boat.pings] == [(7.5, 0.5), (7.6, 0.5)]
+    boat.now_s += 60.0
+    boat.hear("SDDBT,24.6,f,7.7,M,4.1,F", "SDDPT,,,")
+    assert boat.pings[-1][1:4] == (7.7, "nmea0183 gnss:SD", None), "the one sentence that goes on"
+
+
+def test_the_height_of_the_antenna_is_that_above_the_ellipsoid():
+    boat = Boat()
+    boat.hear(gga(1))
+    assert boat.measured["height_m"] == (60.0, 100.0)
+    for second, changed in enumerate((",,M,50.0,M,,", ",10.0,M,,M,,", ",x,M,50.0,M,,", ",1e9,M,50.0,M,,"), 2):
+        assert boat.hear(gga(second).replace(",10.0,M,50.0,M,,", changed)), "a position all the same"
+        assert boat.measured["height_m"] == (60.0, 100.0)
 
 
 def test_talkers_are_bounded():

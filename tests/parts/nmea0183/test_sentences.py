@@ -76,7 +76,7 @@ def why(body: str) -> str:
 @pytest.mark.parametrize(
     ("body", "said"),
     [
-        (BODIES[0], Located(DAY_S, LATITUDE, LONGITUDE, 3, 8, 1.03)),
+        (BODIES[0], Located(DAY_S, LATITUDE, LONGITUDE, 3, 8, 1.03, height_m=116.9)),
         (
             BODIES[1],
             Located(

@@ -1,0 +1,1 @@
+"""Echo sounders that speak Blue Robotics' Ping protocol."""
