@@ -263,6 +263,7 @@ class LocalReport(BoatReport, frozen=True):
     paused: str | None = None  # the mode that a pause keeps; null: nothing is paused
     killed: KillFacts = KillFacts()
     handset: HandsetReport | None = None  # null: never heard, or there is none
+    heard: dict[str, tuple[float, ...]] = {}  # in a trial: each input of the estimator, its age in s first, rad and m/s
 
 
 class _Answer(msgspec.Struct):

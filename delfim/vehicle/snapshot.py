@@ -7,6 +7,7 @@ from typing import Any, Final, NamedTuple
 import msgspec
 
 from delfim.base.geodesy import compass, from_plane
+from delfim.base.modes import Mode
 from delfim.canproxy.dsor.messages import Fault, SystemStatus
 from delfim.config import ThrusterTable
 from delfim.vehicle.propulsion import thrusters
@@ -51,6 +52,7 @@ def report(state: State, now_s: float, rows: Sequence[ThrusterTable] = (), **mor
         guest_connected=state.guest_connected,
         killed=KillFacts(**state.killed._asdict()),
         handset=state.handset,
+        heard=_heard(state, now_s) if state.mode is Mode.TRIAL else {},
         age_s=_ages(state, now_s),
         measured={name: value for name, (value, _) in state.measured.items()},
         sysstat={name: _node(told) for name, (told, _) in state.sysstat.items()},
@@ -62,6 +64,12 @@ def report(state: State, now_s: float, rows: Sequence[ThrusterTable] = (), **mor
         parts={name: msgspec.structs.replace(health) for name, health in state.parts.items()} if state.parts else {},
         **more,
     )
+
+
+def _heard(state: State, now_s: float) -> dict[str, tuple[float, ...]]:
+    """What the sensors behind the estimator said last, before it smoothed them."""
+    inputs = state.inputs.get(state.source, ())
+    return {each.name: (now_s - each.heard_s, *each.value) for each in inputs if each.heard and math.isfinite(sum(each.value))}
 
 
 class Figures(NamedTuple):
