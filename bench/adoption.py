@@ -1,67 +1,241 @@
-"""Which motor is where: how often a trial finds it, on boats that are drawn. python -m bench.adoption SEEDS [BOAT ...]
+"""Whole trials of boats that are drawn: what they find, how far it is from the truth, how they end.
 
-Prints a row for each boat of docs/adopt.md. A drawn boat has other inertia (a third to three times), coefficients up to 40 %
-off, unequal motors, a dead band up to 0.15, a delay up to 0.5 s, wind up to 4 m/s, current up to 0.3 m/s, and any wiring.
+    python -m bench.adoption [--hulls 0:44] [--seeds 1:4] [--motors] [--rows run/adoption.jsonl]
+
+The hulls below 40 are boats of etc/boats drawn anew (delfim/adoption/trial/hiddenhull.py): inertia from a third to three
+times, coefficients up to 40 % off, unequal motors, any wiring, dead bands to 0.15, delays to 0.5 s, wind to 4 m/s, current to
+0.3 m/s, a receiver of 1 m and 0.05 m/s that is late and off the middle, a compass of 2 degrees that is off by up to 20 and bent
+by up to 10. Those from 40 on are hulls of another hand, programs of their own over UDP in lock step (bench/otherhulls.py). One
+hull with 100 seeds takes five minutes of a core; each trial appends a row to the file, and the table is of all its rows.
 """
 
+import argparse
+import contextlib
+import json
 import math
+import subprocess
 import sys
-from collections import Counter
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
 from statistics import median
+from typing import Any, Final
 
+import msgspec
+import numpy as np
+
+from bench import otherhulls
 from delfim import config
+from delfim.adoption import identify, magnet
+from delfim.adoption.model import said
 from delfim.adoption.trial.boats import SimulatedTrial
 from delfim.adoption.trial.dialogue import NOISE
-from delfim.adoption.trial.hiddenhull import drawn
-from delfim.adoption.trial.manoeuvres import SeaTrial, TrialEnded
-from delfim.adoption.trial.motors import wiring
+from delfim.adoption.trial.hiddenhull import Hidden, LateModel, drawn
+from delfim.adoption.trial.manoeuvres import SeaTrial
+from delfim.adoption.trial.motors import corrected
+from delfim.adoption.trial.session import TrialProgress, TrialSession
+from delfim.adoption.trial.taped import record_of
+from delfim.base.errors import DelfimError
+from delfim.simulator.model import hull_of
+from delfim.simulator.realtime.external_model import SteppedModel
+from delfim.simulator.tables import Sea, Simulation
 
-BOATS = "heron", "otter", "wam-v", "blueboat"
-RADIUS_M = 60.0
+BOATS: Final = "heron", "otter", "wam-v", "blueboat"
+OTHERS: Final = 40  # the first hull of another hand
+RADIUS_M: Final = 60.0
+STEADY_S: Final = 60.0
 
 
-def tried(name: str, seed: int) -> tuple[str, float, float, float]:
-    """How it ended, the time that it took, s, the way from the middle, m, and the greatest command that it took."""
-    settings = config.load(
-        f"etc/boats/{name}.toml", ["adopted.proven=false", *(f"simulation.{key}={value}" for key, value in NOISE.items())]
-    )
-    hidden, most_m = drawn(settings, seed), [0.0]
+def vehicle(boat: str, *more: str) -> config.Vehicle:
+    noise = (f"simulation.{key}={value}" for key, value in NOISE.items())
+    return config.load(f"etc/boats/{boat}.toml", ["adopted.proven=false", *noise, *more])
+
+
+@contextlib.contextmanager
+def other_model(settings: config.Vehicle, hull: int, seed: int) -> Iterator[SteppedModel]:
+    """A hull of another hand, in a process of its own."""
+    here = settings.of(Simulation)
+    place = math.radians(here.latitude_deg), math.radians(here.longitude_deg)
+    model = SteppedModel(hull_of(settings), "127.0.0.1:0", *place, settings.thrusters)
+    port = str(model._socket.getsockname()[1])
+    child = subprocess.Popen([sys.executable, "-m", "bench.otherhulls", port, str(hull), str(seed)])
+    try:
+        model.begin()
+        yield model
+    finally:
+        child.kill()
+        child.wait()
+        model._socket.close()
+
+
+def truth(settings: config.Vehicle, hidden: Hidden) -> dict[str, Any]:
+    """What a trial should find of a drawn boat."""
+    calm = LateModel(settings, hidden._replace(sea=Sea()), 1)
+    ahead = {row.name: -1.0 if is_back else 1.0 for row, is_back in zip(hidden.rows, hidden.reversed, strict=True)}
+    for name, part in ahead.items():
+        calm.push(name, part)
+    for _ in range(round(STEADY_S / 0.05)):
+        calm.advance(0.05)
+    return {
+        "wiring": [hidden.swapped, list(hidden.reversed)],
+        "full_mps": calm.surge_mps,
+        "dead": [hidden.rows[0].dead] * 2,
+        "late_s": hidden.delay_s + hidden.hull.motor_s,
+    }
+
+
+def other_truth(its: otherhulls.Drawn) -> dict[str, Any]:
+    wiring = [its.swapped, list(its.reversed)]
+    return {"wiring": wiring, "full_mps": otherhulls.full_mps(its), "dead": list(its.dead), "late_s": its.delay_s + its.lag_s}
+
+
+def tried(hull: int, seed: int, place: Path, *, motors_alone: bool) -> dict[str, Any]:
+    """One trial: a row of figures."""
+    its = otherhulls.drawn(hull - OTHERS, seed) if hull >= OTHERS else None
+    settings = vehicle(BOATS[hull % len(BOATS)]) if its is None else vehicle(its.hull.boat, *its.hull.told)
+    hidden, most_m, began_s = drawn(settings, seed, hull), [0.0], time.process_time()
 
     def look(boat: SimulatedTrial) -> None:
         north_m, east_m = boat.model.north_m - boat.middle_m[0], boat.model.east_m - boat.middle_m[1]
         most_m[0] = max(most_m[0], math.hypot(north_m, east_m))
 
-    trial = SeaTrial(
-        SimulatedTrial(settings, hidden, seed, RADIUS_M, look), settings.boat.length_m, RADIUS_M, lambda words: None
-    )
+    with contextlib.ExitStack() as held:
+        model = held.enter_context(other_model(settings, hull - OTHERS, seed)) if its is not None else None
+        boat = SimulatedTrial(settings, hidden, seed, RADIUS_M, look, model)
+        progress = TrialProgress(settings.thrusters)
+        session = TrialSession(boat, settings, progress, place, RADIUS_M, lambda words: True, lambda words: None)
+        ended = session.run() if not motors_alone else _motors(session)
+        real = truth(settings, hidden) if its is None else other_truth(its)
+        found = progress.wiring
+        row = {"hull": hull, "seed": seed, "boat": settings.boat.name, "ended": ended, "most_m": most_m[0]}
+        row |= {"seconds": session.trial.elapsed_s, "cpu_s": time.process_time() - began_s, "told": hidden.words()}
+        row["motors"] = "none" if found is None else "right" if [found[0], list(found[1])] == real["wiring"] else "wrong"
+        row["proven"] = progress.is_proven
+        row["power"] = max((abs(part) for each in progress.tape for part in each.told), default=0.0)
+        if not ended and not motors_alone:
+            row |= _figures(settings, hidden, progress, real)
+    return row
+
+
+def _motors(session: TrialSession) -> str:
+    """The trial of the motors alone."""
+    hull, SeaTrial.hull = SeaTrial.hull, lambda self, *told: None  # type: ignore[method-assign]
     try:
-        trial.play("drift", "", lambda: trial.drift(15.0))
-        trial.play("motors", "", trial.find_motors)
-        trial.play("proof", "", trial.prove_motors)
-    except TrialEnded as end:
-        print(f"  {name} {seed}: {end}; {hidden.words()}", file=sys.stderr)
-    found = trial.motors and wiring(trial.motors, settings.thrusters)
-    is_right = found == (hidden.swapped, hidden.reversed)
-    how = "no answer" if found is None else "wrong" if not is_right else "right" if len(trial.played) == 3 else "not proven"
-    if how == "right" and trial.played[-1].ended:
-        how = "not proven"
-    power = max((abs(part) for each in trial.tape for part in each.told), default=0.0)
-    return how, trial.elapsed_s, most_m[0], power
+        return session.run()
+    finally:
+        SeaTrial.hull = hull  # type: ignore[method-assign]
 
 
-def main(seeds: int, boats: tuple[str, ...]) -> None:
-    print(
-        "| boat | right, proven | right, not proven | no answer | wrong | s, median (most) | way, m, the same | power, median |"
-    )
-    print("|---|---|---|---|---|---|---|---|")
-    for name in boats:
-        rows = [tried(name, seed) for seed in range(1, seeds + 1)]
-        count = Counter(row[0] for row in rows)
-        told = [str(count[how]) for how in ("right", "not proven", "no answer", "wrong")]
-        figures = [row[1] for row in rows], [row[2] for row in rows]
-        told += [f"{median(values):.0f} ({max(values):.0f})" for values in figures]
-        print("|", " | ".join([name, *told, f"{median(row[3] for row in rows):.0%}"]), "|", flush=True)
+def _figures(settings: config.Vehicle, hidden: Hidden, progress: TrialProgress, real: dict[str, Any]) -> dict[str, Any]:
+    """What the fit and the compass alone say, less the truth."""
+    assert progress.motors is not None
+    record = record_of(progress, is_estimated=settings.navigation.estimator)
+    row = dict[str, Any]()
+    try:
+        row |= _compass("compass", hidden, magnet.compass_of(record))
+    except DelfimError as error:
+        row["compass_refused"] = str(error)
+    rows = zip(settings.thrusters, corrected(progress.motors, settings.thrusters), strict=True)
+    owner = msgspec.structs.replace(settings, thrusters=tuple(msgspec.structs.replace(row, **keys) for row, keys in rows))
+    began_s = time.process_time()
+    try:
+        result = identify.identified(record, owner, "2026-11-27")
+    except DelfimError as error:
+        return row | {"refused": str(error)}
+    p, full = result.fit.values, result.found.figures["full_mps"]
+    row |= {"fit_s": time.process_time() - began_s, "chi2": result.fit.chi2, "refused": result.fit.refusal}
+    row |= {"full_off": full.found / real["full_mps"] - 1.0, "full_beyond": full.is_beyond}
+    row |= {"dead_off": [p["dead_starboard"] - real["dead"][0], p["dead_port"] - real["dead"][1]]}
+    row |= {"late_off_s": p["delay"] + p["lag"] - real["late_s"]}
+    numbers = {key: p[key] for key in ("hard_ahead", "hard_aside", "soft_along", "soft_across", "compass_offset")}
+    return row | _bent("fit", hidden, numbers)
+
+
+def _compass(name: str, hidden: Hidden, found: magnet.CompassFound) -> dict[str, Any]:
+    numbers = {
+        "hard_ahead": found.hard[0],
+        "hard_aside": found.hard[1],
+        "soft_along": found.soft[0],
+        "soft_across": found.soft[1],
+    }
+    row = _bent(name, hidden, numbers | {"compass_offset": found.offset_rad})
+    return row | {
+        "apart": found.shape.apart,
+        "circles_deg": math.degrees(found.shape.residual_rad),
+        "place": found.shape.hopeless,
+    }
+
+
+def _bent(name: str, hidden: Hidden, numbers: dict[str, Any]) -> dict[str, float]:
+    """Offset and deviation less the truth, degrees: the mean over all headings, and the rest, rms and at most."""
+    headings = np.radians(np.arange(0.0, 360.0, 5.0))
+    off = said(numbers, headings) - np.array([hidden.sensors.said(each) for each in headings])
+    off = np.degrees(np.remainder(off + np.pi, 2.0 * np.pi) - np.pi)
+    rest = off - off.mean()
+    return {f"{name}_offset_deg": off.mean(), f"{name}_rms_deg": rest.std(), f"{name}_most_deg": np.abs(rest).max()}
+
+
+def table(rows: list[dict[str, Any]]) -> Iterator[str]:
+    """The figures of all rows, by boat."""
+    kinds = dict[str, list[dict[str, Any]]]()
+    for row in rows:
+        kinds.setdefault(row["boat"] + (", another hand" if row["hull"] >= OTHERS else ""), []).append(row)
+    yield "| boat | trials | motors right | wrong | no clear answer | whole | way, m, median (most) | s, median (most) |"
+    yield "|---|---|---|---|---|---|---|---|"
+    for name, its in [*kinds.items(), ("all", rows)]:
+        counts = [sum(row["motors"] == how for row in its) for how in ("right", "wrong", "none")]
+        whole = sum(not row["ended"] for row in its)
+        ways, seconds = ([row[key] for row in its] for key in ("most_m", "seconds"))
+        told = f"{median(ways):.0f} ({max(ways):.0f}) | {median(seconds):.0f} ({max(seconds):.0f})"
+        yield f"| {name} | {len(its)} | {' | '.join(map(str, [*counts, whole]))} | {told} |"
+    yield ""
+    taken = [row for row in rows if row.get("refused") == ""]
+    yield f"{sum('refused' in row for row in rows)} fits, {len(taken)} taken; of these within:"
+    within: list[tuple[str, Callable[[dict[str, Any]], float | None], float]] = [
+        ("full speed 5 %, where it was sailed", lambda row: None if row["full_beyond"] else row["full_off"], 0.05),
+        ("full speed 5 %, extrapolated", lambda row: row["full_off"] if row["full_beyond"] else None, 0.05),
+        ("dead band 2 % of command", lambda row: max(map(abs, row["dead_off"])), 0.02),
+        ("delay and lag 0.1 s", lambda row: row["late_off_s"], 0.1),
+        ("offset of the compass 1 degree, by the fit", lambda row: row["fit_offset_deg"], 1.0),
+        ("deviation 1.5 degrees, by the fit", lambda row: row["fit_most_deg"], 1.5),
+        ("offset of the compass 1 degree, alone", lambda row: row.get("compass_offset_deg"), 1.0),
+        ("deviation 1.5 degrees, alone", lambda row: row.get("compass_most_deg"), 1.5),
+    ]
+    for words, of, most in within:
+        off = sorted(abs(value) for row in taken if (value := of(row)) is not None)
+        if off:
+            inside = sum(each <= most for each in off)
+            yield f"  {words}: {inside} of {len(off)}; median {median(off):.3g}, 95 % {off[int(0.95 * (len(off) - 1))]:.3g}"
+    ends = dict[str, int]()
+    for row in rows:
+        for why in (row["ended"], row.get("refused") or "", row.get("compass_refused") or "", row.get("place") or ""):
+            key = "".join(each for each in why if not each.isdigit())
+            ends[key] = ends.get(key, 0) + bool(why)
+    yield from (f"  {count} x {why}" for why, count in sorted(ends.items(), key=lambda each: -each[1]) if count)
+
+
+def span(text: str) -> range:
+    first, _, last = text.partition(":")
+    return range(int(first), int(last) if last else int(first) + 1)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(prog="python -m bench.adoption", description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--hulls", type=span, default=range(44), metavar="FIRST:LAST", help="Without the last.")
+    parser.add_argument("--seeds", type=span, default=range(1, 4), metavar="FIRST:LAST", help="Without the last.")
+    parser.add_argument("--motors", action="store_true", help="Of each trial the motors alone.")
+    parser.add_argument("--rows", type=Path, default=Path("run/adoption.jsonl"), metavar="FILE")
+    asked = parser.parse_args()
+    asked.rows.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory() as folder:
+        for hull in asked.hulls:
+            for seed in asked.seeds:
+                row = tried(hull, seed, Path(folder) / f"{hull}-{seed}.trial", motors_alone=asked.motors)
+                with asked.rows.open("a") as rows:
+                    rows.write(json.dumps(row, default=float) + "\n")
+    print("\n".join(table([json.loads(line) for line in asked.rows.read_text().splitlines()])))
 
 
 if __name__ == "__main__":
-    main(int(sys.argv[1]), tuple(sys.argv[2:]) or BOATS)
+    main()

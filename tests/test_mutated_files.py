@@ -80,7 +80,9 @@ within_s = 30.0
 def trial(file: Path) -> TrialProgress:
     """Twenty seconds of a trial whose motors were found."""
     motors = MotorsFound((1, -1), (1, 1), (0.2, 0.2))
-    seen = [MotionSeen(0.1 * i, 0.1 * i, 0.0, 0.0, 0.01, 1.0, 0.0, (0.3, 0.2), True, "") for i in range(200)]
+    sensors = [{"velocity": (0.1 * i, 1.0, 0.0), "heading": (0.1 * i, 0.0), "rate": (0.1 * i, 0.01)} for i in range(200)]
+    moves = 0.0, 0.0, 0.01, 1.0, 0.0, (0.3, 0.2), True, ""
+    seen = [MotionSeen(0.1 * i, 0.1 * i, *moves, measured) for i, measured in enumerate(sensors)]
     return TrialProgress(config.load(file).thrusters, (38.69, -9.21), motors=motors, is_proven=True, tape=seen)
 
 

@@ -5,18 +5,22 @@ import math
 from pathlib import Path
 from typing import Any
 
+import msgspec
+import numpy as np
 import pytest
 
 from delfim import config
+from delfim.adoption.magnet import shape_of
 from delfim.adoption.trial import boats, session
 from delfim.adoption.trial.boats import RunningTrial, SimulatedTrial
-from delfim.adoption.trial.hiddenhull import drawn
+from delfim.adoption.trial.hiddenhull import HiddenSensors, drawn
 from delfim.adoption.trial.manoeuvres import SeaTrial, TrialEnded
 from delfim.adoption.trial.session import TrialProgress, TrialSession, kept
 from delfim.adoption.trial.taped import record_of
 from delfim.base.errors import Refused
 from delfim.base.modes import Mode
 from delfim.commands.operation.adopt import RADIUS_M
+from delfim.config import CompassTable
 from delfim.vehicle import console
 
 ROOT = Path(__file__).parents[2]
@@ -31,9 +35,19 @@ def vehicle(name: str, *more: str) -> config.Vehicle:
 class Tried:
     """A trial with a drawn boat; `says` answers each question."""
 
-    def __init__(self, name: str, seed: int, place: Path, says: bool = True, settings: config.Vehicle | None = None) -> None:
+    def __init__(
+        self,
+        name: str,
+        seed: int,
+        place: Path,
+        says: bool = True,
+        settings: config.Vehicle | None = None,
+        iron: CompassTable | None = None,
+    ) -> None:
         self.settings = settings or vehicle(name)
         self.hidden, self.most_m, self.said = drawn(self.settings, seed), 0.0, list[str]()
+        if iron is not None:
+            self.hidden = self.hidden._replace(sensors=self.hidden.sensors._replace(iron=iron))
         self.boat = SimulatedTrial(self.settings, self.hidden, seed, RADIUS_M, self.look)
         self.progress = kept(place, self.settings)
         self.session = TrialSession(
@@ -58,7 +72,7 @@ def test_a_trial_finds_the_motors_and_makes_a_record_within_its_circle_and_its_t
     assert tried.most_m < 1.25 * RADIUS_M
     assert tried.session.trial.elapsed_s < 20.0 * 60.0
     assert (tried.boat.run.state.mode, tried.boat.run.state.actuation.run) == (Mode.IDLE, False)
-    record = record_of(tried.progress)
+    record = record_of(tried.progress, is_estimated=tried.settings.navigation.estimator)
     assert record.told.values.shape == (len(tried.progress.tape), 2)
     assert {"legs", "spins", "circles", "wiggle fast"} <= {each.name for each in record.manoeuvres}
     ahead = next(each for each in tried.progress.played if each.name == "bow first")
@@ -175,6 +189,7 @@ class Socket:
             "reason",
             "run",
             "age_s",
+            "heard",
         )
         return line | {key: getattr(told, key) for key in keys} | {"thrusters": thrusters}
 
@@ -198,6 +213,58 @@ def test_a_boat_that_runs_is_tried_over_its_command_socket(monkeypatch: pytest.M
     assert trial.run() == "the operator ended it"
     assert played.run.state.mode is Mode.IDLE
     assert boat.turn_alone("port").startswith("15% for 1 s, ")
+
+
+def test_behind_an_estimator_the_record_has_what_the_sensors_said(tmp_path: Path) -> None:
+    tried = Tried("blueboat", 3, tmp_path / "a.trial")
+    tried.progress.done = ("legs", "spins", "wiggle slow", "wiggle fast")
+    assert tried.session.run() == ""
+    record = record_of(tried.progress, is_estimated=True)
+    assert record.is_raw
+    assert np.diff(record.velocity.at_s).min() > 0.15, "each value of the receiver once, five a second"
+    bent = np.degrees(np.std(np.diff(np.unwrap(record.heading.values[:, 0]))))
+    assert bent > 2.0, "with the noise of the compass, which the estimator takes away"
+    shape = shape_of(record)
+    assert math.degrees(shape.deviation_rad) == pytest.approx(math.degrees(tried.hidden.sensors.deviation_rad), abs=1.5)
+    smoothed = record_of(
+        msgspec.structs.replace(tried.progress, tape=[each._replace(measured=None) for each in tried.progress.tape]),
+        is_estimated=True,
+    )
+    assert not smoothed.is_raw
+
+
+def test_a_compass_that_is_much_bent_makes_quick_turns_slow(tmp_path: Path) -> None:
+    tried = Tried("blueboat", 2, tmp_path / "a.trial", iron=CompassTable(hard_ahead=0.2, hard_aside=-0.19))
+    assert tried.session.run() == ""
+    assert "The boat's iron bends the compass by 1" in " ".join(tried.said)
+    spins = next(each for each in tried.progress.played if each.name == "spins")
+    rates = [abs(each.turn_radps) for each in tried.progress.tape if spins.from_s <= each.at_s <= spins.to_s]
+    assert math.degrees(max(rates)) < 40.0
+
+
+def test_a_hopeless_place_ends_the_trial_and_another_begins_with_the_circles(tmp_path: Path) -> None:
+    tried = Tried("heron", 3, tmp_path / "a.trial")
+
+    def near_a_pier(boat: SimulatedTrial) -> None:
+        tried.look(boat)
+        compass = boat.run.nodes.compasses[0]
+        compass.cable_rad_per_a = 0.0
+        pile = CompassTable(hard_ahead=0.012 * boat.model.north_m, hard_aside=0.012 * boat.model.east_m)
+        compass.bent = HiddenSensors(pile).said
+
+    tried.boat._look = near_a_pier
+    assert tried.session.run().startswith("this place is magnetically hopeless: ")
+    again = kept(tmp_path / "a.trial", tried.settings)
+    assert again.is_proven
+    assert "circles" not in again.done
+    assert again.middle is None
+
+
+def test_a_gyro_that_is_upside_down_is_told_before_anything_is_built_on_it(tmp_path: Path) -> None:
+    tried = Tried("otter", 3, tmp_path / "a.trial")
+    tried.boat.run.nodes.compasses[0].gyro_sign = -1.0
+    assert tried.session.run().startswith("the gyro says port where the compass says starboard")
+    assert tried.boat.run.state.mode is Mode.IDLE
 
 
 @pytest.mark.long

@@ -12,6 +12,7 @@ from delfim.base import geodesy
 from delfim.base.errors import DelfimError, Refused
 from delfim.base.modes import Mode
 from delfim.simulator.lockstep import Lockstep
+from delfim.simulator.model import Model
 from delfim.vehicle import console
 from delfim.vehicle.operator.link import Link
 from delfim.vehicle.state import NoLog
@@ -55,9 +56,12 @@ class SimulatedTrial:
         seed: int,
         radius_m: float,
         look: Callable[["SimulatedTrial"], object] = lambda boat: None,
+        model: Model | None = None,
     ) -> None:
-        self.model = LateModel(settings, hidden, seed)
+        """`model`: of another hand, in place of the hidden hull; the sensors are the hidden ones all the same."""
+        self.model = LateModel(settings, hidden, seed) if model is None else model
         self.run, self._look = Lockstep(settings, seed, lambda clock: NoLog(), self.model), look
+        hidden.sensors.put(self.run.nodes)
         for _ in self.run.cycles(SETTLE_S):
             pass
         here = self.run.state.navigation
@@ -74,7 +78,10 @@ class SimulatedTrial:
         told = state.actuation.thrust if state.actuation.run else (0.0,) * len(self.run.settings.thrusters)
         north_m, east_m = motion.north_m - self._middle[0], motion.east_m - self._middle[1]
         moves = motion.heading_rad, motion.yaw_rate_radps, motion.north_mps, motion.east_mps
-        return MotionSeen(state.navigation_s, north_m, east_m, *moves, told, state.mode is Mode.TRIAL, state.reason)
+        raw = {each.name: (each.heard_s, *each.value) for each in state.inputs.get(state.source, ()) if each.heard}
+        return MotionSeen(
+            state.navigation_s, north_m, east_m, *moves, told, state.mode is Mode.TRIAL, state.reason, raw or None
+        )
 
     def play(self, parts: Parts, for_s: float, name: str, *, begin: bool, comes_back: bool) -> None:
         order = self.circle.order(parts, for_s, name, begin=begin, comes_back=comes_back)
@@ -118,8 +125,8 @@ class RunningTrial:
 
     def _seen(self, told: dict[str, Any]) -> MotionSeen:
         known = [told[key] for key in ("latitude_deg", "longitude_deg", "heading_deg", "turn_dps", "speed_mps")]
-        age_s = told["age_s"]["navigation"]
-        if None in known or age_s is None:
+        told_s = told["age_s"]["navigation"]
+        if None in known or told_s is None:
             raise DelfimError(f"the boat does not tell where it is and how it moves; it is in {told['mode']}: {told['reason']}")
         latitude_deg, longitude_deg, heading_deg, turn_dps, speed_mps = known
         course_rad = math.radians(told["course_deg"] or 0.0)
@@ -130,8 +137,9 @@ class RunningTrial:
             speed_mps * math.sin(course_rad),
         )
         parts = tuple(each["thrust"] if told["run"] else 0.0 for each in told["thrusters"].values())
-        at = self.circle.place(latitude_deg, longitude_deg)
-        return MotionSeen(time.monotonic() - age_s, *at, *moves, parts, told["mode"] == MODE, told["reason"])
+        at, now_s = self.circle.place(latitude_deg, longitude_deg), time.monotonic()
+        raw = {kind: (now_s - age_s, *values) for kind, (age_s, *values) in told["heard"].items()}
+        return MotionSeen(now_s - told_s, *at, *moves, parts, told["mode"] == MODE, told["reason"], raw or None)
 
     def play(self, parts: Parts, for_s: float, name: str, *, begin: bool, comes_back: bool) -> None:
         try:

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from delfim import config
-from delfim.adoption import identify
+from delfim.adoption import identify, magnet
 from delfim.adoption.found import Key
 from delfim.adoption.trial.motors import corrected
 from delfim.adoption.trial.session import TrialProgress
@@ -46,7 +46,10 @@ def conclude(progress: TrialProgress, file: Path, report: Path, on: str, ask: As
         replaced(file, text)
         tell(f"{file} is written. The boat's program has the old one until it is started again.")
     try:
-        result = identify.identified(record_of(progress), vehicle, on)
+        record = record_of(progress, is_estimated=vehicle.navigation.estimator)
+        for line in magnet.told(record):
+            tell(line)
+        result = identify.identified(record, vehicle, on)
     except DelfimError as error:
         return str(error)
     for line in identify.told(result):

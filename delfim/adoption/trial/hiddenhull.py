@@ -1,4 +1,4 @@
-"""A boat that is not as its file says: for trying out adoption. Hull, motors, wiring, delay and sea are drawn from a seed."""
+"""A boat that is not as its file says: for trying out adoption. Hull, motors, wiring, delay, sea and sensors are drawn."""
 
 import math
 from collections import deque
@@ -8,11 +8,46 @@ from typing import Final, NamedTuple
 import msgspec
 
 from delfim import config
-from delfim.config import ThrusterTable
+from delfim.config import CompassTable, ThrusterTable
 from delfim.simulator.model import Hull, Model, hull_of
+from delfim.simulator.nodes import Nodes
+from delfim.simulator.nodes.measuring import Compass
 from delfim.simulator.tables import Sea, Simulation
 
 STEP_S: Final = 0.05  # a late command comes within one
+
+
+class HiddenSensors(NamedTuple):
+    """What is wrong with the sensors."""
+
+    iron: CompassTable = CompassTable()  # about a magnetic compass, in the frame of true north
+    ahead_m: float = 0.0  # the antenna, from the boat's centre
+    aside_m: float = 0.0
+    late_s: float = 0.0  # the receiver
+    bias_radps: float = 0.0  # of the gyro
+    gyro_sign: float = 1.0  # -1: mounted upside down
+
+    def said(self, heading_rad: float) -> float:
+        """The heading that the compass tells, for the true one."""
+        iron, c, s = self.iron, math.cos(heading_rad), math.sin(heading_rad)
+        along = (1.0 + iron.soft_along) * c - iron.soft_across * s + iron.hard_ahead
+        across = iron.soft_across * c - (1.0 - iron.soft_along) * s + iron.hard_aside
+        return math.atan2(-across, along) + math.radians(iron.offset_deg)
+
+    def put(self, nodes: Nodes) -> None:
+        """Make the sensors of a simulated boat so."""
+        beside = nodes.instruments.sensors if nodes.instruments else ()  # a gyro of its own has a port of its own
+        for each in (*nodes.compasses, *(one for one in beside if isinstance(one, Compass))):
+            each.bias_radps, each.gyro_sign = self.bias_radps, self.gyro_sign
+            each.bent = self.said if self.iron != CompassTable() else None
+        for receiver in nodes.receivers:
+            receiver.ahead_m, receiver.aside_m, receiver.late_s = self.ahead_m, self.aside_m, self.late_s
+
+    @property
+    def deviation_rad(self) -> float:
+        """The most that the iron bends a heading, but for the offset."""
+        off = [self.said(math.radians(each)) - math.radians(each + self.iron.offset_deg) for each in range(0, 360, 5)]
+        return max(abs(math.remainder(each, math.tau)) for each in off)
 
 
 class Hidden(NamedTuple):
@@ -25,6 +60,7 @@ class Hidden(NamedTuple):
     delay_s: float
     sea: Sea
     heading_rad: float
+    sensors: HiddenSensors = HiddenSensors()
 
     def words(self) -> str:
         """The truth, in a line."""
@@ -32,18 +68,23 @@ class Hidden(NamedTuple):
         wired = ("exchanged, " if self.swapped else "") + (f"reversed: {' and '.join(back)}" if back else "none reversed")
         dead = ", ".join(f"{row.dead:.2f}" for row in self.rows)
         wind, current = self.sea.wind_mps, self.sea.current_mps
-        return f"{wired}; dead band {dead}; delay {self.delay_s:.2f} s; wind {wind:.1f}, current {current:.2f} m/s"
+        told = f"{wired}; dead band {dead}; delay {self.delay_s:.2f} s; wind {wind:.1f}, current {current:.2f} m/s"
+        its = self.sensors
+        bent = f"compass off by {its.iron.offset_deg:.0f} and bent by {math.degrees(its.deviation_rad):.0f} degrees"
+        return f"{told}; {bent}; antenna {its.ahead_m:.1f} m ahead, {its.late_s:.2f} s late"
 
 
-def drawn(settings: config.Vehicle, seed: int) -> Hidden:
-    """A boat near that of the file: coefficients up to 40 % off, inertia by up to three times, its two motors wired anyhow."""
-    random = Random(f"hidden hull {seed}")
+def drawn(settings: config.Vehicle, seed: int, hull: int | None = None) -> Hidden:
+    """A boat near that of the file: coefficients up to 40 % off, inertia by up to three times, its two motors wired anyhow, its
+    compass mounted askew near iron. `hull`: another seed for what does not change from day to day, hull and motors."""
+    random = Random(f"hidden hull {seed if hull is None else hull}")
+    of_day = Random(f"hidden day {seed} {hull}")
 
     def about(value: float, by: float = 1.4) -> float:
         return value * float(by ** random.uniform(-1.0, 1.0))
 
     told = hull_of(settings)
-    hull = told._replace(
+    its = told._replace(
         mass_kg=about(told.mass_kg, 1.2),
         inertia_kgm2=about(told.inertia_kgm2, 3.0),
         surge_n_per_mps=about(told.surge_n_per_mps),
@@ -54,8 +95,8 @@ def drawn(settings: config.Vehicle, seed: int) -> Hidden:
         yaw_nm_per_radps2=about(told.yaw_nm_per_radps2),
         motor_s=random.uniform(0.1, 0.4),
     )
-    is_swapped = random.random() < 0.5
-    backwards = tuple(random.random() < 0.5 for _ in settings.thrusters)
+    is_swapped = of_day.random() < 0.5
+    backwards = tuple(of_day.random() < 0.5 for _ in settings.thrusters)
     dead, power, push = random.uniform(0.0, 0.15), random.uniform(1.3, 2.0), random.uniform(0.7, 1.3)
     rows = list[ThrusterTable]()
     for index, row in enumerate(settings.thrusters):
@@ -69,12 +110,29 @@ def drawn(settings: config.Vehicle, seed: int) -> Hidden:
     there = settings.of(Simulation).sea
     sea = msgspec.structs.replace(
         there,
-        current_mps=random.uniform(0.0, 0.3),
-        current_to_deg=random.uniform(0.0, 360.0),
-        wind_mps=random.uniform(0.0, 4.0),
-        wind_from_deg=random.uniform(0.0, 360.0),
+        current_mps=of_day.uniform(0.0, 0.3),
+        current_to_deg=of_day.uniform(0.0, 360.0),
+        wind_mps=of_day.uniform(0.0, 4.0),
+        wind_from_deg=of_day.uniform(0.0, 360.0),
     )
-    return Hidden(hull, tuple(rows), is_swapped, backwards, random.uniform(0.0, 0.5), sea, random.uniform(0.0, math.tau))
+    wiring, heading_rad = (is_swapped, backwards), of_day.uniform(0.0, math.tau)
+    return Hidden(its, tuple(rows), *wiring, random.uniform(0.0, 0.5), sea, heading_rad, _sensors(settings, of_day))
+
+
+def _sensors(settings: config.Vehicle, random: Random) -> HiddenSensors:
+    """An offset up to 20 degrees, a deviation up to 10, an antenna up to a third of the length from the centre."""
+    hard, soft = random.uniform(0.0, 0.139), random.uniform(0.0, 0.035)  # 8 and 2 degrees at the most
+    at, across = random.uniform(0.0, math.tau), random.uniform(0.0, math.tau)
+    iron = CompassTable(
+        hard_ahead=hard * math.cos(at),
+        hard_aside=hard * math.sin(at),
+        soft_along=soft * math.cos(across),
+        soft_across=soft * math.sin(across),
+        offset_deg=random.uniform(-20.0, 20.0),
+    )
+    length_m, beam_m = settings.boat.length_m, settings.boat.beam_m
+    ahead_m, aside_m = random.uniform(-0.33, 0.33) * length_m, random.uniform(-0.33, 0.33) * beam_m
+    return HiddenSensors(iron, ahead_m, aside_m, random.uniform(0.05, 0.3), math.radians(random.uniform(-0.5, 0.5)))
 
 
 class LateModel(Model):

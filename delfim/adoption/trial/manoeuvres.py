@@ -7,6 +7,7 @@ ended is no fault: the boat is brought back, and the trial goes on. Any other en
 
 import math
 from collections.abc import Callable, Sequence
+from itertools import pairwise
 from random import Random
 from statistics import fmean
 from typing import Final, NamedTuple, Protocol
@@ -22,9 +23,12 @@ TURN_MOST_RADPS: Final = math.radians(50.0)  # asked for by no manoeuvre: a fast
 BRINGS_BACK: Final = ("trial ended: edge of the circle", "trial ended: turns at ", "trial done")  # ends that the trial survives
 NEAR: Final = 0.2  # of the radius: this near the middle a manoeuvre may begin
 LEAST_PART: Final = 0.01
+GYRO_LOOKS: Final = 20  # at the boat, ten a second, whose turn by heading and by gyro are compared ...
+GYRO_RAD2: Final = 0.02  # ... and this sum of squares is beyond noise
 LIMIT_S: Final = 20.0 * 60.0  # of the whole trial
 
 Parts = tuple[float, ...]
+Values = tuple[float, ...]
 
 
 class MotionSeen(NamedTuple):
@@ -40,6 +44,7 @@ class MotionSeen(NamedTuple):
     told: Parts  # what its thrusters were told
     is_on: bool  # it is in trial mode
     reason: str  # why it is in its mode, in words
+    measured: dict[str, Values] | None = None  # behind an estimator: what each sensor said last, its time first, rad, m/s
 
     @property
     def ahead_mps(self) -> float:
@@ -104,6 +109,7 @@ class SeaTrial:
         self.motors: MotorsFound | None = None
         self.quiet = DriftNoise(0.0, 0.0)
         self.gain, self.full_radps = 0.5, 0.5  # of heading to differential; rate of turn of full differential
+        self.turn_most_radps = TURN_MOST_RADPS  # less for a compass that is much bent
         self._name, self._random = "", Random(seed)
         self._begun = self._ended_itself = False
 
@@ -189,6 +195,18 @@ class SeaTrial:
         self.motors = found
         return found
 
+    @property
+    def gyro_is_upside_down(self) -> bool:
+        """Whether the rate of turn has the wrong sign, by what the heading did in pieces of two seconds."""
+        together = alone = 0.0
+        for first, last in pairwise(range(0, len(self.tape), GYRO_LOOKS)):
+            piece = self.tape[first : last + 1]
+            steps = pairwise(piece)
+            by_gyro = sum(0.5 * (was.turn_radps + now.turn_radps) * (now.at_s - was.at_s) for was, now in steps)
+            together += wrap(piece[-1].heading_rad - piece[0].heading_rad) * by_gyro
+            alone += by_gyro * by_gyro
+        return alone > GYRO_RAD2 and together < -0.5 * alone
+
     def push_ahead(self) -> None:
         """Both motors ahead for a person who looks whether the bow goes first."""
         self.drive(self.mix(0.25, 0.0), 3.0)
@@ -222,8 +240,8 @@ class SeaTrial:
 
         def push(seen: MotionSeen) -> Parts:
             error_rad = wrap((heading(seen) if callable(heading) else heading) - seen.heading_rad)
-            turn = self.gain * (error_rad - 0.8 * seen.turn_radps)
-            return self.mix(surge(seen) * max(0.0, math.cos(error_rad)), max(-0.5, min(0.5, turn)))
+            turn = max(-0.5, min(0.5, self.gain * (error_rad - 0.8 * seen.turn_radps)))
+            return self.mix(surge(seen) * max(0.0, math.cos(error_rad)), self.slower(seen, turn))
 
         return push
 
@@ -293,17 +311,23 @@ class SeaTrial:
             self.drive(self.mix(part, 0.0), 5.0)
             self.rest(3.0)
 
+    def slower(self, seen: MotionSeen, turn: float) -> float:
+        """The differential, less of it the nearer she is to the rate of turn that she may have."""
+        share = abs(seen.turn_radps) / self.turn_most_radps if turn * seen.turn_radps > 0.0 else 0.0
+        return turn * min(1.0, max(0.0, 2.5 * (1.0 - share)))
+
     def spins(self) -> None:
         """On the spot both ways, with two powers."""
         for level in (0.35, 0.8):
             for way in (1.0, -1.0):
-                self.drive(self.mix(0.0, way * min(level, 0.9 * TURN_MOST_RADPS / self.full_radps)), 6.0)
+                turn = way * min(level, 0.9 * self.turn_most_radps / self.full_radps)
+                self.drive(lambda seen, turn=turn: self.mix(0.0, self.slower(seen, turn)), 6.0)  # type: ignore[misc]
                 self.rest(2.5)
 
     def wiggle(self, surge: float, seconds: float = 50.0) -> None:
         """Random turns about a way ahead, towards the middle where it is far."""
         until_s, next_s, turn = self.seen.at_s + seconds, -math.inf, 0.0
-        depth = min(0.35, 0.8 * TURN_MOST_RADPS / self.full_radps)
+        depth = min(0.35, 0.8 * self.turn_most_radps / self.full_radps)
 
         def push(seen: MotionSeen) -> Parts:
             nonlocal next_s, turn
@@ -312,7 +336,7 @@ class SeaTrial:
                 turn = self._random.choice((-1.0, -0.5, 0.5, 1.0)) * depth
                 if seen.far_m > 0.45 * self.radius_m and abs(wrap(seen.inwards_rad - seen.heading_rad)) > 0.5 * math.pi:
                     turn, next_s = math.copysign(depth, wrap(seen.inwards_rad - seen.heading_rad)), seen.at_s + 1.0
-            return self.mix(surge, turn)
+            return self.mix(surge, self.slower(seen, turn))
 
         while self.seen.at_s < until_s - 1.0:
             if self.drive(push, until_s - self.seen.at_s):

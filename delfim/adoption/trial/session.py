@@ -5,6 +5,7 @@ goes on behind the last one that came to its end.
 """
 
 import contextlib
+import math
 import os
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -21,6 +22,12 @@ from delfim.base.input.untrusted import read_file
 KEPT_BYTES: Final = 50_000_000  # a trial of twenty minutes has 3 MB
 APART_S: Final = 60.0  # between the clocks of two sessions in one record
 DRIFT_S: Final = 15.0
+CIRCLES: Final = "circles"
+VALUES: Final = {"position": 3, "velocity": 3, "heading": 2, "rate": 2}  # of a measurement, with its time
+BENT_RAD: Final = math.radians(11.0)  # in a quick turn a compass that is bent by more is one that jumps, for the estimator ...
+JUMPED: Final = "heading jumped"
+BENT: Final = ": iron bends the compass too much for a quick turn; give it another place, or set [compass] before"
+SLOW_RADPS: Final = math.radians(15.0)  # ... and in one as slow as this it is not
 
 
 class TrialProgress(msgspec.Struct):
@@ -54,6 +61,8 @@ def _is_whole(kept: TrialProgress) -> bool:
     if kept.motors is not None and (set(kept.motors.sides) != {1, -1} or not set(kept.motors.signs) <= {1, -1}):
         return False
     times_s = [each.at_s for each in kept.tape]
+    if any(len(value) != VALUES.get(kind, 0) for each in kept.tape for kind, value in (each.measured or {}).items()):
+        return False
     return times_s == sorted(times_s) and all(len(each.told) == len(kept.thrusters) for each in kept.tape)
 
 
@@ -95,9 +104,11 @@ class TrialSession:
             with self._ended_safely():
                 if not self.progress.is_proven:
                     self._motors()
+                if CIRCLES in self.progress.done:
+                    self._compass()
                 self.trial.hull(self.progress.done, self._did)
         except TrialEnded as end:
-            return str(end)
+            return f"{end}{BENT}" if str(end).startswith(JUMPED) else str(end)
         return ""
 
     @contextlib.contextmanager
@@ -117,6 +128,9 @@ class TrialSession:
         trial.play("drift", "Motors off: what wind, current and noise do.", lambda: trial.drift(DRIFT_S))
         progress.quiet = trial.quiet
         trial.play("motors", "Each motor by itself, with little power first, then both.", trial.find_motors)
+        if trial.gyro_is_upside_down:  # and then the sides of the motors are exchanged
+            progress.motors = None
+            raise TrialEnded("the gyro says port where the compass says starboard: mend its sign first (delfim sensors --turn)")
         progress.motors = trial.motors
         for sentence in self.differences() or ["The motors are as the file says."]:
             self._tell(sentence)
@@ -138,13 +152,38 @@ class TrialSession:
     def _did(self, name: str) -> None:
         self.progress.done = (*self.progress.done, name)
         self._keep()
+        if name == CIRCLES:
+            self._compass()
+
+    def _compass(self) -> None:
+        """What the circles tell of the compass: whether it can be set at this place, and how quickly she may turn with it."""
+        from delfim.adoption.magnet import shape_of  # numpy, which the motors do not need
+        from delfim.adoption.trial.taped import record_of
+
+        try:
+            shape = shape_of(record_of(self.progress, is_estimated=self._settings.navigation.estimator))
+        except DelfimError as error:
+            self._tell(f"The circles say nothing of the compass: {error}.")
+            return
+        if why := shape.hopeless:  # the circles are sailed again, about another place
+            self.progress.done = tuple(each for each in self.progress.done if each != CIRCLES)
+            self.progress.middle = None
+            raise TrialEnded(why)
+        self._tell(f"The boat's iron bends the compass by {math.degrees(shape.deviation_rad):.0f} degrees at most.")
+        if shape.deviation_rad > BENT_RAD:
+            self.trial.turn_most_radps = SLOW_RADPS
 
     def _step(self, words: str) -> None:
         self._tell(f"{self.trial.elapsed_s:5.0f} s  {self.trial.seen.far_m:3.0f} m  {words}")
 
     def _keep(self) -> None:
         new, self._at = self.trial.tape[self._at :], len(self.trial.tape)
-        self.progress.tape += [each._replace(at_s=each.at_s + self._shift_s) for each in new]
+        self.progress.tape += [_shifted(each, self._shift_s) for each in new]
         done, self._played, shift_s = self.trial.played[self._played :], len(self.trial.played), self._shift_s
         self.progress.played += [each._replace(from_s=each.from_s + shift_s, to_s=each.to_s + shift_s) for each in done]
         keep(self._place, self.progress)
+
+
+def _shifted(seen: MotionSeen, by_s: float) -> MotionSeen:
+    measured = seen.measured and {kind: (value[0] + by_s, *value[1:]) for kind, value in seen.measured.items()}
+    return seen._replace(at_s=seen.at_s + by_s, measured=measured)

@@ -1,25 +1,62 @@
 """The record of a trial, for the fit. Needs numpy."""
 
+import math
+from collections.abc import Sequence
+from typing import Any, Final, Protocol
+
 from delfim.adoption.record import BoatRecord, Manoeuvre, Series
-from delfim.adoption.trial.motors import as_corrected
-from delfim.adoption.trial.session import TrialProgress
+from delfim.adoption.trial.manoeuvres import MotionSeen, Played
+from delfim.adoption.trial.motors import MotorsFound, as_corrected
 from delfim.base.errors import DelfimError
+from delfim.config import ThrusterTable
+
+HEARD: Final = 0.8  # of the looks, at least, told what the sensors said: a trial that went on from an older program has none
+SAME_S: Final = 0.01  # stamps that differ by less are of one value: they are reckoned from ages
 
 
-def record_of(progress: TrialProgress) -> BoatRecord:
-    """The record for the fit: what was told, in the order and with the signs of the corrected rows, and how she moved."""
-    rows, found = progress.thrusters, progress.motors
+class TapedTrial(Protocol):
+    """What is known of a trial."""
+
+    @property
+    def thrusters(self) -> Sequence[ThrusterTable]: ...
+    @property
+    def motors(self) -> MotorsFound | None: ...
+    @property
+    def tape(self) -> Sequence[MotionSeen]: ...
+    @property
+    def played(self) -> Sequence[Played]: ...
+
+
+def record_of(progress: TapedTrial, *, is_estimated: bool) -> BoatRecord:
+    """The record for the fit: what was told, in the order and with the signs of the corrected rows, and how she moved.
+    `is_estimated`: her motion is that of an estimator; what its sensors themselves said is taken where the tape has it."""
+    rows, found, tape = progress.thrusters, progress.motors, progress.tape
     if found is None:
         raise DelfimError("the motors were not found: there is nothing to fit")
-    told = [(each.at_s, *as_corrected(found, rows, each.told)) for each in progress.tape]
+    told = [(each.at_s, *as_corrected(found, rows, each.told)) for each in tape]
+    velocity = [(each.at_s, each.north_mps, each.east_mps) for each in tape]
+    heading, turn = ([(each.at_s, getattr(each, name)) for each in tape] for name in ("heading_rad", "turn_radps"))
+    is_raw = not is_estimated or sum("heading" in (each.measured or ()) for each in tape) > HEARD * len(tape)
+    if is_estimated and is_raw:
+        velocity, heading, turn = (_measured(progress, kind) for kind in ("velocity", "heading", "rate"))
     return BoatRecord(
         thrusters=tuple(row.name for row in rows),
         told=Series.of(told, len(rows)),
-        position=Series.of([(each.at_s, each.north_m, each.east_m) for each in progress.tape], 2),
-        velocity=Series.of([(each.at_s, each.north_mps, each.east_mps) for each in progress.tape], 2),
-        heading=Series.of([(each.at_s, each.heading_rad) for each in progress.tape], 1),
-        turn=Series.of([(each.at_s, each.turn_radps) for each in progress.tape], 1),
-        is_raw=False,
+        position=Series.of([(each.at_s, each.north_m, each.east_m) for each in tape], 2),
+        velocity=Series.of(velocity, 2),
+        heading=Series.of(heading, 1),
+        turn=Series.of(turn, 1),
+        is_raw=is_raw,
         manoeuvres=tuple(Manoeuvre(each.name, each.from_s, each.to_s) for each in progress.played),
         source="trial",
     )
+
+
+def _measured(progress: TapedTrial, kind: str) -> list[Any]:
+    """What a sensor said, each value once. The stamps are on the clock of the tape."""
+    said, last_s = list[Any](), -math.inf
+    for each in progress.tape:
+        if (value := (each.measured or {}).get(kind)) and value[0] > last_s + SAME_S:
+            said.append(value)
+            last_s = value[0]
+    return said

@@ -42,6 +42,7 @@ class Devices:
         self.receiver = GnssReceiver(model, settings.of(Simulation), seed)
         self.compass = Compass(model, settings.of(Simulation), seed)
         self.has_gyro = settings.of(Simulation).gyro
+        self._variation_rad = math.radians(settings.table("nmea2000").variation_deg)
         self._quality, self._number = Period(QUALITY_S), 0
 
     @property
@@ -71,7 +72,11 @@ class Devices:
         return [Frame(arb, data) for claim in claims for arb, data in frames(claim, 0)]
 
     def _turning(self, turn: Turn) -> list[Frame]:
-        heading = encode(VesselHeading(turn.heading_rad, None, None, NorthReference.TRUE), COMPASS)
+        told = VesselHeading(turn.heading_rad, None, None, NorthReference.TRUE)
+        if self.compass.bent is not None:  # iron is about a magnetic compass
+            magnetic_rad = (turn.heading_rad - self._variation_rad) % math.tau
+            told = VesselHeading(magnetic_rad, None, self._variation_rad, NorthReference.MAGNETIC)
+        heading = encode(told, COMPASS)
         return heading + (encode(RateOfTurn(turn.rate_radps), COMPASS) if self.has_gyro else [])
 
     def _moving(self, m: AntennaMotion, now_s: float, utc_ns: int) -> list[Frame]:

@@ -4,6 +4,8 @@ Each is asked by `step` and answers when it is due, unless it is silent. Faults 
 """
 
 import math
+from collections import deque
+from collections.abc import Callable
 from random import Random
 from typing import Final, NamedTuple
 
@@ -45,7 +47,7 @@ class ApparentWind(NamedTuple):
 
 
 class GnssReceiver:
-    """Position and velocity of an antenna at the boat's centre."""
+    """Position and velocity of an antenna, at the boat's centre unless `ahead_m` and `aside_m` say otherwise."""
 
     def __init__(self, model: Model, here: Simulation, seed: int, name: str = "receiver") -> None:
         self._model, self._random = model, Random(f"{name} {seed}")
@@ -61,6 +63,9 @@ class GnssReceiver:
         self.stated_m = self.position_m  # standard deviation per axis, as it says
         self.corrections_s: float | None = None  # age of its last correction, as it says; None: it gets none
         self.uncorrected = False  # no more corrections come
+        self.ahead_m = self.aside_m = 0.0  # of its antenna, from the boat's centre
+        self.late_s = 0.0  # age of what it says
+        self._past = deque[tuple[float, tuple[float, ...]]]()  # what it has not said yet
         self._said: AntennaMotion | None = None
 
     @property
@@ -73,16 +78,35 @@ class GnssReceiver:
         if self.uncorrected or self.corrections_s is not None:
             self.corrections_s = (self.corrections_s or 0.0) + self._period_s if self.uncorrected else CORRECTED_S
         if self._said is None or not self.frozen:
-            self._said = self._measured()
+            self._said = self._measured(now_s)
         return None if self.silent or self._lacks else self._said
 
-    def _measured(self) -> AntennaMotion:
+    def _measured(self, now_s: float) -> AntennaMotion:
         model, gauss = self._model, self._random.gauss
         new_m = self.position_m * math.sqrt(1.0 - self._keep * self._keep)
         self._error_m = [self._keep * each + gauss(0.0, new_m) for each in self._error_m]
-        north_m, east_m = model.north_m + self._error_m[0] + self.jump_m, model.east_m + self._error_m[1]
-        north, east = model.north_mps + gauss(0.0, self._speed_mps), model.east_mps + gauss(0.0, self._speed_mps)
+        north_m, east_m, north, east = self._moved(now_s)
+        north_m, east_m = north_m + self._error_m[0] + self.jump_m, east_m + self._error_m[1]
+        north, east = north + gauss(0.0, self._speed_mps), east + gauss(0.0, self._speed_mps)
         return AntennaMotion(*from_plane(model.origin, north_m, east_m), north, east)
+
+    def _moved(self, now_s: float) -> tuple[float, ...]:
+        """Place and velocity of the antenna, m and m/s north and east, as they were `late_s` ago."""
+        model = self._model
+        moved = model.north_m, model.east_m, model.north_mps, model.east_mps
+        if self.ahead_m or self.aside_m:
+            c, s, r = math.cos(model.heading_rad), math.sin(model.heading_rad), model.yaw_rate_radps
+            north_m, east_m = self.ahead_m * c - self.aside_m * s, self.ahead_m * s + self.aside_m * c
+            moved = moved[0] + north_m, moved[1] + east_m, moved[2] - r * east_m, moved[3] + r * north_m
+        if not self.late_s:
+            return moved
+        past, then_s = self._past, now_s - self.late_s
+        past.append((now_s, moved))
+        while len(past) > 2 and past[1][0] <= then_s:
+            past.popleft()
+        (from_s, first), (to_s, second) = past[0], past[min(1, len(past) - 1)]
+        part = min(max((then_s - from_s) / (to_s - from_s), 0.0), 1.0) if to_s > from_s else 0.0
+        return tuple(a + part * (b - a) for a, b in zip(first, second, strict=True))
 
 
 class Compass:
@@ -99,6 +123,8 @@ class Compass:
         self.jump_rad = 0.0  # error of the heading
         self.cable_rad_per_a = 0.0  # error of the heading beside the cable of the first motor
         self.bias_radps = self.drift_radps2 = 0.0  # of the gyro, and its growth
+        self.gyro_sign = 1.0  # -1: mounted upside down
+        self.bent: Callable[[float], float] | None = None  # by iron: what a magnetic compass says for a true heading
         self._said: Turn | None = None
 
     @property
@@ -109,9 +135,10 @@ class Compass:
         if not self._due.passed(now_s):
             return None
         model, gauss = self._model, self._random.gauss
-        heading_rad = model.heading_rad + gauss(0.0, self._heading_rad) + self.jump_rad
+        true_rad = model.heading_rad if self.bent is None else self.bent(model.heading_rad)
+        heading_rad = true_rad + gauss(0.0, self._heading_rad) + self.jump_rad
         heading_rad += self.cable_rad_per_a * next(iter(model.drives.values())).motor_a
-        rate_radps = model.yaw_rate_radps + gauss(0.0, self._rate_radps) + self.bias_radps
+        rate_radps = self.gyro_sign * model.yaw_rate_radps + gauss(0.0, self._rate_radps) + self.bias_radps
         self.bias_radps += self.drift_radps2 * self._period_s
         if self._said is None or not self.frozen:
             self._said = _new(Turn, (heading_rad, rate_radps))

@@ -92,6 +92,10 @@ class SimulatedInstruments:
         return frozenset(each.port for each in self._all)
 
     @property
+    def sensors(self) -> tuple[Measuring, ...]:
+        return tuple(each.sensor for each in self._all)
+
+    @property
     def due_s(self) -> float:
         """The time when `step` is due next."""
         return min((each.sensor.due_s for each in self._all), default=math.inf)
