@@ -17,6 +17,7 @@ def options(parser: argparse.ArgumentParser) -> None:
     for declare, name, told in (
         (_lines_options, "lines", "Make the mission that sails an area line by line."),
         (_chart_options, "chart", "Make a chart of the soundings in a log."),
+        (_report_options, "report", "Tell how well each line of a mission was sailed, by a log."),
     ):
         declare(tasks.add_parser(name, help=told, description=told, formatter_class=Formatter))
 
@@ -49,6 +50,9 @@ def _lines_options(lines: argparse.ArgumentParser) -> None:
     )
     lines.add_argument("--turn-radius", type=metres, metavar="M", help="The boat's smallest (default: by its thrusters).")
     lines.add_argument("--speed", type=metres, metavar="M/S", help="On the lines (default: that of the vehicle's file).")
+    told = "Announce to payloads where each line begins: a number of MAVLink, and up to four of its own (206,10)."
+    lines.add_argument("--at-begin", action="append", default=[], type=_action, metavar="COMMAND", help=told)
+    lines.add_argument("--at-end", action="append", default=[], type=_action, metavar="COMMAND", help="And where each ends.")
     lines.add_argument("--output", metavar="FILE", help="Write the mission here (default: AREA.toml in this folder).")
     lines.add_argument("--picture", metavar="FILE", help="Draw it, too, as .png or .svg.")
 
@@ -75,6 +79,27 @@ def _chart_options(chart: argparse.ArgumentParser) -> None:
     chart.add_argument("-o", "--output", required=True, metavar="FOLDER", help="Write the files and report.html here.")
     chart.add_argument("log", nargs="+", metavar="LOG", help="Trees, days, folders or files of logs, or a CSV of soundings.")
     chart.set_defaults(many="log")
+
+
+def _report_options(report: argparse.ArgumentParser) -> None:
+    report.set_defaults(does=_report)
+    report.add_argument("mission", metavar="MISSION", help="As delfim survey lines wrote it, and the boat sailed it.")
+    told = "A line counts as sailed so near to it (default: anywhere)."
+    report.add_argument("--within", type=metres, default=MOST_M, metavar="M", help=told)
+    report.add_argument("--from", dest="from_", metavar="TIME", help="From this time on: UTC, as 2010-01-01T09:30:00.")
+    report.add_argument("--to", metavar="TIME", help="Up to this time.")
+    report.add_argument("log", nargs="+", metavar="LOG", help="Trees, days, folders or files of logs.")
+    report.set_defaults(many="log")
+
+
+def _action(text: str) -> tuple[float, ...]:
+    try:
+        command, *numbers = map(float, text.split(","))
+        if command == int(command) and len(numbers) <= 4:
+            return int(command), *numbers, *[0.0] * (4 - len(numbers))
+    except ValueError:
+        pass
+    raise argparse.ArgumentTypeError(f"{text} is not a number of MAVLink and up to four of its own, as 206,10")
 
 
 def _speed(text: str) -> float:
@@ -116,10 +141,15 @@ def _lines(asked: argparse.Namespace) -> int:
     from delfim.survey import planning
     from delfim.survey.areafile import read_area
     from delfim.survey.ground import laid
+    from delfim.survey.trialsail import sailed
     from delfim.vehicle.plans.estimate import in_hours
-    from delfim.vehicle.plans.mission import save_mission
+    from delfim.vehicle.plans.mission import PayloadItem, save_mission
 
     settings = config.load(asked.vehicle, asked.set)
+    items = [
+        tuple(PayloadItem(command=int(command), params=(one, two, three, four)) for command, one, two, three, four in each)
+        for each in (asked.at_begin, asked.at_end)
+    ]
     wanted = planning.wanted_of(
         settings,
         spacing_m=asked.spacing or asked.swath * (1.0 - asked.overlap / 100.0),
@@ -135,14 +165,21 @@ def _lines(asked: argparse.Namespace) -> int:
     )
     name = Path(asked.area).stem
     plan = planning.planned(laid(read_area(asked.area)), wanted, settings.fence)
-    mission = planning.mission(plan, name)
+    mission = planning.mission(plan, name, planning.LineActions(*items))
     planning.check(mission, plan, settings)
     file = Path(asked.output or f"{name}.toml")
     save_mission(mission, file)
+    try:
+        told = sailed(settings, plan.wanted)
+        plan = plan._replace(wanted=plan.wanted._replace(turn_s=told.turn_s))
+        energy = f" and {told.energy_wh(plan.time_s):,.0f} Wh"
+    except DelfimError:  # this boat's devices are not simulated, or it is no boat for lines
+        energy = ""
     free, area = plan.covered()
     across = f", {plan.across} of them across" if plan.across else ""
     print(f"{file}: {len(plan.lines)} lines {wanted.spacing_m:g} m apart at {plan.heading_deg:.0f}°{across}")
-    print(f"  {plan.line_m:,.0f} m of lines, {plan.way_m:,.0f} m in all, {in_hours(plan.time_s)} at {wanted.speed_mps:g} m/s")
+    takes = f"{in_hours(plan.time_s)}{energy} at {wanted.speed_mps:g} m/s"
+    print(f"  {plan.line_m:,.0f} m of lines, {plan.way_m:,.0f} m in all, {takes}")
     kept = (
         f", which is {100.0 * area:.1f} % of the area: {wanted.room_m:g} m about holes and fences are left"
         if area < free
@@ -154,6 +191,20 @@ def _lines(asked: argparse.Namespace) -> int:
 
         draw(plan, f"{name}: {len(plan.lines)} lines, {in_hours(plan.time_s)}", Path(asked.picture))
         print(asked.picture)
+    return 0
+
+
+def _report(asked: argparse.Namespace) -> int:
+    from delfim.logging.ashore import tree
+    from delfim.logging.ashore.table import table
+    from delfim.survey import linefigures
+    from delfim.vehicle.plans.mission import load_mission
+
+    at, lines = linefigures.lines_of(load_mission(asked.mission))
+    files = [file for file in tree.files(asked.log) if file.suffix.startswith(".state")]
+    columns, _ = table(files, tree.span(asked.from_, asked.to, 0))
+    found = linefigures.figures(lines, linefigures.track_of(columns, at), asked.within)
+    print(*linefigures.told(found), sep="\n")
     return 0
 
 
