@@ -96,7 +96,7 @@ class Manual(Command, frozen=True):
     port: Thrust
 
 
-class Try(Command, frozen=True, tag="trial"):
+class Try(OperatorOrder, frozen=True, tag="trial"):
     """Play a manoeuvre, which tries the motors; `begin` enters trial mode. The next one replaces it, the same number again is a
     sign of life: without one it ends. `pieces`: seconds, with a part of full command for each row of the vehicle's file."""
 

@@ -391,7 +391,7 @@ def test_every_way_has_a_row_and_every_row_is_a_way() -> None:
 def test_each_order_of_a_console_is_said_by_the_page_and_each_mode_is_entered() -> None:
     told = [row.told for row in ROWS.values() if row.told is not None]
     orders = {word for word, kind in console.KINDS.items() if issubclass(kind, console.OperatorOrder)}
-    assert orders - {each["command"] for each in told} == {"order", "payload"}, "which those boats do not have"
+    assert orders - {each["command"] for each in told} == {"order", "payload", "trial"}, "which programs have"
     entered = {each.get("mode") or console.KINDS[each["command"]].ENTERS for each in told}
     assert entered >= {mode.name.lower() for mode in Mode} - {"trial"}, "which a program gives"
 

@@ -5,7 +5,7 @@ import os
 import sys
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Final
+from typing import Final, Protocol
 
 from delfim import config
 from delfim.adoption.trial.boats import RunningTrial, SimulatedTrial
@@ -19,6 +19,16 @@ BEFORE: Final = (
     "Begin upstream and upwind, away from piers. Space or Ctrl-C ends it, STOP on the page, too. Is the circle free?"
 )
 NOISE: Final = {"position_noise_m": "1.0", "speed_noise_mps": "0.05", "heading_noise_deg": "2.0"}  # of a drawn boat's sensors
+
+
+class Person(Protocol):
+    """Who is asked and told."""
+
+    def tell(self, words: str) -> object:
+        """A sentence."""
+
+    def ask(self, question: str) -> bool:
+        """A question whose answer is yes or no."""
 
 
 class Dialogue:
@@ -80,9 +90,7 @@ def at_the_berth(boat: RunningTrial | SimulatedTrial, settings: config.Vehicle, 
     dialogue.tell("Both motors turn and stop. Now on the water.")
 
 
-def outcome(
-    progress: TrialProgress, ended: str, place: Path, file: str, on: str, dialogue: Dialogue, *, may_write: bool
-) -> int:
+def outcome(progress: TrialProgress, ended: str, place: Path, file: str, on: str, dialogue: Person, *, may_write: bool) -> int:
     """Say what was found; of a whole trial the hull, too. Returns the exit code."""
     from delfim.adoption.trial.concluding import conclude, motors_told  # numpy, which a trial alone need not load
 

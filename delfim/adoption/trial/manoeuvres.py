@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from itertools import pairwise
 from random import Random
 from statistics import fmean
-from typing import Final, NamedTuple, Protocol
+from typing import Final, Literal, NamedTuple, Protocol
 
 from delfim.adoption.trial import motors
 from delfim.adoption.trial.motors import Doublet, DriftNoise, MotorsFound, Response, Sample
@@ -90,6 +90,17 @@ class Played(NamedTuple):
     ended: str = ""  # by what, in words; empty: it went as it should
 
 
+class StepTold(NamedTuple):
+    """A manoeuvre of the list, when it begins and when it has ended."""
+
+    name: str
+    words: str
+    state: Literal["under way", "done", "ended"]
+    reason: str  # why it ended before its time, in words
+    elapsed_s: float  # of the trial
+    far_m: float  # from the middle
+
+
 Push = Parts | Callable[[MotionSeen], Parts]
 Until = Callable[[MotionSeen], bool]
 Steered = Callable[[MotionSeen], float]  # a heading or a part
@@ -111,6 +122,7 @@ class SeaTrial:
         self.gain, self.full_radps = 0.5, 0.5  # of heading to differential; rate of turn of full differential
         self.turn_most_radps = TURN_MOST_RADPS  # less for a compass that is much bent
         self._name, self._random = "", Random(seed)
+        self.step: Callable[[StepTold], object] = lambda told: None  # is given each step when it begins and when it has ended
         self._begun = self._ended_itself = False
 
     @property
@@ -348,12 +360,15 @@ class SeaTrial:
         """Play one, and note how it went."""
         self.tell(words)
         self._name, from_s = name, self.seen.at_s
+        self.step(StepTold(name, words, "under way", "", self.elapsed_s, self.seen.far_m))
         try:
             manoeuvre()
         except DelfimError as end:
             self.played.append(Played(name, from_s, self.seen.at_s, str(end)))
+            self.step(StepTold(name, words, "ended", str(end), self.elapsed_s, self.seen.far_m))
             raise
         self.played.append(Played(name, from_s, self.seen.at_s))
+        self.step(StepTold(name, words, "done", "", self.elapsed_s, self.seen.far_m))
 
     def hull(self, done: Sequence[str] = (), did: Callable[[str], object] = lambda name: None) -> None:
         """All that follows once the motors are proven, but what was done already. `did` is told each that came to its end."""

@@ -6,7 +6,7 @@ and neither does a console that slept: it refuses older messages of pages, but f
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from contextlib import suppress
 from typing import Any, Final
 
@@ -48,6 +48,7 @@ class Fleet:
         self._exchange = Exchange(self._send, tell)
         self.missions = self._exchange.missions
         self.record: Callable[[bytes], None] = lambda frame: None  # every valid frame received, and every frame sent
+        self.heard: Callable[[Boat, Any, float], None] = lambda boat, message, now_s: None  # each message, once it is taken
         self.troubles: Callable[[int, int], None] = lambda number, bits: None  # that a boat tells
         self._clock, self._transmit, self._tell, self._key = clock, transmit, tell, key
         self._boats_max, self._peers_max = (BOATS_MAX, PEERS_MAX) if key is None else (SIGNED_MAX, 2 * SIGNED_MAX)
@@ -100,6 +101,7 @@ class Fleet:
         handler = _HANDLERS.get(message.get_type())
         if handler is not None:
             handler(self, boat, message, now_s)
+        self.heard(boat, message, now_s)
 
     def _has_room(self, now_s: float) -> bool:
         """Whether one more boat fits. A silent boat that is unsigned and that the operator never used gives way to it."""
@@ -332,6 +334,12 @@ class Fleet:
         self._homes.add(self._boat(number).number)
         where = mavlink.MAVLINK_MSG_ID_HOME_POSITION, *(0.0,) * 6
         self._send(number, mavlink.MAVLink_command_long_message(number, AUTOPILOT, mavlink.MAV_CMD_REQUEST_MESSAGE, 0, *where))
+
+    def often(self, number: int, kinds: Iterable[int], every_us: int) -> None:
+        """Asks a boat to tell these messages so often; 0: as its profile has it."""
+        for kind in kinds:
+            words = number, AUTOPILOT, mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, 0, kind, every_us, *(0,) * 5
+            self._send(number, mavlink.MAVLink_command_long_message(*words))
 
     def progress(self) -> list[dict[str, Any]]:
         """The progress of mission transfers."""

@@ -23,6 +23,7 @@ from delfim.console.boats.othervessels import around
 from delfim.console.charts.charts import Charts
 from delfim.console.gateway import foxglove, page_messages
 from delfim.console.gateway.admission import Admission, own_number
+from delfim.console.gateway.adopting import Adoption
 from delfim.console.gateway.onwatch import WatchKeeper
 from delfim.console.gateway.plan_tools import Desk
 from delfim.console.gateway.surveys import SurveyDesk
@@ -115,6 +116,7 @@ class Gateway:
             if self.session is not None:
                 self.fleet.record = self.session.put
             self.fleet.troubles = self.watch.alarms.troubles
+        self.adoption = Adoption(self.fleet, vehicle, self.tell) if isinstance(self.fleet, Fleet) else None
         self.broker: BrokerLine | None = None
         self._complaints: dict[str, str] = {}  # the last complaint about each link and file, to say it once
         self.heard_on: list[str] = [*self.radios]  # addresses and radios, for the page
@@ -127,6 +129,9 @@ class Gateway:
         self.app.router.add_get("/foxglove.json", self._layout)
         self.app.router.add_get("/watch.csv", self._table)
         self.app.router.add_post("/area", self._surveys.read)
+        if self.adoption is not None:
+            self.app.router.add_get("/adoption.html", self.adoption.serve_report)
+            self.app.router.add_get("/adopted.toml", self.adoption.serve_file)
         self.charts.routes(self.app)
         if PAGE.is_dir():
             self.app.router.add_static("/", PAGE)
@@ -140,6 +145,8 @@ class Gateway:
             self._keep()
         self.charts.close()
         self._surveys.close()
+        if self.adoption is not None:
+            self.adoption.close()
 
     def tell(self, message: dict[str, Any]) -> None:
         """Sends to every page and viewer; a text is kept in the log of the watch."""
@@ -248,6 +255,8 @@ class Gateway:
             self._pages.discard(page)
             self.watch.note(None, page.who, "page", "closed")
             self.fleet.release_all("the page was closed", page.number)
+            if self.adoption is not None and not self._pages:
+                self.adoption.pages_gone()
         return link
 
     async def _listen(self, page: Page, link: web.WebSocketResponse) -> None:
@@ -270,12 +279,15 @@ class Gateway:
                 "charts": self.charts.folder,
                 "boats": fleet.snapshot(),
                 "heard_on": self.heard_on,
+                "adopts": self.adoption.boat if self.adoption is not None else None,
                 "replay": _time_line(fleet) if isinstance(fleet, TapePlayer) else None,
             }
         )
         for fault in (*self.charts.faults, *(f"{name}: {reason}" for name, reason in self._complaints.items() if reason)):
             page.tell(self._text(fault))
         self.watch.greet(page.tell)
+        if self.adoption is not None and self.adoption.shown is not None:
+            page.tell(self.adoption.shown)
         page.tell(self._vessels())
         self._show_tracks(page)
         if isinstance(fleet, TapePlayer):
@@ -335,8 +347,10 @@ class Gateway:
             case page_messages.Command(boat="all"):
                 if asked.command != "stop":
                     raise Refused("only stop can be given to all boats")
+                self._acted(None, "STOP of all boats")
                 self._stop_all(answer)
             case page_messages.Command(boat=int(number)):
+                self._acted(number, "STOP" if asked.command == "stop" else f"{asked.command}, by {page.who}")
                 if asked.command == "stop":
                     fleet.release(number, "stop")
                 numbers = {name: value for name, value in words.items() if name not in page_messages.NO_NUMBERS}
@@ -363,6 +377,15 @@ class Gateway:
                 self._desk.ask(asked, words.get("mission"), page.tell, answer)
             case page_messages.Survey():
                 self._surveys.ask(page.who, asked, page.tell, answer)
+            case page_messages.Adopt():
+                if self.adoption is None:
+                    raise Refused("nothing is adopted in a replay")
+                self.adoption.ask(asked, answer)
+
+    def _acted(self, boat: int | None, what: str) -> None:
+        """A page gives an order: the trial of that boat, or of any (None), is over before it goes out."""
+        if self.adoption is not None:
+            self.adoption.acted(boat, what)
 
     def _stop_all(self, answer: Callable[[bool, str], None]) -> None:
         """Answers when all boats have stopped, or one has failed to."""

@@ -147,5 +147,14 @@ class Survey(Said, frozen=True):
     name: Annotated[str, msgspec.Meta(max_length=200)] = "Survey"
 
 
-Message = Command | Input | Release | Profile | Forget | Home | Replay | Acknowledge | Mission | Survey
+class Adopt(Said, frozen=True):
+    """A trial of a boat's motors and hull (docs/adopt.md): begins it, or begins it afresh, answers its question, ends it, or
+    takes it off the pages. Any other order to that boat ends it, too."""
+
+    boat: Number
+    do: Literal["begin", "afresh", "yes", "no", "end", "close"]
+    radius_m: Annotated[float, msgspec.Meta(ge=15.0, le=160.0)] = 60.0  # of its circle
+
+
+Message = Command | Input | Release | Profile | Forget | Home | Replay | Acknowledge | Mission | Survey | Adopt
 NO_NUMBERS = frozenset({"t", "seq", "boat", "command"})

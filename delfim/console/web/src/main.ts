@@ -2,6 +2,7 @@
 import "ol/ol.css";
 import "./style.css";
 import { Actions } from "./actions";
+import { Adopt } from "./adopt";
 import { Aim } from "./aim";
 import { Alarms } from "./alarms";
 import type { Pixel } from "./chart";
@@ -61,7 +62,8 @@ const survey = new Survey(chart, popup, state, plans, net, messages, edit);
 const planning = new Planning(popup, state, actions, chart, plans, messages, edit, undo, survey);
 const wayHome = new WayHome(chart, state, net);
 popup.closed = () => wayHome.show(null);
-const menus = new Menus(popup, state, actions, chart, fleet, plans, planning, () => watchLog.open(), sound, watch, wayHome, () => keyCard.toggle());
+const adopt = new Adopt(element("adopt"), chart, state, popup, net, messages);
+const menus = new Menus(popup, state, actions, chart, fleet, plans, planning, () => watchLog.open(), sound, watch, wayHome, () => keyCard.toggle(), adopt);
 const hints = new Hints(element("hint"), element("nobody"), state, actions.did, popup);
 const aim = new Aim(element("map"), chart, { seen: (place) => text(element("where"), whereWords(place, state)), chosen: press, added: (place) => !state.replaying && planning.add(place) });
 const strips = new Strips(element("strips"), state, drive, actions, (boat, at) => chosen(boat, at));
@@ -154,6 +156,8 @@ function heard(message: Heard): void {
     case "missions":
       state.names = message.names;
       return state.tell("missions");
+    case "adoption":
+      return adopt.take(message);
     case "survey":
       return survey.take(message);
     case "progress":

@@ -1,5 +1,6 @@
 // The menus of a boat and of the bare map: modes, commands, view and screen.
 import type { Actions } from "./actions";
+import type { Adopt } from "./adopt";
 import type { Chart, Pixel } from "./chart";
 import type { Fleet } from "./fleet";
 import type { Field } from "./form";
@@ -39,6 +40,7 @@ export class Menus {
     private readonly watch: Watch,
     private readonly wayHome: WayHome,
     private readonly card: () => void,
+    private readonly adopt: Adopt,
   ) {}
 
   boat(boat: Boat, at: Pixel): void {
@@ -157,6 +159,7 @@ export class Menus {
       "line",
       boat.armed ? command("Disarm", "stop") : command("Arm", "arm", !boat.ready && (boat.reason || "not ready")),
       ...(boat.orders ?? []).filter(({ title, name }) => title || name).map((order) => this.offered(boat, at, order)),
+      this.adopt.item(boat, at),
       command("Take control", "take", boat.owner && "this console is in control"),
       { title: "Forget it", note: "off all pages, until it is heard again", refuse: freshness(age_s(this.state, boat)) !== "lost" && "it is heard", do: () => void this.actions.forget(boat.id) },
       "line",

@@ -210,8 +210,18 @@ export interface WatchLine {
   text: string;
 }
 
+/** A manoeuvre of a trial. */
+export interface TrialStep {
+  name: string;
+  words: string;
+  state: "under way" | "done" | "ended";
+  reason: string;
+  elapsed_s: number;
+  far_m: number;
+}
+
 export type Heard =
-  | { t: "hello"; version: string; me: number; page: number; heard_on?: string[]; charts?: string; backgrounds: Background[]; boats: Boat[]; replay: TimeLine | null }
+  | { t: "hello"; version: string; me: number; page: number; heard_on?: string[]; adopts?: number | null; charts?: string; backgrounds: Background[]; boats: Boat[]; replay: TimeLine | null }
   | { t: "boats"; at_s: number; boats: Boat[] }
   | { t: "vessels"; at_s: number; vessels: Vessel[]; heard_s: number | null }
   | { t: "track"; boat: number; start?: boolean; points: [number, number, number][] }
@@ -226,6 +236,7 @@ export type Heard =
   | { t: "mission"; boat: number; where: "here" | "aboard"; mission: Mission }
   | { t: "missions"; names: string[] }
   | { t: "survey"; boat: number; lines: [Ring[0], Ring[0]][]; across: number; way: Ring; heading_deg: number; spacing_m: number; line_m: number; way_m: number; time_s: number; covered: [number, number]; room_m: number; mission: Mission }
+  | { t: "adoption"; boat: number | null; is_running: boolean; circle: (Place & { radius_m: number }) | null; steps: TrialStep[]; part: number; lines: string[]; question: string; end: string; file: string; is_written: boolean; report: boolean }
   | { t: "progress"; boat: number; what: string; part: number }
   | { t: "dryrun"; boat: number; time_s: number; distance_m: number; track: [number, number][] };
 
@@ -236,6 +247,7 @@ export type Said =
   | { t: "mission"; boat: number; do: MissionDeed; mission?: Mission; name?: string }
   | { t: "profile"; boat: number; profile: string }
   | { t: "survey"; boat: number; areas: Area[]; heading_deg: number | null; start: string; inside: boolean; fence: Ring; obstacles: Obstacle[]; name: string; [key: `${string}_m` | `${string}_mps` | `${string}_pct`]: number }
+  | { t: "adopt"; boat: number; do: "begin" | "afresh" | "yes" | "no" | "end" | "close"; radius_m?: number }
   | { t: "forget"; boat: number }
   | { t: "home"; boat: number }
   | { t: "acknowledge"; ids: number[] }

@@ -1,0 +1,107 @@
+"""A trial as the console's page has it: over a link that tells what MAVLink tells, on boats that are not as their files say."""
+
+import math
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from delfim import config
+from delfim.adoption.trial import linked
+from delfim.adoption.trial.boats import SimulatedTrial
+from delfim.adoption.trial.hiddenhull import drawn
+from delfim.adoption.trial.linked import BoatHeard, GatewayWire, tried
+from delfim.adoption.trial.manoeuvres import TrialEnded
+from delfim.base import geodesy
+from delfim.base.modes import Mode
+from delfim.vehicle import console
+
+ROOT = Path(__file__).parents[2]
+NOISE = "simulation.position_noise_m=1.0", "simulation.speed_noise_mps=0.05", "simulation.heading_noise_deg=2.0"
+SEED = 5
+
+
+class Link(GatewayWire):
+    """A gateway and a boat in lock step: a cycle for each word that is heard of it. Orders that are not answered take effect
+    with the next word, as on a link."""
+
+    def __init__(self, settings: config.Vehicle, seed: int, ends_at: str = "", no: str = "") -> None:
+        self.hidden = drawn(settings, seed)
+        self.boat = SimulatedTrial(settings, self.hidden, seed, 60.0)
+        self.said, self.ended, self._refused = list[dict[str, Any]](), "", ""
+        self._ends_at, self._no, self._last = ends_at, no, {}
+
+    def say(self, **words: Any) -> None:
+        self.said.append(words)
+        if order := words.get("order"):
+            self._refused = self.boat.run.command(console.Try(**order)) or ""
+        if mode := words.get("end"):
+            self.boat.end(mode)
+        if self._ends_at and words.get("step", {}).get("name") == self._ends_at:
+            self.ended = "STOP"
+            self.boat.end("idle")
+
+    def newest(self) -> BoatHeard:
+        if self.ended:
+            raise TrialEnded(self.ended)
+        seen = self.boat.wait()
+        at = geodesy.origin(*map(math.radians, self.boat.middle))
+        place = geodesy.from_plane(at, seen.north_m, seen.east_m)
+        port, starboard = seen.told if self.boat.run.settings.thrusters[0].y_m < 0 else seen.told[::-1]
+        heading_deg, turn_dps = math.degrees(seen.heading_rad), math.degrees(seen.turn_radps)
+        moves = heading_deg, turn_dps, round(seen.north_mps, 2), round(seen.east_mps, 2)
+        return BoatHeard(
+            seen.at_s, *map(math.degrees, place), *moves, port, starboard, self.boat.run.state.mode.name.lower(), seen.reason
+        )
+
+    def forget(self) -> None:
+        pass
+
+    def order_answered(self) -> str:
+        return self._refused
+
+    def answered(self) -> bool:
+        question = str(self.said[-1]["ask"])
+        return not (self._no and question.startswith(self._no))
+
+    def of(self, kind: str) -> list[Any]:
+        return [each[kind] for each in self.said if kind in each]
+
+
+@pytest.fixture
+def file(tmp_path: Path) -> Path:
+    place = tmp_path / "otter.toml"
+    place.write_text((ROOT / "etc/boats/otter.toml").read_text() + "\n[adopted]\nproven = false\n")
+    return place
+
+
+def test_a_whole_trial_over_the_link_finds_the_motors_and_writes_what_is_agreed_to(file: Path, tmp_path: Path) -> None:
+    link = Link(config.load(file, NOISE), SEED)
+    assert tried(link, file, 60.0, tmp_path) == 0
+    written = config.load(file)
+    assert written.adopted.proven
+    assert written.boat.inertia_kgm2
+    rows = config.load(ROOT / "etc/boats/otter.toml").thrusters
+    swapped = [row.address for row in written.thrusters] != [row.address for row in rows]
+    assert swapped == link.hidden.swapped
+    assert {"drift", "motors", "bow first", "proof", "legs", "spins"} <= {each["name"] for each in link.of("step")}
+    assert link.of("step")[-1]["state"] == "done"
+    assert link.of("circle")[0]["radius_m"] == 60.0
+    assert (tmp_path / "otter.html").exists()
+    assert (link.boat.run.state.mode, link.boat.run.state.actuation.run) == (Mode.IDLE, False)
+
+
+def test_what_somebody_ended_gives_no_order_any_more_and_goes_on_later(file: Path, tmp_path: Path) -> None:
+    link = Link(config.load(file, NOISE), SEED, ends_at="circles")
+    before = file.read_text()
+    assert tried(link, file, 60.0, tmp_path) == 1
+    ended = next(at for at, each in enumerate(link.said) if each.get("step", {}).get("name") == "circles")
+    assert not [each for each in link.said[ended:] if "order" in each or "end" in each]
+    assert "The trial ended: STOP." in link.of("tell")
+    assert file.read_text() == before
+    again = Link(config.load(file, NOISE), SEED)
+    with pytest.raises(linked.DelfimError, match="the circle is not free"):
+        tried(Link(config.load(file, NOISE), SEED, no="Otter"), file, 60.0, tmp_path)
+    assert tried(again, file, 60.0, tmp_path) == 0
+    assert "Goes on with" in again.of("tell")[0]
+    assert "motors" not in {each["name"] for each in again.of("step")}
