@@ -75,7 +75,8 @@ def running(
     """The boat that runs on this computer. Raises DelfimError."""
     link = held.enter_context(Link(settings.console.socket))
     held.enter_context(dialogue.listening())
-    return RunningTrial(link, radius_m, dialogue.is_ended, progress.middle)
+    middle = progress.middle if progress.is_proven else None  # until then she only drifts: the circle is where she is
+    return RunningTrial(link, radius_m, dialogue.is_ended, middle)
 
 
 def at_the_berth(boat: RunningTrial | SimulatedTrial, settings: config.Vehicle, dialogue: Dialogue) -> None:
