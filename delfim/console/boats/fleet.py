@@ -15,6 +15,7 @@ from delfim.base.errors import FormatError, Refused
 from delfim.base.modes import Mode
 from delfim.console.boats.alarms import is_trouble
 from delfim.console.boats.boat import SILENT_S, Boat
+from delfim.console.boats.depths import DepthGrid
 from delfim.console.boats.drivers import INPUT_S, Drivers
 from delfim.console.boats.item_transfer import REFUSED
 from delfim.console.boats.plan_transfer import SAID, Exchange, planned
@@ -45,6 +46,7 @@ class Fleet:
     ) -> None:
         self.me = me  # the number of this console
         self.boats: dict[int, Boat] = {}
+        self.depths = DepthGrid()
         self._exchange = Exchange(self._send, tell)
         self.missions = self._exchange.missions
         self.record: Callable[[bytes], None] = lambda frame: None  # every valid frame received, and every frame sent
@@ -390,6 +392,7 @@ _HANDLERS: Final[dict[str, Callable[[Fleet, Boat, Any, float], None]]] = {
     "PARAM_EXT_VALUE": Fleet._on_name,
     "TIMESYNC": Fleet._on_sync,
     "HOME_POSITION": Fleet._on_home,
+    "WATER_DEPTH": lambda fleet, boat, m, _: fleet.depths.add(m.lat / 1e7, m.lng / 1e7, m.distance),
     "NAMED_VALUE_INT": lambda fleet, boat, m, _: fleet.troubles(boat.number, m.value) if m.name == TROUBLES else None,
     **dict.fromkeys(SAID, Fleet._on_mission),
 }

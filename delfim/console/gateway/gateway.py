@@ -39,6 +39,7 @@ from delfim.parts.fleet.broker import DOWN, BrokerLine
 PAGE: Final = Path(__file__).parents[1] / "page"
 SHOW_TICKS: Final = 2  # ten times a second, for up to ...
 SHOWN: Final = 32  # ... this many boats; for more of them less often, so that a page gets as many states a second
+DEPTH_TICKS: Final = 20  # once a second
 VESSEL_TICKS: Final = 20  # once a second
 CHUNK: Final = 500  # points of a track in one message
 BACKLOG_BYTES: Final = 1 << 20  # a page that is so far behind misses older states
@@ -181,6 +182,9 @@ class Gateway:
             self.tell({"t": "boats", "at_s": self._utc_s(), "boats": self.fleet.snapshot()})
             for progress in self.fleet.progress():
                 self.tell(progress)
+        if self._pages and self._ticks % DEPTH_TICKS == 0 and isinstance(self.fleet, Fleet):
+            for depths in self.fleet.depths.changes():
+                self.tell(depths)
         if (self._pages or self.viewers) and self._ticks % self._vessel_ticks() == 0:
             self.tell(self._vessels())
 
@@ -290,6 +294,9 @@ class Gateway:
             page.tell(self.adoption.shown)
         page.tell(self._vessels())
         self._show_tracks(page)
+        if isinstance(fleet, Fleet):
+            for depths in fleet.depths.whole():
+                page.tell(depths)
         if isinstance(fleet, TapePlayer):
             for number, track in fleet.tracks().items():
                 for points in _chunks(track):

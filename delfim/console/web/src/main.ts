@@ -8,6 +8,7 @@ import { Alarms } from "./alarms";
 import type { Pixel } from "./chart";
 import { Chart } from "./chart";
 import { Check } from "./check";
+import { Depths } from "./depths";
 import { Corner, card, dryRunCard, whereWords } from "./corner";
 import { text } from "./dom";
 import { Drive } from "./drive";
@@ -62,8 +63,9 @@ const survey = new Survey(chart, popup, state, plans, net, messages, edit);
 const planning = new Planning(popup, state, actions, chart, plans, messages, edit, undo, survey);
 const wayHome = new WayHome(chart, state, net);
 popup.closed = () => wayHome.show(null);
+const depths = new Depths(element("depths"), chart, state);
 const adopt = new Adopt(element("adopt"), chart, state, popup, net, messages);
-const menus = new Menus(popup, state, actions, chart, fleet, plans, planning, () => watchLog.open(), sound, watch, wayHome, () => keyCard.toggle(), adopt);
+const menus = new Menus(popup, state, actions, chart, fleet, plans, planning, () => watchLog.open(), sound, watch, wayHome, () => keyCard.toggle(), adopt, depths);
 const hints = new Hints(element("hint"), element("nobody"), state, actions.did, popup);
 const aim = new Aim(element("map"), chart, { seen: (place) => text(element("where"), whereWords(place, state)), chosen: press, added: (place) => !state.replaying && planning.add(place) });
 const strips = new Strips(element("strips"), state, drive, actions, (boat, at) => chosen(boat, at));
@@ -121,6 +123,7 @@ function heard(message: Heard): void {
       state.backgrounds = message.backgrounds;
       chart.setBackgrounds(message.backgrounds);
       fleet.forgetWays();
+      depths.forget();
       if (!message.boats.length && !moved) chart.findCharts();
       took(message.boats, state.at_s);
       state.tell("hello");
@@ -156,6 +159,8 @@ function heard(message: Heard): void {
     case "missions":
       state.names = message.names;
       return state.tell("missions");
+    case "depths":
+      return depths.take(message);
     case "adoption":
       return adopt.take(message);
     case "survey":
@@ -324,6 +329,7 @@ Object.assign(window, {
     pieces: (boat: number) => fleet.pieces(boat),
     frames: ofLastSecond,
     numbers: () => plans.numbers,
+    depths: () => depths.counts,
     areas: () => surveyed(state.plan(state.planning).mission).length,
     survey: () => survey.lines,
     loadArea: (name: string, words: string) => survey.load(new File([words], name)),

@@ -2,6 +2,7 @@
 import type { Actions } from "./actions";
 import type { Adopt } from "./adopt";
 import type { Chart, Pixel } from "./chart";
+import type { Depths } from "./depths";
 import type { Fleet } from "./fleet";
 import type { Field } from "./form";
 import { bearing, position } from "./geo";
@@ -41,6 +42,7 @@ export class Menus {
     private readonly wayHome: WayHome,
     private readonly card: () => void,
     private readonly adopt: Adopt,
+    private readonly depths: Depths,
   ) {}
 
   boat(boat: Boat, at: Pixel): void {
@@ -200,6 +202,7 @@ export class Menus {
       { title: "Knots", tick: inKnots, do: () => setKnots(!inKnots) },
       { title: "Sound", tick: this.sound.on, do: () => this.sound.toggle() },
       { title: "Guard zone", note: this.watch.zone_m ? `${this.watch.zone_m} m around each boat, on this page` : "none on this page", sub: () => this.zones() },
+      { title: "Depths", note: "as the boats tell them, by colour", tick: this.depths.visible, do: () => this.depths.toggle() },
       ...charts,
       "line",
       { title: "Log of the watch", do: this.log },

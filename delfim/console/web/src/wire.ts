@@ -237,6 +237,7 @@ export type Heard =
   | { t: "missions"; names: string[] }
   | { t: "survey"; boat: number; lines: [Ring[0], Ring[0]][]; across: number; way: Ring; heading_deg: number; spacing_m: number; line_m: number; way_m: number; time_s: number; covered: [number, number]; room_m: number; mission: Mission }
   | { t: "adoption"; boat: number | null; is_running: boolean; circle: (Place & { radius_m: number }) | null; steps: TrialStep[]; part: number; lines: string[]; question: string; end: string; file: string; is_written: boolean; report: boolean }
+  | { t: "depths"; tile: [row: number, column: number]; extent: [number, number, number, number]; whole?: string; cells?: [cell: number, depth_cm: number][] }
   | { t: "progress"; boat: number; what: string; part: number }
   | { t: "dryrun"; boat: number; time_s: number; distance_m: number; track: [number, number][] };
 
