@@ -50,6 +50,10 @@ class RunTape:
         if isinstance(self.beside, OrderLog):
             self.beside.command(command, refused, state, operator)
 
+    def watch(self, state: State) -> None:
+        if isinstance(self.beside, OrderLog):
+            self.beside.watch(state)
+
     def reason(self) -> str:
         return ""
 
