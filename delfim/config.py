@@ -1012,7 +1012,7 @@ class Vehicle(Table, frozen=True):
     @property
     def helmsmen(self) -> tuple[str, ...]:
         """The payload programs that may have the boat, in the order of the file."""
-        return tuple(name for name, table in self.table("payload").items() if {*table.may} - {"obstacles"})
+        return tuple(name for name, table in self.table("payload").items() if {*table.may} - {"obstacles", "samples"})
 
     def figures_of(self, source: str) -> str:
         """The name of a source's figures in the state: motors of the same bus have the name itself."""

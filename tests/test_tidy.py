@@ -318,7 +318,15 @@ def test_the_vehicles_state_is_changed_by_the_loop_alone() -> None:
     """By the loop and what it calls; a replay puts in what was recorded. To count what was refused is no change."""
     called = (
         "loop",
-        *("helm/helm", "helm/alone", "helm/planning", "orders/handlers", "orders/entrusting", "orders/returning"),
+        *(
+            "helm/helm",
+            "helm/alone",
+            "helm/stations",
+            "helm/planning",
+            "orders/handlers",
+            "orders/entrusting",
+            "orders/returning",
+        ),
         "failsafe/failing",
         "navigation/fixes",
         "navigation/estimated",

@@ -12,6 +12,7 @@ BY_PAYLOAD: Final = "payload"  # begins the reason of a change of mode that a pr
 RIGHTS: Final = {  # of payload programs, by their orders
     "pause": "hold",
     "sight": "obstacles",
+    "sampled": "samples",
     **{word: word for word in ("goto", "speed", "heading")},
     "course": "heading",
     **dict.fromkeys(("upload", "play", "continue"), "mission"),
@@ -145,7 +146,7 @@ def programs_below(e: Evidence) -> Iterator[Finding]:
             right = RIGHTS.get(order.name, "")
             if right not in e.setting(f"payload.{program}.may"):
                 yield Finding(order.t_s, f"{order.name} of payload {program} was obeyed, which has no right to it")
-            elif program != given and right != "obstacles":
+            elif program != given and right not in ("obstacles", "samples"):
                 yield Finding(order.t_s, f"{order.name} of payload {program} was obeyed, and no operator had given it the boat")
 
 

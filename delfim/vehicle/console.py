@@ -232,11 +232,19 @@ class Sight(Command, frozen=True):
     target: SeenVessel
 
 
+class Sampled(Command, frozen=True):
+    """A payload program has taken the sample that it was asked for, or could not."""
+
+    number: Annotated[int, msgspec.Meta(ge=1, le=1 << 31)]  # as it was asked
+    ok: bool = True
+    reason: Annotated[str, msgspec.Meta(max_length=200)] = ""  # in words, for the log
+
+
 class OfPayload(Command, frozen=True, tag="ordered"):
     """An order of a payload program, from the service that runs it."""
 
     payload: Short
-    order: Alive | Pause | Continue | Goto | Heading | Course | SetSpeed | Upload | Play | Sight
+    order: Alive | Pause | Continue | Goto | Heading | Course | SetSpeed | Upload | Play | Sight | Sampled
 
 
 class Take(OperatorOrder, frozen=True):

@@ -127,6 +127,15 @@ class Announced(msgspec.Struct, frozen=True):
     params: tuple[float | None, ...] = ()  # seven; None: not given
 
 
+class SampleAsked(msgspec.Struct, frozen=True):
+    """A sample that payload programs are asked for at a station of the mission (docs/missions.md)."""
+
+    number: int = 0  # of all that were asked for, from 1; 0: none is
+    leg: int = 0  # of its waypoint, from 0
+    attempt: int = 0  # from 1
+    tries: int = 0  # at most
+
+
 class KillFacts(Facts, frozen=True):
     """The kill: the boat stays in idle until an operator clears it."""
 
@@ -232,6 +241,7 @@ class BoatReport(Facts, frozen=True):
     mission: str | None = None
     legs: int = 0
     announced: tuple[Announced, ...] = ()  # the newest, oldest first
+    sample: SampleAsked = SampleAsked()
     guest_connected: bool = False
     age_s: dict[str, float | None] = {}  # of every input; null: never heard
     sysstat: dict[str, NodeFacts] = {}

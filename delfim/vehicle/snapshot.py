@@ -49,6 +49,7 @@ def report(state: State, now_s: float, rows: Sequence[ThrusterTable] = (), **mor
         mission=plan.name if plan else None,
         legs=len(plan.waypoints) if plan else 0,
         announced=state.announced,
+        sample=state.sample,
         guest_connected=state.guest_connected,
         killed=KillFacts(**state.killed._asdict()),
         handset=state.handset,

@@ -9,7 +9,7 @@ from delfim.base.modes import Mode
 from delfim.base.vessels import Report
 from delfim.canproxy.dsor.messages import Navigation, SystemStatus
 from delfim.vehicle.inputhealth import InputHealth
-from delfim.vehicle.report import Announced, ClockStatus, HandsetReport, PartHealth
+from delfim.vehicle.report import Announced, ClockStatus, HandsetReport, PartHealth, SampleAsked
 from delfim.vehicle.target import Traffic
 
 
@@ -92,6 +92,7 @@ class Waypoint(NamedTuple):
     acceptance_m: float
     hold_s: float = 0.0  # how long the boat stays there, once it is reached
     line: int = 0  # of a survey, that the leg to it sails; 0: none
+    tries: int = 0  # of a sample that is taken there, all within the stay; 0: none is
 
 
 class Arc(NamedTuple):
@@ -159,6 +160,7 @@ class Setpoint(NamedTuple):
     end: str = "hold"  # the mode at the end of goto: hold or idle
     alone: float = 0.0  # thrust of the one thruster that is tried in idle (`alone.py`)
     trial: TrialPieces | None = None
+    sampled: int = 0  # the station, by its waypoint from 1, whose sample is taken or given up: play goes on
 
 
 class Reference(NamedTuple):
@@ -269,6 +271,7 @@ class State:
     killed: Killed = field(default_factory=Killed)
     notices: tuple[Notice, ...] = ()  # present troubles, worst first
     announced: tuple[Announced, ...] = ()  # the newest, oldest first
+    sample: SampleAsked = field(default_factory=SampleAsked)  # that payload programs are asked for now
     computer: StartConditions = field(default_factory=StartConditions)  # the computer at the program's start
     cycles: int = 0
     parts: dict[str, PartHealth] = field(default_factory=dict)  # of a laboratory, by name

@@ -107,7 +107,15 @@ def test_heading_is_shown_on_the_compass(boat):
 
 def test_what_may_be_asked_is_obeyed() -> None:
     """But for those that the loop answers: they only ask for the state, are the program's own, or of payload programs."""
-    others = {console.Entrust, console.Sight, console.OfPayload, console.TellState, console.Watch, console.Return}
+    others = {
+        console.Entrust,
+        console.Sight,
+        console.Sampled,
+        console.OfPayload,
+        console.TellState,
+        console.Watch,
+        console.Return,
+    }
     assert set(handlers.OBEYED) == set(console.KINDS.values()) - others
 
 

@@ -84,7 +84,7 @@ def test_a_missing_file_is_said(tmp_path: Path) -> None:
 def test_the_least_mission() -> None:
     mission = parse_mission(ONE)
     laid = planned(mission, START, ControlTable())
-    assert [w[2:] for w in laid.waypoints] == [(1.5, 5.0, 0.0, 0)]  # cruising speed, the boat's own acceptance radius
+    assert [w[2:] for w in laid.waypoints] == [(1.5, 5.0, 0.0, 0, 0)]  # cruising speed, the boat's own acceptance radius
     assert laid.path == ()
 
 

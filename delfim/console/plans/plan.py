@@ -154,7 +154,8 @@ def _places(plan: Mapping[str, Any]) -> list[int]:
 def _row(kind: type[Row], each: Mapping[str, Any]) -> Row:
     latitude_deg, longitude_deg = _place(each)
     numbers: dict[str, Any] = {name: float(each.get(name) or 0.0) for name in kind.__struct_fields__}
-    return kind(**numbers | {"latitude_deg": latitude_deg, "longitude_deg": longitude_deg, "line": int(numbers["line"])})
+    whole = {name: int(numbers[name]) for name in ("line", "tries") if name in numbers}
+    return kind(**numbers | whole | {"latitude_deg": latitude_deg, "longitude_deg": longitude_deg})
 
 
 def _place(where: Mapping[str, Any]) -> tuple[float, float]:

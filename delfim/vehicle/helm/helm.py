@@ -25,6 +25,7 @@ from delfim.vehicle.helm import detour, setpoints
 from delfim.vehicle.helm.alone import Alone
 from delfim.vehicle.helm.announcing import Announcing
 from delfim.vehicle.helm.planning import Plans
+from delfim.vehicle.helm.stations import Stations
 from delfim.vehicle.plans import fence
 from delfim.vehicle.plans.track import Track, back
 from delfim.vehicle.plans.underway import Paused, UnderWay, under_way
@@ -69,7 +70,7 @@ class Helm:
         self.paused: Paused | None = None
         self.orders = dict[str, CarriesOut]()  # of parts, by name
         self.alone = Alone(settings.thrusters, state, propulsion, log)
-        self._announcing = Announcing(state, log)
+        self._announcing, self.stations = Announcing(state, log), Stations(state, log)
         self._seeking: Sliced[tuple[Point, float]] | None = None  # the search for a better place to hold
         self.detour: detour.Detour | None = None  # and for a way round zones
         self._retreat: tuple[Point, ...] = ()  # the driven track, up to where the boat went back to; empty: it did not
@@ -174,6 +175,7 @@ class Helm:
         if self.detour is not None and (found := self.detour.step()) is not None:
             self.state.setpoint, reason = found
             self.enter(Mode.GOTO, reason)
+        self.stations.look(self.memory, self._clock.monotonic_s())
         self.state.announced = self._announcing.news(self.plans.mission, self.memory.leg)
 
     def _seek(self) -> None:

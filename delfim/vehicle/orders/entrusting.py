@@ -30,8 +30,9 @@ RIGHTS: Final[dict[type[console.Command], PayloadRight]] = {
     console.Play: "mission",
     console.Continue: "mission",
     console.Sight: "obstacles",
+    console.Sampled: "samples",
 }
-OWN: Final = console.Sight | console.OfPayload  # what operators do not say
+OWN: Final = console.Sight | console.Sampled | console.OfPayload  # what operators do not say
 
 
 def payload_of(operator: str) -> str:
@@ -49,7 +50,7 @@ def forbidden(settings: config.Vehicle, state: State, name: str, command: consol
         return f"{word} is for operators alone"
     if right not in (None, *table.may) or not table.may:
         return f"{right or word} is not among the rights of {name}, which has {', '.join(table.may) or 'none'}"
-    if right in (None, "obstacles"):
+    if right in (None, "obstacles", "samples"):
         return ""
     if state.helmsman != name:
         return f"{name} does not have the boat: {state.relieved or 'no operator has given it'}"
@@ -76,6 +77,12 @@ def order(helm: Helm, name: str, command: console.Commands, now_s: float) -> str
         return f"refused: {why}"
     if isinstance(command, console.Sight):
         grex.seen(command.target, f"payload {name}", state, now_s)
+        return None
+    if isinstance(command, console.Sampled):
+        try:
+            helm.stations.answer(name, command.number, command.ok, command.reason, now_s)
+        except DelfimError as refusal:
+            return str(refusal)
         return None
     if isinstance(command, console.Continue) and helm.paused is not None and helm.paused.mode not in SAILS:
         return f"continue refused: {helm.paused.mode.name.lower()} was interrupted, which is no mission"

@@ -45,6 +45,10 @@ def lines(now: BoatReport, before: BoatReport | None) -> Iterator[bytes]:
     for action in now.announced if before is not None else ():
         if action.number > heard:
             yield _line({"event": "action", "command": action.command, "params": action.params})
+    if now.sample.number and (before is None or now.sample.number != before.sample.number):
+        number, leg, attempt, tries = msgspec.structs.astuple(now.sample)
+        asked = {"event": "sample", "mission": now.mission, "leg": leg, "number": number, "try": attempt, "tries": tries}
+        yield _line(asked)
     if before is not None and now.cycle == before.cycle:
         return
     north_mps = east_mps = None

@@ -32,6 +32,8 @@ ROW = 4  # time for a waypoint or a piece of the path, counted in comparisons
 ROWS = 1000  # waypoints, pieces of the path, and actions, at most
 AT_ONCE = 20  # actions at one place
 LINES_MAX = 9999  # of a survey
+TRIES_MAX = 9  # of a sample
+STATION_S = 5.0  # that the boat stays at a station beyond the time of all tries: their end is told before it goes on
 # Commands of MAVLink (MAV_CMD) that a mission carries for payloads; the boat itself does not move by them.
 CARRIED = frozenset(
     {
@@ -63,6 +65,7 @@ class Waypoint(tables.Table, frozen=True):
     acceptance_m: Annotated[float, msgspec.Meta(ge=0.0, le=1000.0)] = 0.0
     hold_s: Stay = 0.0
     line: SurveyLine = 0  # that the leg to it sails
+    tries: Annotated[int, msgspec.Meta(ge=0, le=TRIES_MAX)] = 0  # of a sample, each for hold_s; 0: none is taken
 
 
 Number = Annotated[float, msgspec.Meta(ge=-3.5e38, le=3.5e38)] | Literal["nan"]  # of an action; "nan": not given
@@ -188,7 +191,8 @@ def plan(mission: Mission, origin: geodesy.Origin, control: config.ControlTable)
     for stop in mission.waypoint:
         yield ROW
         speed_mps, reach_m = stop.speed_mps or control.speed.cruise_mps, stop.acceptance_m or control.path.acceptance_m
-        waypoints.append(PlanWaypoint(*_plane(origin, stop), speed_mps, reach_m, stop.hold_s, stop.line))
+        hold_s = stop.tries * stop.hold_s + STATION_S if stop.tries else stop.hold_s
+        waypoints.append(PlanWaypoint(*_plane(origin, stop), speed_mps, reach_m, hold_s, stop.line, stop.tries))
     path: list[Line | Arc] = []
     if mission.path:
         pieces: Iterator[Line | Arc] = _pieces(mission.path, origin, control.speed.cruise_mps)
@@ -209,6 +213,9 @@ def checked(mission: Mission, file: str = "mission") -> Work[None]:
     first = mission.waypoint[0]
     origin = geodesy.origin(math.radians(first.latitude_deg), math.radians(first.longitude_deg))
     before = _plane(origin, first)
+    for index, row in enumerate(mission.waypoint):
+        if row.tries and not row.hold_s:
+            raise ConfigError(file, f"waypoint[{index}].tries", "a sample needs its time, hold_s")
     for index, row in enumerate(mission.waypoint[1:], 1):
         yield ROW
         place = _plane(origin, row)

@@ -12,6 +12,7 @@ import pytest
 from delfim import config
 from delfim.base.clock import ManualClock
 from delfim.base.modes import Mode
+from delfim.base.ranges import PayloadRight
 from delfim.parts.payload import payload, payloadorders
 from delfim.parts.payload.payloadorders import OrderLine
 from delfim.parts.payload.table import PayloadTable
@@ -20,6 +21,7 @@ from delfim.vehicle import console
 from delfim.vehicle.operator.command import CommandServer
 from delfim.vehicle.operator.reviews import Reviews
 from delfim.vehicle.orders import payloadlines
+from delfim.vehicle.plans.mission import Mission, Waypoint, canonical
 from delfim.vehicle.snapshot import in_json
 from delfim.vehicle.state import NoLog
 from tests.services.boat import served, vehicle_file
@@ -74,8 +76,8 @@ class Sea:
 
 
 @contextlib.asynccontextmanager
-async def carried(tmp_path: Path, **programs: str) -> AsyncIterator[Sea]:
-    tables = {name: PayloadTable(command=("/bin/sh", "-c", words), may=MAY) for name, words in programs.items()}
+async def carried(tmp_path: Path, may: tuple[PayloadRight, ...] = MAY, **programs: str) -> AsyncIterator[Sea]:
+    tables = {name: PayloadTable(command=("/bin/sh", "-c", words), may=may) for name, words in programs.items()}
     settings = vehicle_file(tmp_path, payload=tables, supervisor=config.SupervisorTable(backoff_s=0.01, backoff_max_s=0.1))
     sea = Sea(settings)
     server = await asyncio.get_running_loop().create_unix_server(sea.commands.connection, settings.console.socket)
@@ -133,6 +135,33 @@ def test_a_program_steers_and_one_that_dies_hangs_floods_or_lies_costs_itself_al
     ):
         assert 'payload: lies: {"event":"answer"' in caplog.text
         assert f'"ok":false,"reason":"refused: {why}"' in caplog.text
+
+
+SAMPLES = """while read line; do case "$line" in
+*'"event":"sample"'*'"try":1'*) echo '{"command": "sampled", "number": 1, "ok": false, "reason": "the pump is blocked"}';;
+*'"event":"sample"'*) echo '{"command": "sampled", "number": 2, "reason": "500 ml"}';;
+esac; done"""
+
+
+async def test_a_program_takes_a_sample_at_a_station_at_the_second_try(tmp_path: Path) -> None:
+    here = Waypoint(latitude_deg=38.6907, longitude_deg=-9.2153, hold_s=60.0, tries=2)
+    mission = Mission(version=1, name="Samples", waypoint=(here, Waypoint(latitude_deg=38.6910, longitude_deg=-9.2153)))
+    async with carried(tmp_path, ("samples",), sampler=SAMPLES) as sea:
+        await sea.until(lambda: sea.state.cycles > 20, 0)
+        assert sea.obey(console.LoadMission(canonical(mission))) is None
+        await sea.until(lambda: sea.told()["lines"]["sampler"]["told"] > 0)
+        assert sea.obey(console.Play()) is None
+        await sea.until(lambda: sea.state.sample.number == 2)
+        await sea.until(lambda: sea.run.vehicle.helm.memory.leg == 1)
+        lines = sea.told()["lines"]["sampler"]
+        assert (lines["ordered"], lines["denied"]) == (2, 0)
+        assert [words for words in sea.run.noted if words.startswith("station")] == [
+            "station: waypoint 1: sample 1 is asked for, try 1 of 2",
+            "station: waypoint 1: payload sampler: the pump is blocked",
+            "station: waypoint 1: sample 2 is asked for, try 2 of 2",
+            "station: waypoint 1: payload sampler has sample 2: 500 ml",
+        ]
+        assert sea.state.mode is Mode.PLAY
 
 
 async def test_orders_wait_for_the_vehicle_a_moment_and_are_few(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -19,7 +19,18 @@ from delfim.base import tables
 from delfim.base.cooperative import Work
 from delfim.base.errors import ConfigError, FormatError
 from delfim.parts.mavlink.codec.wire import dialect
-from delfim.vehicle.plans.mission import CARRIED, HOLD_MAX_S, LINES_MAX, ROWS, Mission, Number, PathPoint, PayloadItem, Waypoint
+from delfim.vehicle.plans.mission import (
+    CARRIED,
+    HOLD_MAX_S,
+    LINES_MAX,
+    ROWS,
+    TRIES_MAX,
+    Mission,
+    Number,
+    PathPoint,
+    PayloadItem,
+    Waypoint,
+)
 
 MISSION, FENCE, RALLY, ALL = 0, 1, 2, 255  # MAV_MISSION_TYPE
 ITEMS: Final = 2000  # of a plan, at most
@@ -75,7 +86,7 @@ def mission_items(tables: Mission) -> Iterator[Item]:
             speed_mps = waypoint.speed_mps
             yield Item(SPEED, 1.0, speed_mps or USUAL_SPEED, -1.0, frame=int(dialect.MAV_FRAME_MISSION))
         place = _e7(waypoint.latitude_deg), _e7(waypoint.longitude_deg)
-        yield Item(WAYPOINT, waypoint.hold_s, waypoint.acceptance_m, float(waypoint.line), 0.0, *place)
+        yield Item(WAYPOINT, waypoint.hold_s, waypoint.acceptance_m, float(waypoint.line), float(waypoint.tries), *place)
     yield from map(_carried, actions)
     if tables.then == "home":
         yield Item(HOME, frame=int(dialect.MAV_FRAME_MISSION))
@@ -293,13 +304,14 @@ def _waypoint(number: int, item: Item, speed_mps: float) -> Waypoint:
     hold_s = HOLD_MAX_S if item.command == STAY else _number(number, item.p1)
     reach_m = _number(number, item.p2) if item.command == WAYPOINT else 0.0
     place = _fields(number, item)
-    line = _line(item.p3) if item.command == WAYPOINT else 0
-    return _row(number, Waypoint, **place, speed_mps=speed_mps, acceptance_m=reach_m, hold_s=hold_s, line=line)
+    line, tries = (_whole(item.p3, LINES_MAX), _whole(item.p4, TRIES_MAX)) if item.command == WAYPOINT else (0, 0)
+    more = {"line": line, "tries": tries if hold_s else 0}
+    return _row(number, Waypoint, **place, speed_mps=speed_mps, acceptance_m=reach_m, hold_s=hold_s, **more)
 
 
-def _line(value: float) -> int:
-    """The line of a survey in a number that other programs use otherwise: what is none is 0."""
-    return int(value) if math.isfinite(value) and 0.0 < value <= LINES_MAX and value == int(value) else 0
+def _whole(value: float, most: int) -> int:
+    """The line of a survey, or the tries of a sample, in a number that other programs use otherwise: what is none is 0."""
+    return int(value) if math.isfinite(value) and 0.0 < value <= most and value == int(value) else 0
 
 
 def _action(number: int, item: Item, where: dict[str, int]) -> PayloadItem:
@@ -323,7 +335,7 @@ def _delayed(number: int, item: Item, waypoint: Waypoint) -> Waypoint:
 
 def _piece(number: int, item: Item) -> PathPoint:
     turn_deg, radius_m, speed_mps = (_number(number, value) for value in (item.p1, item.p2, item.p3))
-    hold_s, line = _number(number, item.z) if item.z > 0.0 else 0.0, _line(item.p4)
+    hold_s, line = _number(number, item.z) if item.z > 0.0 else 0.0, _whole(item.p4, LINES_MAX)
     more = {"speed_mps": speed_mps, "turn_deg": turn_deg, "radius_m": radius_m, "hold_s": hold_s, "line": line}
     return _row(number, PathPoint, **_fields(number, item), **more)
 

@@ -1,6 +1,7 @@
 """Play: the mission's waypoints in order, along the lines between them, from any leg on. Then the boat holds.
 
-Where the mission says so the boat stays at a waypoint for a while before it goes on, as in hold mode.
+Where the mission says so the boat stays at a waypoint for a while before it goes on, as in hold mode; where a sample is taken
+there, until that is over.
 """
 
 from delfim.vehicle.control.autopilot import entered
@@ -40,6 +41,8 @@ def step(
     if memory.left_s > 0.0:
         memory, reference, wanted = hold.step(memory, motion, setpoint, settings, dt_s)
         reference, left_s = reference._replace(leg=memory.leg), memory.left_s - dt_s
+        if to.tries and setpoint.sampled == memory.leg + 1:
+            left_s = 0.0
     else:
         stops = last or to.hold_s > 0.0
         memory, reference, wanted, reached = leg(memory, motion, to, stops, settings, dt_s, setpoint.override_mps)
