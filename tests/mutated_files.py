@@ -274,12 +274,16 @@ def surveyed(name: str) -> Callable[[Path], Said]:
     return lambda here: refused(lambda: planned(laid(read_area(here / name)), LinesWanted(20.0, 1.5), config.Zones()))
 
 
+def survey_rest(here: Path) -> Said:
+    return command("survey", "rest", str(here / "dock.survey.json"), "--output", str(here / "rest.toml"))
+
+
 def charted(here: Path) -> Said:
     from delfim.survey.chart.making import made
     from delfim.survey.chart.reduction import SoundingCorrections
     from delfim.survey.chart.soundings import read
 
-    return refused(lambda: made("a boat", read([here / "soundings.csv"]), SoundingCorrections()))
+    return refused(lambda: made("a boat", [(read(here / "soundings.csv"), SoundingCorrections())]))
 
 
 def tide(here: Path) -> Said:
@@ -434,6 +438,7 @@ READERS = {
     "area, KML": Reader("dock.kml", surveyed("dock.kml"), TEXT),
     "area, GPX": Reader("dock.gpx", surveyed("dock.gpx"), TEXT),
     "area of a plan": Reader("dock.plan", surveyed("dock.plan"), TEXT),
+    "survey that goes on": Reader("dock.survey.json", survey_rest, TEXT),
     "soundings as CSV": Reader("soundings.csv", charted, TEXT),
     "tide": Reader("tide.csv", tide, TEXT),
     "area, shapefile": Reader("dock.shp", surveyed("dock.shp"), BINARY),

@@ -189,6 +189,8 @@ def areas(folder: Path) -> None:
     (folder / "dock.gpx").write_text(GPX)
     (folder / "dock.plan").write_text(json.dumps(PLAN))
     (folder / "dock.shp").write_bytes(shapefile(RING[::-1], HOLE))
+    begun = command("survey", "lines", str(folder / "dock.geojson"), "--spacing", "20", "--output", str(folder / "dock.toml"))
+    assert begun == []
 
 
 def keys(folder: Path) -> None:
@@ -273,7 +275,7 @@ SAMPLES = {
     geotiffs: ("GeoTIFF",),
     tiles: ("MBTiles",),
     sounded: ("soundings as CSV", "tide"),
-    areas: ("area", "area, KML", "area, GPX", "area of a plan", "area, shapefile"),
+    areas: ("survey that goes on", "area", "area, KML", "area, GPX", "area of a plan", "area, shapefile"),
     keys: (
         "user's ssh key",
         "numbers of DroneCAN devices",
@@ -353,6 +355,7 @@ READ_BY = {  # function: the readers above that come by it
     "console/gateway/admission.py: kept_token": {"page's token"},
     "logging/kept/record.py: newest": {"kept voyage"},
     "console/terminal/drive.py: _file": {"mission to send"},
+    "survey/progress.py: read_survey": {"survey that goes on"},
     "survey/chart/soundings.py: _rows": {"soundings as CSV"},
     "survey/chart/tide.py: read_tide": {"tide"},
     "survey/areafile.py: read_area": {"area", "area, KML", "area, GPX", "area of a plan", "area, shapefile"},

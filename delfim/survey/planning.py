@@ -1,7 +1,7 @@
 """A survey planned: the lines of an area in order, with run-ins and turns that the boat can make, and the mission of it."""
 
 import math
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from itertools import pairwise
 from typing import Any, Final, NamedTuple
 
@@ -13,7 +13,7 @@ from delfim import config
 from delfim.base.cooperative import Sliced
 from delfim.base.errors import DelfimError
 from delfim.survey.ground import Ground, Place, Segment, in_degrees, polygons, simplified, swaths, water
-from delfim.survey.lines import Cut, headings, rings, rough_s, strips
+from delfim.survey.lines import Cut, Strip, headings, rings, rough_s, strips
 from delfim.survey.order import ordered
 from delfim.survey.turns import Bend, turn
 from delfim.survey.ways import OpenWater
@@ -151,6 +151,43 @@ def planned(ground: Ground, wanted: LinesWanted, fence: config.Zones) -> SurveyP
     if len(way) + 1 > ROWS:
         raise DelfimError(f"{len(lines)} lines make {len(way) + 1} places, and a mission has {ROWS}: take the area in parts")
     return SurveyPlan(ground, wanted, free, ways, heading_deg, [*lines, *across], len(across), begin, way)
+
+
+def plan_of(
+    ground: Ground,
+    wanted: LinesWanted,
+    fence: config.Zones,
+    heading_deg: float,
+    main: Sequence[Segment],
+    across: Sequence[Segment],
+    start: Place | None,
+) -> SurveyPlan:
+    """The survey of lines that are known, in a new order, from where the boat is. Raises DelfimError in words where there is
+    none."""
+    around_m = AROUND_M + 2.0 * (wanted.run_in_m + wanted.radius_m) + wanted.spacing_m
+    open_water = water(ground, fence, wanted.room_m, around_m)
+    start = start or _corner(ground.area, wanted.start)
+    lines = _again(main, heading_deg, wanted.spacing_m, wanted.radius_m, start)
+    there, cross_m = lines[-1][1] if lines else start, wanted.cross_m or wanted.spacing_m
+    crossed = _again(across, heading_deg + 90.0, cross_m, wanted.radius_m, there)
+    if not lines and not crossed:
+        raise DelfimError("no line is left")
+    ways = OpenWater(open_water)
+    begin, way = _sailed([*lines, *crossed], ways, wanted, open_water)
+    free = ground.area.intersection(open_water)
+    return SurveyPlan(ground, wanted, free, ways, heading_deg, [*lines, *crossed], len(crossed), begin, way)
+
+
+def _again(
+    lines: Sequence[Segment], heading_deg: float, spacing_m: float, radius_m: float, start: Place | None
+) -> list[Segment]:
+    """Lines in an order: all are turned one way first, as strips are."""
+    s, c = math.sin(math.radians(heading_deg)), math.cos(math.radians(heading_deg))
+    turned = [(a, b) if (b[0] - a[0]) * s + (b[1] - a[1]) * c > 0.0 else (b, a) for a, b in lines]
+    across = [(a[0] + b[0]) / 2.0 * c - (a[1] + b[1]) / 2.0 * s for a, b in turned]
+    numbers = [round((each - min(across)) / spacing_m) for each in across]
+    found = [Strip(number, True, line) for number, line in sorted(zip(numbers, turned, strict=True))]
+    return ordered(found, max(1, math.ceil(2.0 * radius_m / spacing_m - 1e-9)), start)
 
 
 def _headings(free: BaseGeometry, wanted: LinesWanted) -> list[float]:

@@ -11,7 +11,7 @@ from tests.survey.sounded import sounded, ways
 def draw(folder: Path) -> Path:
     day = sounded(11, ways(200.0, 10.0))
     file = folder / "chart.png"
-    depths(made("Otter", day.soundings, day.corrections())).savefig(file, dpi=90)
+    depths(made("Otter", [(day.soundings, day.corrections())])).savefig(file, dpi=90)
     return file
 
 

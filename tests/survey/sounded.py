@@ -3,6 +3,7 @@ the antenna, in waves, on a tide, and with bad echoes. Whoever makes a chart of 
 """
 
 import math
+from collections.abc import Iterable, Iterator
 from itertools import pairwise
 from random import Random
 from typing import Final, NamedTuple
@@ -143,3 +144,9 @@ def _recorded(rows: list[tuple[float, ...]], said: list[tuple[float, float, bool
     soundings = Soundings(stamps, ranges, np.full(len(stamps), math.nan), np.full(len(stamps), math.nan), line, track, "a test")
     hours = np.arange(BEGAN_S - 600.0, at_s[-1] + 1200.0, 600.0)
     return Sounded(soundings, bed, bad > 0.5, Tide(hours, tide_m(hours), "a test"))
+
+
+def utc_rows(places: Iterable[tuple[float, float]], depth_m: float = 5.0) -> Iterator[str]:
+    """Rows of a CSV of soundings at these places, latitude and longitude, one a second."""
+    for number, (latitude_deg, longitude_deg) in enumerate(places):
+        yield f"{BEGAN_S + number:.0f},{latitude_deg:.8f},{longitude_deg:.8f},{depth_m}\n"

@@ -32,7 +32,7 @@ def day() -> Sounded:
 
 @pytest.fixture(scope="module")
 def chart(day: Sounded) -> SurveyChart:
-    return made("Otter", day.soundings, day.corrections())
+    return made("Otter", [(day.soundings, day.corrections())])
 
 
 @pytest.fixture(scope="module")
@@ -54,7 +54,7 @@ def off_truth(chart: SurveyChart, day: Sounded) -> tuple[np.ndarray, np.ndarray,
 @pytest.mark.parametrize(("seed", "rate_hz"), [(7, 5.0), (11, 1.0), (4242, 5.0)])
 def test_a_chart_is_right_within_its_figures(seed: int, rate_hz: float) -> None:
     day = sounded(seed, ways(AREA_M, SPACING_M), rate_hz)
-    chart = made("Otter", day.soundings, day.corrections())
+    chart = made("Otter", [(day.soundings, day.corrections())])
     soundings, cells, between = (np.abs(each) for each in off_truth(chart, day))
     assert np.percentile(soundings, 95) <= 0.12
     assert np.percentile(cells, 95) <= 0.17
@@ -92,10 +92,10 @@ def test_lines_across_slopes_and_back_tell_how_late_depths_come() -> None:
     late = patch_test(lambda latency_s: reduced(day.soundings, track, day.corrections(latency_s=latency_s)))
     assert late.latency_s == pytest.approx(LATE_S, abs=0.1)
     assert abs(late.latency_s - LATE_S) < 2.5 * late.spread_s
-    chart = made("Otter", day.soundings, day.corrections(latency_s=0.0), find_latency=True)
+    chart = made("Otter", [(day.soundings, day.corrections(latency_s=0.0))], find_latency=True)
     assert chart.by.latency_s == pytest.approx(late.latency_s, abs=1e-6)
     with pytest.raises(DelfimError, match="no two lines to and fro"):
-        made("Otter", sounded(3, ways(50.0, 25.0), mean_m=6.0).soundings, day.corrections(), find_latency=True)
+        made("Otter", [(sounded(3, ways(50.0, 25.0), mean_m=6.0).soundings, day.corrections())], find_latency=True)
 
 
 def test_a_bar_tells_the_draught_and_two_depths_the_speed_of_sound(day: Sounded) -> None:
@@ -213,7 +213,7 @@ def test_the_command_makes_a_chart_of_a_csv_and_a_table_of_the_tide(tmp_path: Pa
         "depth.png",
     }
     assert {file.name for file in (tmp_path / "out").iterdir()} == names | {"report.html"}
-    again = read([tmp_path / "soundings.csv"])
+    again = read(tmp_path / "soundings.csv")
     assert again.range_m == pytest.approx(day.soundings.range_m)
 
 
@@ -296,3 +296,21 @@ def test_the_passes_are_the_lines_that_were_sailed(day: Sounded) -> None:
     long = [each for each in found if each.long_m > AREA_M]
     assert len(long) == 21 + 3, [round(each.long_m) for each in long]
     assert all(each.long_m == pytest.approx(AREA_M + 20.0, abs=20.0 * SPEED_MPS) for each in long)
+
+
+def test_two_boats_that_sail_at_the_same_time_make_one_chart(day: Sounded, chart: SurveyChart) -> None:
+    its, parts = day.soundings, list[Soundings]()
+    middle = its.at_s[len(its.at_s) // 2]
+    for is_later in (False, True):
+        here, there = (each.at_s > middle if is_later else each.at_s <= middle for each in (its, its.track))
+        columns = {name: getattr(its, name)[here] for name in Soundings._fields[:5]}
+        track = its.track._replace(**{name: getattr(its.track, name)[there] for name in its.track._fields})
+        parts.append(its._replace(**columns, track=track))
+    late_s = parts[1].at_s[0] - parts[0].at_s[0]
+    by = day.corrections()
+    assert by.tide is not None
+    early = by.tide._replace(at_s=by.tide.at_s - late_s)
+    second = parts[1]._replace(at_s=parts[1].at_s - late_s, track=parts[1].track._replace(at_s=parts[1].track.at_s - late_s))
+    both = made("Otter and Heron", [(parts[0], by), (second, by._replace(tide=early))])
+    assert len(both.crossings) == pytest.approx(len(chart.crossings), abs=3)
+    assert both.uncertainty.sounding_m == pytest.approx(chart.uncertainty.sounding_m, rel=0.1)

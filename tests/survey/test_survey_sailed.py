@@ -151,3 +151,28 @@ def test_boats_of_all_kinds_sail_the_lines_of_their_plan(boat: str) -> None:
     print(json.dumps(told | {"covered": round(covered, 4)}))
     assert took_s == pytest.approx(plan.time_s, rel=0.05)
     assert covered > 0.97
+
+
+def test_a_survey_whose_power_is_cut_on_a_line_goes_on_by_its_log_from_where_the_boat_is(tmp_path, capsys, monkeypatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(["survey", "lines", str(BASIN), "--spacing", str(SPACING_M)]) == 0
+    here, text = [f"simulation.sea_bed={BED}", SEA, 'sensors.names=["sysstat", "nmea2000"]'], Path("basin.toml")
+    for number in (0, 1):
+        day = Day(tmp_path / f"log{number}", *here)
+        day.sail(5.0)
+        for command in (console.LoadMission(text.read_text()), console.SetMode("path")):
+            assert day.command(command) is None
+        while day.sailing.state.mode.name == "PATH" and day.sailing.elapsed_s < UNTIL_S:
+            day.sail(5.0)
+            if number == 0 and day.sailing.state.reference.line == 6:
+                day.sail(25.0)
+                break
+        model = day.sailing.nodes.model
+        place = math.degrees(model.latitude_rad), math.degrees(model.longitude_rad)
+        here += [f"simulation.{name}_deg={deg:.8f}" for name, deg in zip(("latitude", "longitude"), place, strict=True)]
+        day.end()
+        capsys.readouterr()
+        assert main(["survey", "rest", "basin.survey.json", str(tmp_path / f"log{number}")]) == 0
+        said, text = capsys.readouterr().out, Path("basin-rest.toml")
+        assert ("1 in part" in said) == (number == 0)
+    assert said.endswith("the survey is done\n")

@@ -16,6 +16,7 @@ def options(parser: argparse.ArgumentParser) -> None:
     tasks = parser.add_subparsers(dest="task", required=True, metavar="TASK")
     for declare, name, told in (
         (_lines_options, "lines", "Make the mission that sails an area line by line."),
+        (_rest_options, "rest", "Make the mission of what a survey has left, by its logs."),
         (_chart_options, "chart", "Make a chart of the soundings in a log."),
         (_report_options, "report", "Tell how well each line of a mission was sailed, by a log."),
     ):
@@ -31,6 +32,7 @@ def _lines_options(lines: argparse.ArgumentParser) -> None:
         "--vehicle", default=OWN_FILE, metavar="FILE", type=shipped, help="The vehicle's file: speed, turns, fence."
     )
     overrides(lines)
+    _boats_option(lines)
     lines.add_argument("--spacing", type=metres, metavar="M", help="Between lines; or else --swath.")
     lines.add_argument("--swath", type=metres, metavar="M", help="Covered by a line, to both sides together.")
     lines.add_argument(
@@ -55,6 +57,35 @@ def _lines_options(lines: argparse.ArgumentParser) -> None:
     lines.add_argument("--at-end", action="append", default=[], type=_action, metavar="COMMAND", help="And where each ends.")
     lines.add_argument("--output", metavar="FILE", help="Write the mission here (default: AREA.toml in this folder).")
     lines.add_argument("--picture", metavar="FILE", help="Draw it, too, as .png or .svg.")
+
+
+def _boats_option(parser: argparse.ArgumentParser) -> None:
+    told = "Divide the lines among these boats, so that all are done at the same time, instead of --vehicle."
+    parser.add_argument("--boats", metavar="FILE,FILE", help=told)
+
+
+def _rest_options(rest: argparse.ArgumentParser) -> None:
+    rest.set_defaults(does=_rest)
+    rest.add_argument("--vehicle", default=OWN_FILE, metavar="FILE", type=shipped, help="The vehicle's file of who goes on.")
+    overrides(rest)
+    _boats_option(rest)
+    told = "Where the boat is, or the next of --boats (default: where the last log ends)."
+    rest.add_argument("--at", action="append", default=[], type=_place, metavar="LAT,LON", help=told)
+    rest.add_argument("--output", metavar="FILE", help="Write the mission here (default: NAME-rest.toml in this folder).")
+    rest.add_argument("--picture", metavar="FILE", help="Draw it, too, as .png or .svg.")
+    rest.add_argument("survey", metavar="SURVEY", help="The file .survey.json that delfim survey lines wrote.")
+    rest.add_argument("log", nargs="*", metavar="LOG", help="Logs since then: trees, days, folders, files, CSV of soundings.")
+    rest.set_defaults(many="log")
+
+
+def _place(text: str) -> tuple[float, float]:
+    try:
+        latitude_deg, longitude_deg = map(float, text.split(","))
+        if abs(latitude_deg) <= 89.0 and abs(longitude_deg) <= 180.0:
+            return latitude_deg, longitude_deg
+    except ValueError:
+        pass
+    raise argparse.ArgumentTypeError(f"{text} is not a latitude and a longitude, as 38.69,-9.21")
 
 
 def _chart_options(chart: argparse.ArgumentParser) -> None:
@@ -137,21 +168,10 @@ def run(asked: argparse.Namespace) -> int:
 def _lines(asked: argparse.Namespace) -> int:
     if asked.spacing is None and asked.swath is None:
         raise DelfimError("say --spacing, or --swath with its --overlap")
-    from delfim import config
-    from delfim.survey import planning
+    from delfim.survey import missions, progress
     from delfim.survey.areafile import read_area
-    from delfim.survey.ground import laid
-    from delfim.survey.trialsail import sailed
-    from delfim.vehicle.plans.estimate import in_hours
-    from delfim.vehicle.plans.mission import PayloadItem, save_mission
 
-    settings = config.load(asked.vehicle, asked.set)
-    items = [
-        tuple(PayloadItem(command=int(command), params=(one, two, three, four)) for command, one, two, three, four in each)
-        for each in (asked.at_begin, asked.at_end)
-    ]
-    wanted = planning.wanted_of(
-        settings,
+    wishes = progress.SurveyWishes(
         spacing_m=asked.spacing or asked.swath * (1.0 - asked.overlap / 100.0),
         swath_m=asked.swath or 0.0,
         heading_deg=asked.heading,
@@ -163,34 +183,45 @@ def _lines(asked: argparse.Namespace) -> int:
         radius_m=asked.turn_radius,
         speed_mps=asked.speed,
     )
-    name = Path(asked.area).stem
-    plan = planning.planned(laid(read_area(asked.area)), wanted, settings.fence)
-    mission = planning.mission(plan, name, planning.LineActions(*items))
-    planning.check(mission, plan, settings)
+    boats = missions.boats_of(_files(asked), asked.set)
+    name, areas = Path(asked.area).stem, read_area(asked.area)
+    plan, plans = missions.begun(areas, wishes, boats)
+    actions = missions.LineAnnounced(asked.at_begin, asked.at_end)
     file = Path(asked.output or f"{name}.toml")
-    save_mission(mission, file)
-    try:
-        told = sailed(settings, plan.wanted)
-        plan = plan._replace(wanted=plan.wanted._replace(turn_s=told.turn_s))
-        energy = f" and {told.energy_wh(plan.time_s):,.0f} Wh"
-    except DelfimError:  # this boat's devices are not simulated, or it is no boat for lines
-        energy = ""
+    print(*missions.written(plans, boats, name, file, actions), sep="\n")
     free, area = plan.covered()
-    across = f", {plan.across} of them across" if plan.across else ""
-    print(f"{file}: {len(plan.lines)} lines {wanted.spacing_m:g} m apart at {plan.heading_deg:.0f}°{across}")
-    takes = f"{in_hours(plan.time_s)}{energy} at {wanted.speed_mps:g} m/s"
-    print(f"  {plan.line_m:,.0f} m of lines, {plan.way_m:,.0f} m in all, {takes}")
-    kept = (
-        f", which is {100.0 * area:.1f} % of the area: {wanted.room_m:g} m about holes and fences are left"
-        if area < free
-        else ""
-    )
-    print(f"  covered: {100.0 * free:.1f} % of what may be sailed{kept}")
-    if asked.picture:
-        from delfim.survey.picture import draw
+    room = f", which is {100.0 * area:.1f} % of the area: {plan.wanted.room_m:g} m about holes and fences are left"
+    print(f"  covered: {100.0 * free:.1f} % of what may be sailed{room if area < free else ''}")
+    print(*missions.drawn(plans, boats, name, asked.picture), sep="\n", end="\n" if asked.picture else "")
+    beside = file.with_suffix(".survey.json")
+    survey = progress.kept([each for each in plans if each is not None], name, areas, wishes)
+    survey.begin, survey.end = actions
+    progress.write_survey(survey, beside)
+    return 0
 
-        draw(plan, f"{name}: {len(plan.lines)} lines, {in_hours(plan.time_s)}", Path(asked.picture))
-        print(asked.picture)
+
+def _files(asked: argparse.Namespace) -> list[str]:
+    return [shipped(file) for file in asked.boats.split(",")] if asked.boats else [asked.vehicle]
+
+
+def _rest(asked: argparse.Namespace) -> int:
+    from delfim.survey import missions, progress
+    from delfim.survey.ground import in_plane, laid
+
+    survey, boats = progress.read_survey(asked.survey), missions.boats_of(_files(asked), asked.set)
+    last = missions.go_on(survey, asked.log)
+    progress.write_survey(survey, Path(asked.survey))
+    ground = laid(survey.areas)
+    print(*progress.told(survey, survey.segments(ground)), sep="\n")
+    starts = [in_plane(ground.at, *place) for place in asked.at]
+    more = [last if len(boats) == 1 else None] * len(boats)
+    plans = missions.rest(survey, boats, [*starts, *more][: len(boats)])
+    if not plans:
+        print("the survey is done")
+        return 0
+    file, name = Path(asked.output or f"{survey.name}-rest.toml"), f"{survey.name} rest"
+    actions = missions.LineAnnounced(survey.begin, survey.end)
+    print(*missions.written(plans, boats, name, file, actions), *missions.drawn(plans, boats, name, asked.picture), sep="\n")
     return 0
 
 
@@ -211,7 +242,7 @@ def _report(asked: argparse.Namespace) -> int:
 def _chart(asked: argparse.Namespace) -> int:
     from delfim import config
     from delfim.logging.ashore import tree
-    from delfim.survey.chart import making, report, soundings, takehome, tide
+    from delfim.survey.chart import making, report, takehome, tide
 
     provider = takehome.provider_of(asked.csb) if asked.csb else None
     if asked.tide and asked.rtk_datum is not None:
@@ -221,19 +252,19 @@ def _chart(asked: argparse.Namespace) -> int:
     levels = tide.read_tide(asked.tide) if asked.tide else None
     say = _steps(11)
     say("soundings")
-    read = soundings.read(asked.log, tree.span(asked.from_, asked.to, 0))
-    sounder = config.load(asked.vehicle, asked.set).sounder if asked.vehicle else read.sounder or config.SounderTable()
-    if asked.rtk_datum is not None:
-        levels = tide.by_rtk(read.track, sounder.antenna_m, asked.rtk_datum)
-    first_ns = round(read.at_s[0] * 1e9)
+    known = config.load(asked.vehicle, asked.set).sounder if asked.vehicle else None
+    span = tree.span(asked.from_, asked.to, 0)
+    parts = [making.read_part(log, span, known, asked.sound, levels, asked.rtk_datum) for log in asked.log]
+    names = dict.fromkeys(read.boat for read, _ in parts)
+    if len(names) > 1 and (asked.bar or asked.patch_test):
+        raise DelfimError(f"a bar check and a patch test are of one boat, and these are logs of {', '.join(names)}")
+    first_ns = round(parts[0][0].at_s[0] * 1e9)
     bars = [
-        making.Bar(float(deep), *(tree.instant(text, first_ns, "--bar") / 1e9 for text in times))
-        for deep, *times in ((metres(deep), *times) for deep, *times in asked.bar)
+        making.Bar(metres(deep), *(tree.instant(text, first_ns, "--bar") / 1e9 for text in times)) for deep, *times in asked.bar
     ]
     made = making.made(
-        read.boat,
-        read,
-        making.corrections(sounder, asked.sound, levels),
+        " and ".join(names),
+        parts,
         cell_m=asked.cell,
         spacing_m=asked.spacing,
         interval_m=asked.contours,

@@ -10,7 +10,8 @@ import numpy as np
 from delfim import __version__, config
 from delfim.base.errors import DelfimError
 from delfim.base.projection import plane
-from delfim.survey.chart import takehome
+from delfim.logging.ashore.tree import Span
+from delfim.survey.chart import reduction, takehome
 from delfim.survey.chart.passes import ORDERS as S44
 from delfim.survey.chart.passes import (
     Crossing,
@@ -23,9 +24,9 @@ from delfim.survey.chart.passes import (
     within,
 )
 from delfim.survey.chart.reduction import PlacedTrack, Reduced, SoundingCorrections, placed, reduced
-from delfim.survey.chart.soundings import Array, Soundings
+from delfim.survey.chart.soundings import Array, Soundings, joined, read
 from delfim.survey.chart.surface import CELL_M, Surface, contours, interval_of, misses, surface
-from delfim.survey.chart.tide import Tide
+from delfim.survey.chart.tide import Tide, by_rtk
 
 REACH: Final = 2.2  # spacings: the longest side of a triangle between lines
 SPACING_M: Final = 10.0  # where there are no two lines beside each other
@@ -64,7 +65,7 @@ class SurveyChart(NamedTuple):
 
     boat: str
     soundings: Soundings
-    track: PlacedTrack
+    tracks: list[PlacedTrack]
     by: SoundingCorrections
     its: Reduced
     passes: list[StraightPass]
@@ -89,17 +90,29 @@ class SurveyChart(NamedTuple):
         return 100.0 * sum(kept) / len(kept)
 
 
-def corrections(sounder: config.SounderTable, sound_mps: float | None, tide: Tide | None) -> SoundingCorrections:
-    """What the vehicle's file knows of its sounder, with the speed of sound in the water."""
-    its = sounder
+def read_part(
+    log: str,
+    span: Span,
+    sounder: config.SounderTable | None,
+    sound_mps: float | None,
+    tide: Tide | None,
+    rtk_datum_m: float | None,
+) -> tuple[Soundings, SoundingCorrections]:
+    """A log between two times, with what is known of its sounder: by a vehicle's file, or as it was logged. `sound_mps` is the
+    speed of sound in the water; `rtk_datum_m` the datum's height above the ellipsoid, by which the antenna tells the tide.
+    Each log is read by itself: of two boats, times overlap. Raises DelfimError, OSError."""
+    found = read(log, span)
+    its = sounder or found.sounder or config.SounderTable()
+    if rtk_datum_m is not None:
+        tide = by_rtk(found.track, its.antenna_m, rtk_datum_m)
     sound = 1.0 if sound_mps is None else sound_mps / its.sound_mps
-    return SoundingCorrections(its.ahead_m, its.starboard_m, its.draught_m, its.latency_s, sound, its.beam_deg, tide)
+    known = SoundingCorrections(its.ahead_m, its.starboard_m, its.draught_m, its.latency_s, sound, its.beam_deg, tide)
+    return found, known._replace(confidence=its.confidence)
 
 
 def made(
     boat: str,
-    soundings: Soundings,
-    by: SoundingCorrections,
+    parts: Sequence[tuple[Soundings, SoundingCorrections]],
     *,
     cell_m: float = CELL_M,
     spacing_m: float | None = None,
@@ -108,20 +121,31 @@ def made(
     bars: Sequence[Bar] = (),
     say: Said = lambda words: None,
 ) -> SurveyChart:
-    """Make the chart. `find_latency`: by lines to and fro, and use it. Raises DelfimError in words where there is none."""
+    """Make the chart of the soundings of one boat or of several, each with its corrections. `find_latency`: by lines to and
+    fro, and use it. Raises DelfimError in words where there is none."""
     say("places")
-    track, bar, latency = placed(soundings.track), None, None
+    bar, latency, tracks = None, None, list[PlacedTrack]()
+    for part, _ in parts:
+        tracks.append(placed(part.track, tracks[0].epsg if tracks else 0))
     if bars:
-        bar = bar_check(soundings, bars)
-        by = by._replace(draught_m=bar.draught_m, sound=bar.sound if bar.sound != 1.0 else by.sound)
-        soundings = _without(soundings, bars)
+        bar = bar_check(joined([part for part, _ in parts]), bars)
+        parts = [
+            (_without(part, bars), by._replace(draught_m=bar.draught_m, sound=by.sound if bar.sound == 1.0 else bar.sound))
+            for part, by in parts
+        ]
+
+    def again(late_s: float | None) -> Reduced:
+        rows = ((row, track, by) for (row, by), track in zip(parts, tracks, strict=True))
+        moved = ((row, track, by if late_s is None else by._replace(latency_s=late_s)) for row, track, by in rows)
+        return reduction.joined([reduced(*each) for each in moved])
+
     if find_latency:
         say("latency")
-        first = by
-        latency = patch_test(lambda late_s: reduced(soundings, track, first._replace(latency_s=late_s)))
-        by = by._replace(latency_s=latency.latency_s)
+        latency = patch_test(again)
     say("depths")
-    its = reduced(soundings, track, by)
+    its = again(None if latency is None else latency.latency_s)
+    by = parts[0][1] if latency is None else parts[0][1]._replace(latency_s=latency.latency_s)
+    every = joined([part for part, _ in parts])
     if not its.good.any():
         raise DelfimError("no sounding is left: none has both an echo and a place")
     found = passes(its)
@@ -136,7 +160,7 @@ def made(
     uncertainty = Uncertainty(one_sounding_m(crossed), between_m)
     lines = contours(whole, interval_m)
     return SurveyChart(
-        boat, soundings, track, by, its, found, crossed, whole, spacing_m, interval_m, lines, uncertainty, latency, bar
+        boat, every, tracks, by, its, found, crossed, whole, spacing_m, interval_m, lines, uncertainty, latency, bar
     )
 
 

@@ -77,7 +77,7 @@ def passes(its: Reduced) -> list[StraightPass]:
     turned = np.abs(np.remainder(turned + math.pi, math.tau) - math.pi)
     steps = np.hypot(*(np.diff(each, prepend=each[0]) for each in smooth))
     way = np.cumsum(steps)
-    is_broken = (turned > BENT_RAD) | (np.diff(at_s, prepend=at_s[0]) > PAUSE_S) | (steps > JUMP_M)
+    is_broken = (turned > BENT_RAD) | (np.abs(np.diff(at_s, prepend=at_s[0])) > PAUSE_S) | (steps > JUMP_M)
     edges = np.flatnonzero(np.diff(np.concatenate([[True], is_broken, [True]]).astype(np.int8)))
     found = list[StraightPass]()
     for begin, end in zip(edges[::2], edges[1::2], strict=True):

@@ -5,19 +5,22 @@ beyond it is corrected.
 """
 
 import math
+from collections.abc import Sequence
+from pathlib import Path
 from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from delfim.base.projection import plane, utm_of
-from delfim.survey.chart.soundings import Array, BoatTrack, Soundings
+from delfim.config import SounderTable
+from delfim.survey.chart.soundings import Array, BoatTrack, Soundings, read_all
 from delfim.survey.chart.tide import Tide
 
 APART_S: Final = 2.0  # between positions further apart nobody knows where a sounding was taken
 LEAST_M, MOST_M = 0.05, 12_000.0  # of a range
 LYING_RAD: Final = 1.2  # a boat that leans more has capsized, or its sensor has
-CONFIDENCE: Final = 0.5  # a ping below it is no depth
+CONFIDENCE: Final = 0.5
 PINGS: Final = 25  # whose median a sounding is compared with ...
 FAR_M: Final = 20.0  # ... as far as they lie together
 OFF_M: Final = 0.35  # from the median, or ...
@@ -37,6 +40,7 @@ class SoundingCorrections(NamedTuple):
     sound: float = 1.0  # speed of sound: that of the water by that which the sounder takes
     beam_deg: float = 0.0
     tide: Tide | None = None
+    confidence: float = CONFIDENCE  # of a ping; one of less is no depth
 
 
 class Reduced(NamedTuple):
@@ -85,14 +89,20 @@ class PlacedTrack(NamedTuple):
         return roll, pitch
 
 
-def placed(track: BoatTrack) -> PlacedTrack:
-    """Lay a track into the zone of UTM that its middle lies in. A track of less than two fixes has no place."""
+def joined(parts: Sequence[Reduced]) -> Reduced:
+    """The soundings of several boats or days one after the other; all are in one plane."""
+    at_s, east, north, depth, tide, why = (np.concatenate(each) for each in zip(*(part[:-1] for part in parts), strict=True))
+    return Reduced(at_s, east, north, depth, tide, why, parts[0].epsg)
+
+
+def placed(track: BoatTrack, epsg: int = 0) -> PlacedTrack:
+    """Lay a track into a zone of UTM, 0: that its middle lies in. A track of less than two fixes has no place."""
     if len(track.at_s) < 2:
         nothing = np.full(2, np.nan)
         track = BoatTrack(np.array([-1.0, 0.0]), *(nothing for _ in track._fields[1:]))
-        return PlacedTrack(track, 32631, nothing, nothing, nothing)
+        return PlacedTrack(track, epsg or 32631, nothing, nothing, nothing)
     middle = float(np.median(track.latitude_deg)), math.remainder(float(np.median(track.longitude_deg)), 360.0)
-    epsg = utm_of(*middle)
+    epsg = epsg or utm_of(*middle)
     forward, _ = plane(epsg, np)
     longitude_deg = track.longitude_deg + middle[1] - float(np.median(track.longitude_deg))
     east, north = forward(longitude_deg, track.latitude_deg)
@@ -108,6 +118,22 @@ def _filled(angles: Array) -> Array:
         return np.zeros(len(angles))
     last = np.maximum.accumulate(np.where(known, np.arange(len(angles)), 0))
     return np.nan_to_num(angles[last], nan=float(angles[known][0]))
+
+
+def good_places(path: str | Path) -> list[tuple[float, float]]:
+    """Where a log has good soundings, latitude and longitude; where the boat was, if it has no sounder. The last one is where
+    the log ends. Raises DelfimError, OSError."""
+    found = read_all(path)
+    track = found.track
+    places = list(zip(track.latitude_deg.tolist(), track.longitude_deg.tolist(), strict=True))
+    if not len(found.at_s):
+        return places
+    by = found.sounder or SounderTable()
+    its = reduced(
+        found, placed(track), SoundingCorrections(by.ahead_m, by.starboard_m, latency_s=by.latency_s, beam_deg=by.beam_deg)
+    )
+    latitude, longitude = its.degrees()
+    return [*zip(latitude[its.good].tolist(), longitude[its.good].tolist(), strict=True), *places[-1:]]
 
 
 def reduced(soundings: Soundings, track: PlacedTrack, by: SoundingCorrections) -> Reduced:
@@ -133,7 +159,7 @@ def reduced(soundings: Soundings, track: PlacedTrack, by: SoundingCorrections) -
         tide[is_placed] = by.tide.level(at_s[is_placed])
     depth = slant * np.cos(over) + draught + deeper - tide
     why = np.zeros(len(at_s), np.int8)
-    is_echo = (soundings.range_m > LEAST_M) & (soundings.range_m < MOST_M) & ~(soundings.confidence < CONFIDENCE)
+    is_echo = (soundings.range_m > LEAST_M) & (soundings.range_m < MOST_M) & ~(soundings.confidence < by.confidence)
     why[~is_echo] = REASONS.index("no echo")
     why[~is_placed] = REASONS.index("no place")
     left = np.flatnonzero(why == 0)

@@ -121,7 +121,7 @@ def _figures(chart: SurveyChart) -> Iterator[str]:
     sounded, whole_cells = int(grid.sounded.sum()), int(np.isfinite(grid.whole_m).sum())
     low, high = (float(each) for each in (its.depth_m[good].min(), its.depth_m[good].max()))
     lines = sum(each.long_m for each in chart.passes)
-    accuracy = chart.track.track.accuracy_m
+    accuracy = np.concatenate([each.track.accuracy_m for each in chart.tracks])
     rows: list[tuple[str, object]] = [
         ("soundings that are believed", int(good.sum())),
         *((f"refused: {reason}", int((its.why == number).sum())) for number, reason in enumerate(REASONS) if number),

@@ -77,17 +77,29 @@ class Soundings(NamedTuple):
     sounder: SounderTable | None = None  # as the vehicle's file had it that day
 
 
-def read(paths: Sequence[str | Path], span: Span = ALWAYS) -> Soundings:
-    """The soundings of logs (trees, days, folders or files), or of one CSV, between two times. Raises DelfimError, OSError."""
-    if len(paths) == 1 and Path(paths[0]).suffix.lower() == ".csv":
-        found = of_csv(paths[0])
-    else:
-        found = of_logs([file for file in tree.files(paths) if file.suffix.startswith(".state")], span)
+def read(path: str | Path, span: Span = ALWAYS) -> Soundings:
+    """The soundings of a log (tree, day, folder or file), or of a CSV, between two times. Raises DelfimError, OSError."""
+    found = read_all(path, span)
     chosen = (found.at_s >= span.from_ns / 1e9) & (found.at_s <= span.to_ns / 1e9)
     found = found._replace(**{name: getattr(found, name)[chosen] for name in found._fields[:5]})
     if not len(found.at_s):
-        raise DelfimError(f"{', '.join(map(str, paths))}: no soundings in it: has the boat a sounder that is read?")
+        raise DelfimError(f"{path}: no soundings in it: has the boat a sounder that is read?")
     return found
+
+
+def joined(parts: Sequence[Soundings]) -> Soundings:
+    """The soundings of several boats or days one after the other, with the track of the first."""
+    source = "; ".join(part.source for part in parts)
+    at_s, *others = (np.concatenate(each) for each in zip(*(part[:5] for part in parts), strict=True))
+    range_m, offset_m, confidence, line = others
+    return Soundings(at_s, range_m, offset_m, confidence, line, parts[0].track, source, parts[0].boat, parts[0].sounder)
+
+
+def read_all(path: str | Path, span: Span = ALWAYS) -> Soundings:
+    """The same, though there may be none. Raises DelfimError, OSError."""
+    if Path(path).suffix.lower() == ".csv":
+        return of_csv(path)
+    return of_logs([file for file in tree.files([path]) if file.suffix.startswith(".state")], span)
 
 
 def of_logs(files: Iterable[LogFile], span: Span = ALWAYS) -> Soundings:

@@ -1,0 +1,173 @@
+"""What of a survey is done: of each line the parts along which there are good soundings close to it, however they came there.
+
+It is kept by line and not by area, in a file beside the mission, and what is left are lines again. So a survey goes on after
+an empty battery, a power cut or a lost link, by whichever boat.
+"""
+
+import math
+import os
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Annotated, Final, Literal
+
+import msgspec
+import numpy as np
+
+from delfim.base.errors import FormatError
+from delfim.base.input.untrusted import UNREADABLE, read_file
+from delfim.survey.areafile import Shape
+from delfim.survey.ground import Ground, Place, Segment, in_degrees, in_plane
+from delfim.survey.planning import SurveyPlan
+
+VERSION: Final = 1
+BYTES: Final = 1 << 23
+LIMIT: Final = 0.25  # of the spacing: what is no farther from its line is on it
+APART_M: Final = 5.0  # between soundings along a line; at least LEAST_M, else half of the spacing
+LEAST_M: Final = 3.0  # a gap that is no longer is none; nor is one up to LIMIT
+OVERLAP_M: Final = 3.0  # a line that goes on begins so far in what is done
+WHOLE: Final = 0.8  # of a line; of a longer one a spacing: what is shorter was sailed across
+MOST_M: Final = 100_000.0  # of a line
+
+Span = tuple[float, float]
+"""From where to where along a line, m."""
+Degrees = Annotated[float, msgspec.Meta(ge=-180.0, le=180.0)]
+Ends = tuple[tuple[Degrees, Degrees], tuple[Degrees, Degrees]]
+"""Latitude and longitude of where a line begins and ends."""
+Announced = tuple[float, float, float, float, float]
+"""A number of MAVLink, and four of its own."""
+Metres = Annotated[float, msgspec.Meta(ge=0.0, le=MOST_M)]
+Wish = Annotated[float, msgspec.Meta(ge=0.0, le=1000.0)]
+
+
+class SurveyWishes(msgspec.Struct, forbid_unknown_fields=True):
+    """What is asked of the lines: a key is one of LinesWanted; where it is None, what suits each boat."""
+
+    spacing_m: Annotated[float, msgspec.Meta(gt=0.0, le=1000.0)]
+    swath_m: Wish = 0.0
+    heading_deg: Annotated[float, msgspec.Meta(ge=-720.0, le=720.0)] | None = None
+    edges: bool = True
+    cross_m: Wish = 0.0
+    start: Literal["", "nw", "ne", "sw", "se"] = ""
+    run_in_m: Wish | None = None
+    room_m: Wish | None = None
+    radius_m: Wish | None = None
+    speed_mps: Annotated[float, msgspec.Meta(gt=0.0, le=50.0)] | None = None
+
+
+class KeptSurvey(msgspec.Struct, forbid_unknown_fields=True):
+    """The file of a survey: what was asked for, its lines, numbered from 1 as they stand here, and what is done of each."""
+
+    version: Annotated[int, msgspec.Meta(ge=VERSION, le=VERSION)]
+    name: str
+    areas: Annotated[list[Shape], msgspec.Meta(min_length=1)]
+    asked: SurveyWishes
+    heading_deg: Degrees
+    across: Annotated[int, msgspec.Meta(ge=0)]  # so many of the lines, the last ones, lie across
+    lines: Annotated[list[Ends], msgspec.Meta(min_length=1, max_length=10_000)]
+    done: list[list[tuple[Metres, Metres]]]
+    begin: Annotated[list[Announced], msgspec.Meta(max_length=100)] = []  # to payloads, where each line begins ...
+    end: Annotated[list[Announced], msgspec.Meta(max_length=100)] = []  # ... and ends
+
+    def __post_init__(self) -> None:
+        if len(self.done) != len(self.lines) or self.across > len(self.lines):
+            raise ValueError("its lines do not fit to what is done of them")
+
+    def segments(self, ground: Ground) -> list[Segment]:
+        """The lines in the plane of the survey."""
+        return [(in_plane(ground.at, *a), in_plane(ground.at, *b)) for a, b in self.lines]
+
+
+def kept(plans: Sequence[SurveyPlan], name: str, areas: list[Shape], asked: SurveyWishes) -> KeptSurvey:
+    """The file of a survey that begins, by one boat or by several."""
+    at = plans[0].ground.at
+    heading = math.remainder(plans[0].heading_deg, 360.0)
+    main = [line for plan in plans for line in plan.lines[: len(plan.lines) - plan.across]]
+    across = [line for plan in plans for line in plan.lines[len(plan.lines) - plan.across :]]
+    lines = [(in_degrees(at, *a), in_degrees(at, *b)) for a, b in (*main, *across)]
+    return KeptSurvey(VERSION, name, areas, asked, heading, len(across), lines, [[] for _ in lines])
+
+
+def read_survey(path: str | Path) -> KeptSurvey:
+    """Read the file of a survey. Raises OSError, FormatError."""
+    try:
+        return msgspec.json.decode(read_file(path, BYTES), type=KeptSurvey)
+    except UNREADABLE as error:
+        raise FormatError(f"{path}: not the file of a survey: {error}") from None
+
+
+def write_survey(survey: KeptSurvey, path: Path) -> None:
+    """Write it, all or nothing."""
+    beside = path.with_name(f"{path.name}.part")
+    beside.write_bytes(msgspec.json.encode(survey))
+    os.replace(beside, path)
+
+
+def sailed(lines: Sequence[Segment], places: Iterable[Place], spacing_m: float) -> list[list[Span]]:
+    """Of each line the parts that have a good sounding each few metres, no farther off than a quarter of the spacing. `places`:
+    of soundings, in any order; where a boat has no sounder, of the boat. Parts shorter than a spacing are of who crossed it."""
+    its = np.array([*places], float).reshape(-1, 2)
+    limit_m, apart_m = LIMIT * spacing_m, max(LEAST_M, min(APART_M, spacing_m / 2.0))
+    found = list[list[Span]]()
+    for (x, y), (to_x, to_y) in lines:
+        long_m = math.hypot(to_x - x, to_y - y)
+        if not long_m:
+            found.append([])
+            continue
+        ux, uy = (to_x - x) / long_m, (to_y - y) / long_m
+        off = its - (x, y)
+        along, aside = off[:, 0] * ux + off[:, 1] * uy, off[:, 0] * uy - off[:, 1] * ux
+        on = np.sort(along[(np.abs(aside) <= limit_m) & (along > -apart_m) & (along < long_m + apart_m)])
+        ends = np.flatnonzero(np.diff(on) > apart_m)
+        begins = np.concatenate([[0], ends + 1]).astype(int)
+        spans = zip(on[begins], on[np.append(ends, len(on) - 1)], strict=True) if len(on) else ()
+        clipped = ((max(float(a), 0.0), min(float(b), long_m)) for a, b in spans)
+        found.append([(a, b) for a, b in clipped if b - a > min(spacing_m, WHOLE * long_m)])
+    return found
+
+
+def merged(one: Iterable[Span], other: Iterable[Span]) -> list[Span]:
+    """What is done by either; parts that touch are one."""
+    found = list[Span]()
+    for begin, end in sorted([*one, *other]):
+        if found and begin <= found[-1][1] + 1e-6:
+            found[-1] = found[-1][0], max(found[-1][1], end)
+        else:
+            found.append((begin, end))
+    return found
+
+
+def least_m(spacing_m: float) -> float:
+    """A gap that is no longer is none."""
+    return max(LEAST_M, LIMIT * spacing_m)
+
+
+def left(line: Segment, done: Iterable[Span], least_m: float = LEAST_M, joined_m: float = 0.0) -> list[Segment]:
+    """The parts of a line that are not done, each a little longer than its gap; gaps of up to `least_m` are none. Parts
+    that lie no farther apart than `joined_m` are sailed in one."""
+    (x, y), (to_x, to_y) = line
+    long_m = math.hypot(to_x - x, to_y - y)
+    ux, uy = (to_x - x) / long_m, (to_y - y) / long_m
+    gaps, at = list[Span](), 0.0
+    for begin, end in [*merged(done, ()), (long_m, long_m)]:
+        if begin - at > least_m:
+            gap = max(at - OVERLAP_M, 0.0), min(begin + OVERLAP_M, long_m)
+            is_near = gaps and gap[0] - gaps[-1][1] <= joined_m
+            gaps[-1:] = [(gaps[-1][0], gap[1])] if is_near else [*gaps[-1:], gap]
+        at = max(at, end)
+    return [((x + a * ux, y + a * uy), (x + b * ux, y + b * uy)) for a, b in gaps]
+
+
+def told(survey: KeptSurvey, lines: Sequence[Segment]) -> list[str]:
+    """How far a survey is, in lines: the lines that are done in part one by one."""
+    longs, dones = [math.dist(*line) for line in lines], [done_m(done) for done in survey.done]
+    short_m = least_m(survey.asked.spacing_m)
+    rest = [left(line, done, short_m) for line, done in zip(lines, survey.done, strict=True)]
+    begun = [number for number, done in enumerate(dones) if done and rest[number]]
+    whole = sum(not each for each in rest)
+    counts = f"{whole} of {len(lines)} lines done, {len(begun)} in part, {len(lines) - whole - len(begun)} not begun"
+    said = [f"{survey.name}: {counts}; {sum(dones):,.0f} of {sum(longs):,.0f} m"]
+    return said + [f"  line {number + 1}: {dones[number]:.0f} of {longs[number]:.0f} m" for number in begun]
+
+
+def done_m(done: Iterable[Span]) -> float:
+    return sum(end - begin for begin, end in merged(done, ()))
