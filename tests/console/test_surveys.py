@@ -9,9 +9,15 @@ from typing import Any
 
 import msgspec
 
+from delfim.base.modes import Mode
+from delfim.console.boats.boat import Boat
 from delfim.console.gateway.page_messages import Survey
 from delfim.console.gateway.surveys import REPLACED, TOO_LONG, Planner, SurveyDesk, request
 from delfim.survey.preview import NEEDS
+from tests.console.scenes import waypoints
+from tests.console.standin import Standin, reference
+from tests.console.standin import boat as boat_of_page
+from tests.kit.page import sailing, shown
 
 ROOT = Path(__file__).parents[2]
 VEHICLE = ROOT / "etc/delfimx.toml"
@@ -64,6 +70,38 @@ def test_fence_and_obstacles_of_the_plan_are_kept_off() -> None:
     assert fenced["covered"][1] < 0.9
     inside = [place for place in fenced["way"] if not (38.690 < place[0] < 38.692 and -9.215 < place[1] < -9.212)]
     assert inside == []
+
+
+def test_a_line_is_done_where_the_boat_goes_on_with_its_mission_and_not_where_it_was_stopped_on_it() -> None:
+    boat = Boat(1, 0.0)
+    boat.enter(Mode.PATH)
+    for line in (1, 0, 2, 0, 3):
+        boat.take_line(line)
+    boat.enter(Mode.HOLD)
+    boat.take_line(0)
+    assert boat.lines_done == [1, 2]
+    boat.enter(Mode.PATH)
+    for line in (3, 4):
+        boat.take_line(line)
+    boat.enter(Mode.HOLD)
+    boat.reason = "hold: path done"
+    boat.take_line(0)
+    assert boat.snapshot(1.0)["lines_done"] == [1, 2, 3, 4]
+
+
+async def test_lines_that_are_done_are_green_on_the_page_and_the_one_under_way_stands_out() -> None:
+    its = boat_of_page(1, "Delfim", "#2e86ab", north_m=90, east_m=0, mode="path", lines_done=[1])
+    its["mission"] = {"name": "Bay", "count": 4, "current": 2, "state": "same", "digest": "1"}
+    its["reference"] = reference() | {"line": 2}
+    gateway = Standin([its])
+    stops = waypoints([(0, -20), (100, -20), (100, 20), (0, 20)])
+    for line, each in zip((0, 1, 0, 2), stops, strict=True):
+        each["line"] = line
+    gateway.plans[1] = gateway.aboard[1] = {"name": "Bay", "waypoints": stops, "fence": [], "obstacles": [], "home": None}
+    async with sailing(gateway) as page:
+        await shown(page, gateway, "delfim.lines().join() === 'done,now'")
+        its["reference"]["line"], its["lines_done"] = 0, [1, 2]
+        await shown(page, gateway, "delfim.lines().join() === 'done,done'")
 
 
 def test_without_shapely_the_page_is_told_what_to_install() -> None:

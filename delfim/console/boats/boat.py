@@ -55,6 +55,7 @@ class Boat:
         self.values: dict[str, Any] = {}
         self.measured: dict[str, Measured] = {}
         self.reference: dict[str, Any] = {}
+        self.lines_done: list[int] = []  # of the survey aboard, that were sailed to their ends while it was heard
         self.others = VesselsTold()
         self.reason, self.words = "", Words()  # its last text
         self.reason_s = -math.inf  # when
@@ -118,6 +119,13 @@ class Boat:
             self.reference |= _NOWHERE
             self.mode = mode
 
+    def take_line(self, line: int) -> None:
+        """Takes the line of a survey that it sails, 0: none. The one before is done where the boat goes on with its mission."""
+        was, goes_on = self.reference.get("line"), self.mode in ("play", "path") or self.reason.endswith(" done")
+        if was and was != line and goes_on and was not in self.lines_done:
+            self.lines_done.append(was)
+        self.reference["line"] = line
+
     def age_s(self, kind: str, now_s: float) -> float | None:
         """Time since a message of this kind; None if there was none."""
         return None if kind not in self.at_s else round(now_s - self.at_s[kind], 2)
@@ -170,6 +178,7 @@ class Boat:
             "rpm": [v.get("port_rpm"), v.get("starboard_rpm")],
             "thrust_pct": [v.get("port_pct"), v.get("starboard_pct")],
             "reference": {key: self.reference.get(key) for key in _REFERENCE},
+            "lines_done": self.lines_done,
             "order": self.others.order(now_s),
             "guard": self.others.guard(now_s),
             "measured": {
@@ -316,7 +325,7 @@ def _named(boat: Boat, m: Any) -> None:
     if m.name == "OWNER":
         boat.commander = m.value
     elif m.name == LINE:
-        boat.reference["line"] = m.value
+        boat.take_line(m.value)
     elif m.name == GUARDED.decode():
         boat.others.guarded(m.value, boat.heard_s)
 
@@ -348,6 +357,8 @@ def _printable(text: str) -> str:
 def _checksum(boat: Boat, m: Any) -> None:
     if m.mission_type == mavlink.MAV_MISSION_TYPE_ALL:
         boat.read_due_s = boat.read_due_s if m.checksum == boat.checksum else -math.inf
+        if m.checksum != boat.checksum:  # other plans have other lines
+            boat.lines_done = []
         boat.checksum = m.checksum
 
 

@@ -48,6 +48,7 @@ const LINES: readonly (readonly [string, string])[] = [
   ["draft", "a plan not yet sent to the boat"],
   ["band", "its path, for path following"],
   ["survey", "an area to survey, and its lines while they are planned"],
+  ["done", "a line of a survey that was sailed"],
   ["steering", "where the boat is steering"],
   ["home", "its way home, while its menu is open or it goes there"],
   ["course", "its course, a minute ahead"],

@@ -329,6 +329,7 @@ Object.assign(window, {
     pieces: (boat: number) => fleet.pieces(boat),
     frames: ofLastSecond,
     numbers: () => plans.numbers,
+    lines: () => plans.progress,
     depths: () => depths.counts,
     areas: () => surveyed(state.plan(state.planning).mission).length,
     survey: () => survey.lines,

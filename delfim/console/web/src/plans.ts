@@ -63,12 +63,17 @@ export class Plans {
     state.on(["dryrun", "theme"], () => this.drawOver());
     let current = "";
     state.on(["boats"], () => {
-      const now = state.boats.map(({ id, mode, mission }) => `${id}:${mode}:${mission.current}:${mission.state}`).join();
+      const now = state.boats.map(({ id, mode, mission, reference, lines_done }) => `${id}:${mode}:${mission.current}:${mission.state}:${reference?.line}:${lines_done?.length}`).join();
       if (now !== current) this.draw();
       current = now;
     });
     chart.map.on("moveend", () => this.draw());
     chart.map.addInteraction(new Dragging(this, state, changed));
+  }
+
+  /** What is drawn of the lines of a survey: which is done, and which is sailed now. */
+  get progress(): string[] {
+    return this.legs.getFeatures().flatMap((each) => (each.get("line") as string | undefined) ?? []);
   }
 
   /** How many numbers of waypoints are drawn. */
@@ -179,6 +184,7 @@ export class Plans {
     const path = pathOf(mission).map(point);
     if (path.length > 1) this.legs.addFeature(styled(new LineString(path), ribbon(look)));
     this.legs.addFeatures(drawnLegs(mission, look.colour, 2.2, look.lineDash));
+    if (boat && !look.lineDash) this.legs.addFeatures(drawnProgress(mission, boat));
     const sails = !look.lineDash && (boat?.mode === "play" || boat?.mode === "goto");
     const [current, last] = [sails ? boat!.mission.current : null, mission.waypoints.length - 1];
     const drawn = numbered(this.chart, mission.waypoints, current);
@@ -275,6 +281,18 @@ function drawnLegs(mission: Mission, colour: string, width: number, lineDash?: n
     const rotation = Math.atan2(b[0]! - a[0]!, b[1]! - a[1]!);
     arrow.setStyle(new Style({ image: new RegularShape({ points: 3, radius: 2.6 * width, rotation, scale: [0.75, 1], fill: new Fill({ color: colour }) }) }));
     return [line, arrow];
+  });
+}
+
+/** The lines of a survey that were sailed, and the one that is. */
+function drawnProgress({ waypoints }: Mission, { lines_done: done = [], reference, mode }: Boat): Feature[] {
+  const now = mode === "play" || mode === "path" ? reference?.line : 0;
+  return waypoints.slice(1).flatMap((to, i) => {
+    const its = !to.line ? "" : to.line === now ? "now" : done.includes(to.line) ? "done" : "";
+    if (!its) return [];
+    const line = styled(new LineString([waypoints[i]!, to].map(point)), its === "now" ? cased(palette.steer, 4.5) : cased(palette.done, 3.2));
+    line.set("line", its);
+    return [line];
   });
 }
 

@@ -9,6 +9,7 @@ export interface Waypoint extends Place {
   speed_mps: number; // 0: as the vehicle's file says
   acceptance_m: number; // 0: as the vehicle's file says
   hold_s: number;
+  line?: number; // of a survey, that the leg to it sails; 0: none
   turn: (Place & { clockwise: boolean }) | null; // centre of the arc that leads to this waypoint
 }
 
@@ -110,6 +111,7 @@ export interface Boat {
     signed: boolean;
   };
   mission: { name: string; count: number; current: number | null; state: "same" | "differs" | "unknown" | "none"; digest: string | null };
+  lines_done?: number[]; // of the survey aboard
   home: Place | null;
   fence: [number, number][];
   obstacles: Obstacle[];
