@@ -77,7 +77,7 @@ export class Adopt {
     if (circle && trial.is_running) this.ring(circle.latitude_deg, circle.longitude_deg, circle.radius_m);
     const bar = make("progress");
     [bar.max, bar.value] = [1, trial.part];
-    const lines = make("pre", trial.lines.join("\n"));
+    const lines = make("div.lines", ...trial.lines.map((each) => make(/\S {2,}\S|^ {2}/.test(each) ? "pre" : "p", each))); // rows of a table keep their columns
     this.box.replaceChildren(
       make("header", make("b", `Adopt ${this.state.byId(boat!)?.name ?? ""}`), make("span", this.now(trial))),
       bar,
