@@ -6,7 +6,8 @@ The hulls below 40 are boats of etc/boats drawn anew (delfim/adoption/trial/hidd
 times, coefficients up to 40 % off, unequal motors, any wiring, dead bands to 0.15, delays to 0.5 s, wind to 4 m/s, current to
 0.3 m/s, a receiver of 1 m and 0.05 m/s that is late and off the middle, a compass of 2 degrees that is off by up to 20 and bent
 by up to 10. Those from 40 on are hulls of another hand, programs of their own over UDP in lock step (bench/otherhulls.py). One
-hull with 100 seeds takes five minutes of a core; each trial appends a row to the file, and the table is of all its rows.
+hull with 100 seeds takes five minutes of a core; each trial appends a row to the file, which it is not asked
+for again, and the table is of all rows.
 """
 
 import argparse
@@ -220,6 +221,10 @@ def span(text: str) -> range:
     return range(int(first), int(last) if last else int(first) + 1)
 
 
+def _rows(file: Path) -> Iterator[dict[str, Any]]:
+    yield from (json.loads(line) for line in (file.read_text() if file.exists() else "").splitlines())
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m bench.adoption", description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--hulls", type=span, default=range(44), metavar="FIRST:LAST", help="Without the last.")
@@ -228,13 +233,14 @@ def main() -> None:
     parser.add_argument("--rows", type=Path, default=Path("run/adoption.jsonl"), metavar="FILE")
     asked = parser.parse_args()
     asked.rows.parent.mkdir(parents=True, exist_ok=True)
+    had = {(row["hull"], row["seed"]) for row in _rows(asked.rows)}
     with tempfile.TemporaryDirectory() as folder:
         for hull in asked.hulls:
-            for seed in asked.seeds:
+            for seed in (each for each in asked.seeds if (hull, each) not in had):
                 row = tried(hull, seed, Path(folder) / f"{hull}-{seed}.trial", motors_alone=asked.motors)
                 with asked.rows.open("a") as rows:
                     rows.write(json.dumps(row, default=float) + "\n")
-    print("\n".join(table([json.loads(line) for line in asked.rows.read_text().splitlines()])))
+    print("\n".join(table(list(_rows(asked.rows)))))
 
 
 if __name__ == "__main__":

@@ -213,7 +213,7 @@ def tried(wire: GatewayWire, file: Path, radius_m: float, folder: Path, *, afres
     progress = session.kept(place, settings)
     if progress.is_proven:
         person.tell(f"Goes on with {place}, behind: {', '.join(('motors', *dict.fromkeys(progress.done)))}.")
-    boat = LinkedTrial(wire, settings.thrusters, radius_m, progress.middle)
+    boat = LinkedTrial(wire, settings.thrusters, radius_m, progress.middle if progress.is_proven else None)
     latitude_deg, longitude_deg = boat.middle
     wire.say(circle={"latitude_deg": latitude_deg, "longitude_deg": longitude_deg, "radius_m": radius_m})
     if not person.ask(dialogue.BEFORE.format(name=settings.boat.name, radius_m=radius_m)):
