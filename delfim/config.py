@@ -661,6 +661,8 @@ class AdoptedTable(Table, frozen=True):
     on: Day = ""  # of the log that was fitted
     log: Annotated[str, text("[0-9a-f]{0,64}", "up to 64 hexadecimal digits")] = ""  # SHA-256 of that log
     chi2: Annotated[float, msgspec.Meta(ge=0.0, le=1e6)] | None = None  # of the fit, per measurement: 2 at most
+    turn_s: Annotated[float, msgspec.Meta(ge=-60.0, le=600.0)] | None = None  # of a turn from line to line, beyond its length
+    run_in_m: Annotated[float, msgspec.Meta(ge=0.0, le=1000.0)] | None = None  # of a line, until she is on it
 
 
 class Checks(Table, frozen=True):

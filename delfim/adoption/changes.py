@@ -6,7 +6,7 @@ from typing import Final
 
 import numpy as np
 
-from delfim.adoption.figures import Figure
+from delfim.adoption.figures import SPEEDS, TOO_WINDY, Figure
 from delfim.adoption.fitting import Fit
 from delfim.adoption.model import plain
 
@@ -74,4 +74,8 @@ def unseen(fit: Fit, told: dict[str, Figure]) -> Iterator[str]:
     if told["full_mps"].is_beyond:
         fastest = float(np.nanmax(np.abs(fit.windows.measured[..., :2])))
         yield f"full speed: she sailed {fastest:.1f} m/s at most; it is extrapolated"
+    windy = [each for name, each in told.items() if name in SPEEDS and each.spread > TOO_WINDY * each.found]
+    if windy:
+        slowest = min(windy, key=lambda each: each.found)
+        yield f"{slowest.words}: too much wind or waves for slow speeds: fit a calm day"
     yield "wind: its areas are the file's guess, as leeway and current are one within minutes"

@@ -13,6 +13,9 @@ PUSH_S, COAST_S = 40.0, 60.0  # until the speed is steady; until she lies
 BACK: Final = 15  # steps before
 RISEN: Final = 0.63  # of the last rate of turn: the time constant of a turn
 MODEL: Final = 0.03  # of a figure: what a model of 39 numbers leaves of a true hull
+WINDY: Final = 1.5  # times the acceleration that no command explains, over that of the motors: the speed is so much less sure
+LEAST_SEEN: Final = 10  # velocities of a window
+TOO_WINDY: Final = 0.2  # of a speed: one that is less sure than this is not built upon
 BEYOND: Final = 1.1  # times the fastest that was sailed: a figure that is extrapolated ...
 EXTRA: Final = 0.25  # ... is so much of the excess less sure
 
@@ -101,24 +104,64 @@ FIGURES: Final[tuple[tuple[str, str, str, Callable[[ModelMotion], Array]], ...]]
     ("spin_full_dps", "rate of a spin at 90 %", "deg/s", _rate("spin 90")),
     ("turning_s", "until a spin has 63 % of its rate", "s", _turning),
 )
+SPEEDS: Final = {  # from which run
+    "full_mps": "100",
+    "three_quarters_mps": "75",
+    "half_mps": "50",
+    "quarter_mps": "25",
+    "sixty_mps": "60",
+    "thirty_mps": "30",
+}
 STOPS: Final = {"stop_full_m": "100", "stop_60_m": "60", "stop_30_m": "30"}  # from which run
 
 
-def figures(fit: Fit) -> dict[str, Figure]:
-    """The figures of a fit, each with the deviation that follows from the uncertainty of the numbers and of the model."""
+def calm(fit: Fit) -> ModelMotion:
+    """The runs of a fit, in lanes: as found, with each number nudged, as the file tells."""
+    return sailed(np.concatenate([[fit.theta], fit.theta + np.diag(NUDGES), [fit.prior.told]]))
+
+
+def figures(fit: Fit, motion: ModelMotion) -> dict[str, Figure]:
+    """The figures of a fit from its runs, each with the deviation that follows from the uncertainty of the numbers and of the
+    model."""
     count = len(fit.theta)
-    lanes = np.concatenate([[fit.theta], fit.theta + np.diag(NUDGES), [fit.prior.told]])
-    motion = sailed(lanes)
+    gusts = unexplained_mps2(fit)
     found, fastest = dict[str, Figure](), np.nanmax(np.abs(fit.windows.measured[..., :2]).max(2))
     for name, words, unit, of in FIGURES:
         every = of(motion)
         slopes = (every[1 : 1 + count] - every[0]) / NUDGES
         value, began = float(every[0]), _speed(STOPS[name])(motion) if name in STOPS else every
         excess = abs(float(began[0])) / fastest if unit == "m/s" or name in STOPS else 1.0
-        vague = MODEL + (2.0 * EXTRA if name in STOPS else EXTRA) * max(excess - 1.0, 0.0)
+        windy = WINDY * gusts / _pushed(fit, name) if name in SPEEDS else 0.0
+        vague = MODEL + windy + (2.0 * EXTRA if name in STOPS else EXTRA) * max(excess - 1.0, 0.0)
         spread = float(np.sqrt(max(slopes @ fit.covariance @ slopes, 0.0) + (vague * value) ** 2))
         found[name] = Figure(name, words, unit, value, spread, float(every[-1]), excess > BEYOND)
     return found
+
+
+def unexplained_mps2(fit: Fit) -> float:
+    """The acceleration, m/s2, that no command explains: the deviation, over the windows, of how the velocity that is left over
+    grows within each, less what the noise of a receiver does of that. Gusts do it, and waves."""
+    off = (fit.windows.measured - fit.predicted)[..., :2]  # (steps, windows, 2)
+    at_s = fit.windows.step_s * np.arange(len(off))
+    slopes = list[float]()
+    noise = list[float]()
+    for each in off.reshape(len(off), -1).T:
+        known = np.isfinite(each)
+        if int(known.sum()) < LEAST_SEEN:
+            continue
+        away = at_s[known] - at_s[known].mean()
+        slope = float((away * each[known]).sum() / (away**2).sum())
+        left = each[known] - each[known].mean() - slope * away
+        slopes.append(slope**2)
+        noise.append(float((left**2).mean() / (away**2).sum()))
+    return float(np.sqrt(max(float(np.mean(slopes)) - float(np.mean(noise)), 0.0))) if slopes else 0.0
+
+
+def _pushed(fit: Fit, name: str) -> float:
+    """The acceleration, m/s2, that both motors give in the run of a speed."""
+    p, part = fit.values, RUNS[_AT[SPEEDS[name]]].parts[0]
+    share = [max((part - p[dead]) / (1.0 - p[dead]), 0.0) ** p["power"] for dead in ("dead_starboard", "dead_port")]
+    return max(float(p["ahead"] * sum(share)), 1e-6)
 
 
 def sailed(lanes: Array) -> ModelMotion:

@@ -10,10 +10,10 @@ import numpy as np
 
 from delfim import config
 from delfim.adoption.changes import changes, unseen
-from delfim.adoption.figures import Figure, figures
+from delfim.adoption.figures import TOO_WINDY, Figure, calm, figures
 from delfim.adoption.fitting import Fit
 from delfim.adoption.foretold import motors_of
-from delfim.adoption.model import said, values_of
+from delfim.adoption.model import ModelMotion, said, values_of
 from delfim.vehicle.control.hull import craft
 
 SPARE: Final = 1.1  # times the measured way to stop, that the fence reckons with
@@ -47,16 +47,18 @@ class BoatFindings(NamedTuple):
     figures: dict[str, Figure]
     changes: tuple[str, ...]  # in words: what is not as the file says
     unseen: tuple[str, ...]  # in words: what the record did not show, and why
+    runs: ModelMotion  # in calm water, in lanes: as found, ..., as the file tells
 
 
 def findings(fit: Fit, vehicle: config.Vehicle, *, is_raw: bool) -> BoatFindings:
     """What a fit says of the boat of this file. `is_raw`: the record had the sensors' own values."""
-    told = figures(fit)
+    runs = calm(fit)
+    told = figures(fit, runs)
     keys = [*_thrusters(fit, vehicle), *_boat(fit, vehicle, told), *_fence(vehicle, told), *_twin(fit, vehicle)]
     if is_raw:
         keys += _antenna(fit, vehicle)
     keys += compass(fit, vehicle, 0.0 if is_raw else SMOOTHED_DEG)
-    return BoatFindings(tuple(keys), told, tuple(changes(fit)), tuple(unseen(fit, told)))
+    return BoatFindings(tuple(keys), told, tuple(changes(fit)), tuple(unseen(fit, told)), runs)
 
 
 def _thrusters(fit: Fit, vehicle: config.Vehicle) -> list[FoundKey]:
@@ -89,7 +91,7 @@ def _thrusters(fit: Fit, vehicle: config.Vehicle) -> list[FoundKey]:
 def _boat(fit: Fit, vehicle: config.Vehicle, told: dict[str, Figure]) -> list[FoundKey]:
     """Drag as the autopilot needs it, inertia, damping of a turn at cruising speed, and speeds that she makes."""
     p, boat, full = fit.values, vehicle.boat, told["full_mps"]
-    linear, square = bollard_drag(fit, vehicle)
+    linear, square = bollard_drag(fit, vehicle, told)
     inertia = inertia_kgm2(fit, vehicle)
     cruise_mps = min(vehicle.control.speed.cruise_mps, full.found)
     slow, quick = inertia * (p["yaw"] + p["yaw_ahead"] * cruise_mps), inertia * p["yaw2"]
@@ -119,16 +121,16 @@ def inertia_kgm2(fit: Fit, vehicle: config.Vehicle) -> float:
     return arm_m * craft(vehicle).mass_kg / fit.values["arm"]
 
 
-def bollard_drag(fit: Fit, vehicle: config.Vehicle) -> tuple[float, float]:
+def bollard_drag(fit: Fit, vehicle: config.Vehicle, known: dict[str, Figure]) -> tuple[float, float]:
     """(N per m/s, N per (m/s)2): the thrust at rest that the commands of steady speeds would give. It holds the thrust that is
     lost with way, too, as the autopilot's feed-forward needs it."""
     p, mass_kg = fit.values, craft(vehicle).mass_kg
-    known = figures(fit)
     pairs = list[tuple[float, float]]()
     for part, name in ((0.25, "quarter_mps"), (0.5, "half_mps"), (0.75, "three_quarters_mps"), (1.0, "full_mps")):
         share = [max((part - p[dead]) / (1.0 - p[dead]), 0.0) ** p["power"] for dead in ("dead_starboard", "dead_port")]
         both = share[0] * math.exp(0.5 * p["ahead_uneven"]) + share[1] * math.exp(-0.5 * p["ahead_uneven"])
-        if known[name].found > STRAIGHT and (part <= 0.5 or not known[name].is_beyond):
+        is_sure = known[name].spread <= TOO_WINDY * known[name].found or part == 0.5
+        if is_sure and known[name].found > STRAIGHT and (part <= 0.5 or not known[name].is_beyond):
             pairs.append((known[name].found, mass_kg * p["ahead"] * both))
     speeds, forces = (np.array(each) for each in zip(*pairs, strict=True))
     if len(pairs) > 1:

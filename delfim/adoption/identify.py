@@ -10,10 +10,14 @@ from delfim.adoption.fitting import Fit, fitted
 from delfim.adoption.foretold import motors_of, prior
 from delfim.adoption.found import BoatFindings, FoundKey, findings
 from delfim.adoption.record import BoatRecord, read_log
+from delfim.adoption.twin.gains import ChosenGains
+from delfim.adoption.twin.twintrack import TwinTrack, twin_track
 from delfim.adoption.windows import windows_of
-from delfim.adoption.writing import write as written
+from delfim.adoption.writing import replaced, with_keys
 from delfim.base.errors import DelfimError
-from delfim.logging.ashore.tree import LogFile
+from delfim.base.input.untrusted import parse_toml, read_text
+from delfim.logging.ashore.tree import LogFile, events
+from delfim.vehicle.plans.mission import Mission
 
 
 class Identified(NamedTuple):
@@ -23,6 +27,8 @@ class Identified(NamedTuple):
     fit: Fit
     found: BoatFindings
     on: str  # the day of its end, YYYY-MM-DD
+    gains: ChosenGains | None = None  # chosen on the twin, if they were asked for
+    sailed: TwinTrack | None = None  # a mission of the record, and the twin in it
 
 
 def of_log(files: Sequence[LogFile], vehicle: config.Vehicle) -> Identified:
@@ -30,6 +36,28 @@ def of_log(files: Sequence[LogFile], vehicle: config.Vehicle) -> Identified:
     record = read_log(files)
     ended = datetime.fromtimestamp(max(file.end_ns for file in files) / 1e9, UTC)
     return identified(record, vehicle, f"{ended:%Y-%m-%d}")
+
+
+def vehicle_of(files: Sequence[LogFile]) -> config.Vehicle:
+    """The vehicle's file with which the boat sailed last, as the sidecars of its logs have it. Raises DelfimError."""
+    found = [each["settings"] for each in events(files) if each.get("event") == "start" and "settings" in each]
+    if not found:
+        raise DelfimError("these logs do not say with which vehicle's file the boat sailed: --vehicle FILE")
+    return config.read(found[-1], "the log")
+
+
+def since(files: Sequence[LogFile], vehicle: config.Vehicle) -> str:
+    """What has changed since the hull in this file was found, in one line of words, as people hear it after each voyage."""
+    known = vehicle.adopted.on
+    if not known:
+        return "hull and motors: the vehicle's file has none that was measured: delfim adopt, or delfim identify --write"
+    try:
+        result = of_log(files, vehicle)
+    except DelfimError as error:
+        return f"hull and motors since {known}: nobody knows: {error}"
+    if result.fit.refusal:
+        return f"hull and motors since {known}: nobody knows: {result.fit.refusal}"
+    return f"hull and motors since {known}: {'; '.join(result.found.changes) or 'nothing has surely changed'}"
 
 
 def identified(record: BoatRecord, vehicle: config.Vehicle, on: str) -> Identified:
@@ -40,6 +68,12 @@ def identified(record: BoatRecord, vehicle: config.Vehicle, on: str) -> Identifi
     windows = windows_of(record, *((motor.row, motor.sign) for motor in (motors.starboard, motors.port)))
     fit = fitted(windows, prior(vehicle))
     return Identified(record, fit, findings(fit, vehicle, is_raw=record.is_raw), on)
+
+
+def with_twin(result: Identified, files: Sequence[LogFile], mission: Mission, file: str) -> Identified:
+    """The same with the mission of these logs as the twin sails it, where one was sailed. `file`: the vehicle's."""
+    found = config.read(parse_toml(with_found(result, read_text(file), file)), file)
+    return result._replace(sailed=twin_track(files, mission, result.fit, found))
 
 
 def told(result: Identified) -> Iterator[str]:
@@ -56,20 +90,32 @@ def told(result: Identified) -> Iterator[str]:
         yield f"{each.words:44}{each.found:9.2f} ±{each.spread:<7.2g}{each.told:11.2f} {each.unit}{beyond}"
     yield from (f"changed: {each}" for each in found.changes)
     yield from (f"not seen: {each}" for each in found.unseen)
+    if result.sailed is not None:
+        its = result.sailed
+        yield f"mission {its.name}: the twin is {its.rms_m:.1f} m off her track (rms), {its.most_m:.1f} m at most"
 
 
 def report(result: Identified, vehicle: config.Vehicle, place: Path, command: str) -> None:
     """Write the page."""
-    from delfim.adoption.report import page  # matplotlib: a quarter of a second, which a fit alone need not pay
+    from delfim.adoption.report import OnTwin, page  # matplotlib: a quarter of a second, which a fit alone need not pay
 
     place.parent.mkdir(parents=True, exist_ok=True)
-    place.write_text(page(vehicle.boat.name, result.record, result.fit, result.found, command), encoding="utf-8")
+    twin = OnTwin(result.gains, result.sailed)
+    text = page(vehicle.boat.name, result.record, result.fit, result.found, twin, command)
+    place.write_text(text, encoding="utf-8")
 
 
-def write(result: Identified, file: Path) -> None:
-    """Write what was found into the vehicle's file. Raises DelfimError where the fit is refused."""
+def with_found(result: Identified, text: str, file: str) -> str:
+    """The text of the vehicle's file with what was found. Raises DelfimError where the fit is refused, or the text has no place
+    for a key."""
     if result.fit.refusal:
         raise DelfimError(f"{file}: not written: {result.fit.refusal}")
     facts = {"on": result.on, "log": result.record.digest, "chi2": round(result.fit.chi2, 2)}
     kept = [FoundKey(("adopted", key), value, None, None) for key, value in facts.items()]
-    written(file, [*result.found.keys, *kept], f"found {result.on}")
+    chosen = result.gains.keys if result.gains is not None else ()
+    return with_keys(text, [*result.found.keys, *kept, *chosen], f"found {result.on}", file)
+
+
+def write(result: Identified, file: Path) -> None:
+    """Write what was found into the vehicle's file. Raises DelfimError where the fit is refused."""
+    replaced(file, with_found(result, read_text(file), str(file)))

@@ -5,7 +5,6 @@ that of the navigation: an estimator has smoothed it, and what comes late comes 
 """
 
 from collections.abc import Iterable, Sequence
-from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -14,9 +13,11 @@ from numpy.typing import NDArray
 from delfim.base.errors import DelfimError
 from delfim.logging.ashore.table import Columns, table
 from delfim.logging.ashore.tree import ALWAYS, LogFile, Span
+from delfim.logging.reading import raw
 
 Array = NDArray[np.floating[Any]]
 
+DRIFT, DRIFT_LEAST = "drift", 20  # a manoeuvre with the motors off, and its least positions
 APART_S: Final = 60.0  # between two starts of a boat's program, whose clocks have nothing in common
 
 
@@ -98,6 +99,20 @@ def read_log(files: Iterable[LogFile], span: Span = ALWAYS) -> BoatRecord:
     return record
 
 
+def scatter_m(record: BoatRecord) -> float:
+    """The deviation of the receiver's position, per axis, m: about a straight line while she drifts. Where no manoeuvre is a
+    drift nobody knows: 0."""
+    found = list[float]()
+    for each in record.manoeuvres:
+        inside = (record.position.at_s >= each.from_s) & (record.position.at_s <= each.to_s)
+        if each.name.startswith(DRIFT) and int(inside.sum()) >= DRIFT_LEAST:
+            at_s, places = record.position.at_s[inside], record.position.values[inside]
+            line = np.polynomial.polynomial.polyfit(at_s - at_s[0], places, 1)
+            off = places - np.polynomial.polynomial.polyval(at_s - at_s[0], line).T
+            found.append(float(np.sqrt(np.mean(off**2))))
+    return max(found, default=0.0)
+
+
 def one_clock(at_s: Array) -> Array:
     """The times of several starts, each of which may begin anew, as those of one clock, with a gap between two."""
     back = np.flatnonzero(np.diff(at_s) < 0.0)
@@ -108,12 +123,12 @@ def one_clock(at_s: Array) -> Array:
 
 
 def digest_of(files: Iterable[LogFile]) -> str:
-    """The SHA-256 of the files' bytes, in their order, 64 hexadecimal digits."""
+    """The SHA-256 of the files' bytes, in their order, 64 hexadecimal digits. Raises OSError for one too large to be a log."""
     import hashlib
 
     total = hashlib.sha256()
     for file in files:
-        total.update(Path(file.path).read_bytes())
+        total.update(raw(file.path))
     return total.hexdigest()
 
 

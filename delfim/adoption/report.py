@@ -2,36 +2,49 @@
 
 from collections.abc import Iterator
 from html import escape
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Picture
 
-from delfim.adoption.figures import COAST_S, PUSH_S, RUNS, STEP_S, STOPS, sailed
+from delfim.adoption.figures import COAST_S, PUSH_S, RUNS, STEP_S, STOPS
 from delfim.adoption.fitting import CHI2_MOST, Fit
 from delfim.adoption.found import BoatFindings, FoundKey
-from delfim.adoption.model import NAMES, NUMBERS, Array, plain, said, values_of
+from delfim.adoption.model import NAMES, NUMBERS, Array, ModelMotion, plain, said, values_of
 from delfim.adoption.record import BoatRecord
+from delfim.adoption.twin.gains import FIGURES, LEAST_WORDS, ChosenGains, voyage_figures
+from delfim.adoption.twin.twintrack import TwinTrack
 from delfim.desk.htmlpage import picture, table, whole
 
 SHOWN: Final = 6  # windows, over the whole record
 MEASURED, MODEL, TOLD = "#1b2a33", "#0a5fa8", "#e8b04a"
+LANES: Final = (0, MODEL, "found"), (-1, TOLD, "by the file")  # of the runs in calm water
 
 
-def page(name: str, record: BoatRecord, fit: Fit, found: BoatFindings, command: str) -> str:
+class OnTwin(NamedTuple):
+    """What the twin sailed, if it did."""
+
+    gains: ChosenGains | None
+    sailed: TwinTrack | None
+
+
+def page(name: str, record: BoatRecord, fit: Fit, found: BoatFindings, twin: OnTwin, command: str) -> str:
     """The text of the page. `name` is the boat's, `command` makes the page again."""
+    gains = twin.gains
     body = [
         *_head(name, record, fit, command),
         *_words("What is not as the file says", found.changes, "Nothing is surely other than the file says."),
         *_words("What was not seen", found.unseen, ""),
         *_figures(found),
+        *(_gains(gains) if gains is not None else ()),
+        *(_track(twin.sailed) if twin.sailed is not None else ()),
         *_curves(fit),
-        *_stopping(fit),
-        *_speeds(fit),
+        *_stopping(found.runs),
+        *_speeds(fit, found.runs),
         *_compass(fit),
         *_residuals(fit),
-        *_keys(found),
+        *_keys((*found.keys, *(gains.keys if gains is not None else ()))),
         *_numbers(fit),
     ]
     return whole(f"{name}: what was found", body)
@@ -62,6 +75,36 @@ def _figures(found: BoatFindings) -> Iterator[str]:
         for each in found.figures.values()
     ]
     yield "<h2>What she does in calm water</h2>" + table(("", "unit", "found", "deviation", "by the file", ""), rows)
+
+
+def _gains(its: ChosenGains) -> Iterator[str]:
+    """What the candidates did on the twin, the best first, and their margins."""
+    rows = [
+        (each.name, each.cost, *voyage_figures(each), *each.at_rest, *each.at_cruise, "" if each.is_steady else "margins")
+        for each in its.tried
+    ]
+    head = ("heading's gains", "cost", *FIGURES, "phase at rest, deg", "gain", "phase at speed, deg", "gain", "below")
+    yield "<h2>Gains, tried on the twin</h2><p class=soft>Each sailed it by the boat's own program, with the delay that was "
+    yield f"found, and once more with 40 % more. The margins are {LEAST_WORDS}, at least.</p>"
+    if not its.best.is_steady:
+        yield "<p class=fails>None has these margins: those that come nearest were taken.</p>"
+    yield table(head, rows)
+
+
+def _track(its: TwinTrack) -> Iterator[str]:
+    """The mission as it was sailed, and by the twin."""
+    figure = Picture(figsize=(7, 5))
+    axes = figure.subplots()
+    for places, colour, words in ((its.measured, MEASURED, "as it was sailed"), (its.twin, MODEL, "the twin")):
+        axes.plot(places[:, 1], places[:, 0], color=colour, lw=1.4, label=words)
+    axes.set(xlabel="east, m", ylabel="north, m", aspect="equal")
+    axes.legend(fontsize=8)
+    figure.subplots_adjust(0.12, 0.12, 0.98, 0.97)
+    _quiet(axes)
+    yield f"<h2>The mission {escape(its.name)}, and the twin in it</h2><p class=soft>The twin sails the same mission in the "
+    yield f"current that was found; it is {its.rms_m:.1f} m off the track of the boat (rms), {its.most_m:.1f} m at most, "
+    yield f"and takes {its.twin_s:.0f} s for it; the boat took {its.measured_s:.0f} s.</p>"
+    yield picture(figure, "Track of the boat and of its twin")
 
 
 def _curves(fit: Fit) -> Iterator[str]:
@@ -98,15 +141,13 @@ def _curves(fit: Fit) -> Iterator[str]:
     yield f"after that the model has the commands alone.</p>{picture(figure, 'Measured motion beside that of the model')}"
 
 
-def _stopping(fit: Fit) -> Iterator[str]:
+def _stopping(motion: ModelMotion) -> Iterator[str]:
     """The speed after the motors go off, over the way."""
-    lanes = np.stack([fit.theta, fit.prior.told])
-    motion = sailed(lanes)
     begin, end = round(PUSH_S / STEP_S), round((PUSH_S + COAST_S) / STEP_S)
     at = {run.name: index for index, run in enumerate(RUNS)}
     figure = Picture(figsize=(7, 3.2))
     axes = figure.subplots()
-    for lane, (colour, words) in enumerate(((MODEL, "found"), (TOLD, "by the file"))):
+    for lane, colour, words in LANES:
         for number, run in enumerate(STOPS.values()):
             speed = motion.surge[begin:end, lane, at[run]]
             way = STEP_S * np.cumsum(np.maximum(speed, 0.0))
@@ -118,13 +159,13 @@ def _stopping(fit: Fit) -> Iterator[str]:
     yield f"{picture(figure, 'Speed over the way to stop')}"
 
 
-def _speeds(fit: Fit) -> Iterator[str]:
+def _speeds(fit: Fit, motion: ModelMotion) -> Iterator[str]:
     """The steady speed, and the rate of a spin, over the command."""
-    motion, at = sailed(np.stack([fit.theta, fit.prior.told])), round(PUSH_S / STEP_S) - 1
+    at = round(PUSH_S / STEP_S) - 1
     straight = [index for index, run in enumerate(RUNS) if run.parts[0] == run.parts[1]]
     figure = Picture(figsize=(7, 3.2))
     axes = figure.subplots()
-    for lane, (colour, words) in enumerate(((MODEL, "found"), (TOLD, "by the file"))):
+    for lane, colour, words in LANES:
         points = sorted([(0.0, 0.0), *((RUNS[index].parts[0], float(motion.surge[at, lane, index])) for index in straight)])
         axes.plot(*zip(*points, strict=True), "o-", color=colour, lw=1.6, ms=3, label=words)
     fastest = float(np.nanmax(np.hypot(fit.windows.measured[..., 0], fit.windows.measured[..., 1])))
@@ -165,8 +206,8 @@ def _residuals(fit: Fit) -> Iterator[str]:
     yield f"<h2>Residuals</h2>{picture(figure, 'Histograms of measured less model')}"
 
 
-def _keys(found: BoatFindings) -> Iterator[str]:
-    rows = [(each.name, str(each.value), _deviation(each), "" if each.told is None else str(each.told)) for each in found.keys]
+def _keys(keys: tuple[FoundKey, ...]) -> Iterator[str]:
+    rows = [(each.name, str(each.value), _deviation(each), "" if each.told is None else str(each.told)) for each in keys]
     yield "<h2>Keys of the vehicle's file</h2>" + table(("key", "found", "deviation", "told"), rows)
 
 

@@ -11,19 +11,20 @@ from typing import Any, Final
 
 from delfim.adoption.found import FoundKey, Key
 from delfim.base.errors import DelfimError
-from delfim.base.input.untrusted import parse_toml, read_text
+from delfim.base.input.untrusted import parse_toml
 from delfim.base.tables import inline
 
 ROWS: Final = "thrusters"  # of which there are several: found by their names
+FOUND: Final = "# found "  # how the comment of a value that was found begins
 _HEAD: Final = re.compile(r"\s*(\[\[?)\s*([A-Za-z0-9_.-]+)\s*\]\]?\s*(#.*)?")
 _LINE: Final = re.compile(r"\s*([A-Za-z0-9_-]+)\s*=\s*(.*?)\s*")
 
 
-def write(file: Path, keys: Sequence[FoundKey], words: str) -> None:
-    """Change the file at once and whole. `words` stand behind each new value: when, and of what. Raises DelfimError where the
-    file's text has no place for a key."""
+def with_keys(text: str, keys: Sequence[FoundKey], words: str, file: str) -> str:
+    """The text with these keys. `words` stand behind each new value: when, and of what. Raises DelfimError where the text has
+    no place for a key."""
     told = {each.key: (each.value, words if each.spread is None else f"{words}: ±{each.spread:.2g}") for each in keys}
-    replaced(file, changed(read_text(file), told, str(file)))
+    return changed(text, told, file)
 
 
 def replaced(file: Path, text: str) -> None:
@@ -58,6 +59,24 @@ def changed(text: str, told: Mapping[Key, tuple[Any, str]], file: str) -> str:
     if _plain(parse_toml(result)) != _plain(wanted):
         where = ", ".join(sorted({".".join(key) for key in told}))
         raise DelfimError(f"{file}: write each of {where} on a line of its own, below the head of its table")
+    return result
+
+
+def put_back(text: str, keys: Sequence[Key], file: str) -> str:
+    """The text with the old values of these keys, which `changed` left in their comments; one that it added is taken out. A key
+    that somebody has changed since stays."""
+    places, lines = _places(text), text.splitlines()
+    out = set[int]()
+    for key in keys:
+        if key not in places or FOUND not in lines[places[key]]:
+            continue
+        now, _, was = lines[places[key]].partition("; was ")
+        if was:
+            lines[places[key]] = f"{now.partition('=')[0].rstrip()} = {was}"
+        else:
+            out.add(places[key])
+    result = "\n".join(line for number, line in enumerate(lines) if number not in out) + "\n"
+    parse_toml(result)
     return result
 
 

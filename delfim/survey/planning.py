@@ -60,13 +60,14 @@ class LinesWanted(NamedTuple):
 
 def wanted_of(settings: config.Vehicle, **asked: Any) -> LinesWanted:
     """What is asked for, and where it is None, what suits the boat. Raises DelfimError."""
-    rows, control = settings.thrusters, settings.control
+    rows, control, its = settings.thrusters, settings.control, settings.adopted
     is_steered = all(row.steer is not None for row in rows) and len({row.y_m for row in rows}) == 1
+    guess_s = ARC_S if is_steered else CORNER_S + CORNER_S_PER_M * settings.boat.length_m
     suits = {
         "speed_mps": control.speed.cruise_mps,
-        "run_in_m": max(RUN_IN_M, control.path.acceptance_m + ACCEPTED_M),
+        "run_in_m": max(its.run_in_m or RUN_IN_M, control.path.acceptance_m + ACCEPTED_M),
         "room_m": settings.fence.mission_margin_m + TURN_M,
-        "turn_s": ARC_S if is_steered else CORNER_S + CORNER_S_PER_M * settings.boat.length_m,
+        "turn_s": guess_s if its.turn_s is None else its.turn_s,
         "radius_m": LENGTHS * settings.boat.length_m if is_steered else 0.0,
     }
     wanted = LinesWanted(**suits | {key: value for key, value in asked.items() if value is not None})

@@ -1,6 +1,7 @@
 """`delfim identify`: from the log of an ordinary voyage to figures, a report, and the keys of the vehicle's file."""
 
 import math
+import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -13,6 +14,7 @@ from delfim.adoption import identify
 from delfim.adoption.found import bound
 from delfim.adoption.identify import Identified
 from delfim.base.errors import DelfimError
+from delfim.commands.operation.log import _since as since_the_fetch
 from delfim.logging.ashore.tree import files
 from delfim.simulator.measured import MeasuredModel, model_of
 from tests.adoption import hulls, voyages
@@ -93,7 +95,7 @@ def test_the_file_has_all_of_it_and_the_twin_does_as_the_boat(voyage: Sailed, tm
         true, its = after(voyage.hidden, *parts), steady(model_of(written, 1), parts)
         assert isinstance(its, MeasuredModel)
         assert its.surge_mps == pytest.approx(true.surge_mps, rel=0.08)
-        assert its.yaw_rate_radps == pytest.approx(true.yaw_rate_radps, rel=0.05, abs=0.03)
+        assert its.yaw_rate_radps == pytest.approx(true.yaw_rate_radps, rel=0.05, abs=0.045)
     again = identify.of_log(files([voyage.log]), written)
     assert not again.found.changes, again.found.changes
     identify.write(again, file)
@@ -119,10 +121,15 @@ def test_the_command_prints_writes_its_report_and_the_file(
     assert main(words) == 0
     assert file.read_text() == voyage.file.read_text()
     assert main([*words, "--write"]) == 0
-    assert "speed at 50 % of command" in capsys.readouterr().out
+    out = capsys.readouterr().out
+    assert "speed at 50 % of command" in out
+    off = re.search(r"mission Square: the twin is ([0-9.]+) m off her track \(rms\), ([0-9.]+) m at most", out)
+    assert off is not None
+    assert float(off[2]) < 2.0
     assert config.load(file).boat.inertia_kgm2 == pytest.approx(5.0, rel=0.1)
     page = report.read_text()
-    assert page.count("data:image/png;base64") == 5
+    assert page.count("data:image/png;base64") == 6
+    assert "The mission Square, and the twin in it" in page
     assert "What was not seen" in page
     assert "delfim identify" in page
 
@@ -145,3 +152,21 @@ def test_another_boat_is_refused(voyage: Sailed) -> None:
     other = msgspec.structs.replace(config.load(voyage.file), thrusters=tuple(rows))
     with pytest.raises(DelfimError, match="the record is of thrusters starboard, port, the file has starboard_x, port_x"):
         identify.of_log(files([voyage.log]), other)
+
+
+def test_after_a_voyage_a_line_says_that_the_hull_is_fouled(
+    voyage: Sailed, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file, log = tmp_path / "boat.toml", tmp_path / "log"
+    file.write_text(voyage.file.read_text())
+    assert main(["identify", str(voyage.log), "--since"]) == 0
+    assert capsys.readouterr().out.startswith("hull and motors: the vehicle's file has none that was measured")
+    identify.write(voyage.result, file)
+    its = voyage.hidden.coefficients
+    fouled = voyage.hidden._replace(coefficients=its._replace(xu=1.8 * its.xu, xuu=1.8 * its.xuu))
+    voyages.sail(fouled, file, log)
+    since_the_fetch(log)
+    line = capsys.readouterr().out
+    assert line.startswith("hull and motors since 20")
+    assert "% more than by the file: a fouled hull, or more draught?" in line
+    assert line.count("\n") == 1

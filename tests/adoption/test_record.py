@@ -1,13 +1,15 @@
 """The record of a boat, read from a state log of the real loop."""
 
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from delfim.adoption.record import BoatRecord, Series, one_clock, read_log
+from delfim.adoption.record import BoatRecord, Series, digest_of, one_clock, read_log
 from delfim.base.errors import DelfimError
 from delfim.logging.ashore.tree import files
+from delfim.logging.reading import LOG_BYTES
 from tests.logging.sailing import sailed
 
 
@@ -49,3 +51,12 @@ def test_a_boat_that_starts_again_begins_no_earlier_than_it_ended() -> None:
 def test_a_log_without_state_is_refused_in_words() -> None:
     with pytest.raises(DelfimError, match="no state was logged"):
         read_log([])
+
+
+def test_a_file_too_large_to_be_a_log_is_not_read(tmp_path: Path) -> None:
+    sailed(tmp_path).end()
+    (file,) = [each for each in files([tmp_path]) if each.suffix.startswith(".state")]
+    with open(file.path, "r+b") as log:
+        log.truncate(LOG_BYTES + 1)
+    with pytest.raises(OSError, match="files of more than 134217728 are not read"):
+        digest_of([file])

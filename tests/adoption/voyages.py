@@ -1,8 +1,11 @@
 """A voyage of a hidden boat with its state log on disk: the whole program in lock step, which sails courses and speeds."""
 
+import math
 from pathlib import Path
 
 from delfim import config
+from delfim.base.geodesy import from_plane
+from delfim.base.modes import Mode
 from delfim.simulator.lockstep import Lockstep
 from delfim.simulator.tables import Sea
 from delfim.vehicle import console
@@ -66,7 +69,22 @@ def sail(hidden: Hidden | None, file: Path, log: Path, seed: int = 1) -> None:
         assert run.command(console.Heading(float(heading_deg), speed_mps)) is None
         for _ in run.cycles(20.0):
             pass
+    assert run.order(console.LoadMission(_square(run)), "test") is None
+    assert run.order(console.Play(), "test") is None
+    for state in run.cycles(200.0):
+        if state.mode is not Mode.PLAY:
+            break
     assert run.command(console.Stop()) is None
     for _ in run.cycles(10.0):
         pass
     run.close()
+
+
+def _square(run: Lockstep) -> str:
+    """A mission about where the boat is."""
+    here, rows = run.nodes.model, list[str]()
+    for north_m, east_m in ((20.0, 0.0), (50.0, 0.0), (50.0, 30.0), (20.0, 30.0)):
+        place = from_plane(here.origin, here.north_m + north_m, here.east_m + east_m)
+        latitude, longitude = (math.degrees(each) for each in place)
+        rows.append(f"[[waypoint]]\nlatitude_deg = {latitude:.9f}\nlongitude_deg = {longitude:.9f}\nspeed_mps = 1.0\n")
+    return "\n".join(['version = 1\nname = "Square"\n', *rows])

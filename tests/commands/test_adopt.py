@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 
+from delfim import config
 from delfim.__main__ import main
 
 ROOT = Path(__file__).parents[2]
@@ -29,9 +30,16 @@ def test_a_drawn_boat_is_tried_and_what_was_found_is_told(capsys: pytest.Capture
     assert "The motors are proven." in out
     assert "adopted.proven = true" in out
     assert "speed at full power" in out
-    assert Path("adopt/heron.trial").is_file()
-    assert Path("adopt/heron.html").is_file()
-    assert "proven = false" in Path("heron.toml").read_text(), "a drawn boat is written into no file"
+    assert "gains: " in out
+    assert out.splitlines()[-1] == "Proven: she does as her twin foretold, or better."
+    assert Path("adopt/heron-6.trial").is_file()
+    assert "Gains, tried on the twin" in Path("adopt/heron-6.html").read_text()
+    assert "proven = false" in Path("heron.toml").read_text(), "a drawn boat is written into a copy"
+    assert config.load("adopt/heron-6.toml").control.heading.p_nm_per_rad
+    assert main(["adopt", "heron.toml", "--sim", "6", "--yes"]) == 0
+    again = capsys.readouterr().out.splitlines()
+    assert len(again) == 1
+    assert again[0].startswith("Adopted already, on 20")
 
 
 def test_who_says_no_starts_nothing(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:

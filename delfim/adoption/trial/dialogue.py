@@ -5,18 +5,29 @@ import os
 import sys
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Final, Protocol
+from typing import Any, Final, Protocol
+
+import msgspec
 
 from delfim import config
+from delfim.adoption.found import Key
 from delfim.adoption.trial.boats import RunningTrial, SimulatedTrial
-from delfim.adoption.trial.hiddenhull import drawn
-from delfim.adoption.trial.session import TrialProgress
+from delfim.adoption.trial.hiddenhull import drawn, rewired
+from delfim.adoption.trial.proof import ProofBoat, RunningProof, SimulatedProof, proved
+from delfim.adoption.trial.session import TrialProgress, keep
+from delfim.adoption.writing import changed, put_back, replaced
+from delfim.base.errors import DelfimError
+from delfim.base.input.untrusted import read_text
 from delfim.services.bench import keys, pressed
 from delfim.vehicle.operator.link import Link
 
 BEFORE: Final = (
     "{name} will drive by herself for about 12 minutes, at times with full power, in a circle of {radius_m:g} m about here.\n"
     "Begin upstream and upwind, away from piers. Space or Ctrl-C ends it, STOP on the page, too. Is the circle free?"
+)
+AGAIN: Final = (
+    "{file} has what was found. {name} will turn twice, stop and hold for a minute: the proof sail, within {radius_m:g} m.\n"
+    "Was her program started again since, and is the circle free?"
 )
 NOISE: Final = {"position_noise_m": "1.0", "speed_noise_mps": "0.05", "heading_noise_deg": "2.0"}  # of a drawn boat's sensors
 
@@ -69,6 +80,22 @@ def simulated(settings: config.Vehicle, seed: int, radius_m: float) -> tuple[Sim
     return SimulatedTrial(settings, hidden, seed, radius_m), hidden.words()
 
 
+def simulated_proof(was: config.Vehicle, file: str, seed: int, radius_m: float) -> SimulatedProof:
+    """The boat that was drawn of the file as it was, started again with this one."""
+    settings = config.load(file)
+    hidden = rewired(drawn(was, seed), settings.thrusters)
+    return SimulatedProof(SimulatedTrial(settings, hidden, seed, radius_m).run)
+
+
+def running_proof(
+    settings: config.Vehicle, radius_m: float, progress: TrialProgress, dialogue: Dialogue, held: contextlib.ExitStack
+) -> RunningProof:
+    """The boat that runs on this computer. Raises DelfimError."""
+    link = held.enter_context(Link(settings.console.socket))
+    held.enter_context(dialogue.listening())
+    return RunningProof(link, progress.middle, radius_m, dialogue.is_ended)
+
+
 def running(
     settings: config.Vehicle, radius_m: float, progress: TrialProgress, dialogue: Dialogue, held: contextlib.ExitStack
 ) -> RunningTrial:
@@ -91,17 +118,52 @@ def at_the_berth(boat: RunningTrial | SimulatedTrial, settings: config.Vehicle, 
     dialogue.tell("Both motors turn and stop. Now on the water.")
 
 
-def outcome(progress: TrialProgress, ended: str, place: Path, file: str, on: str, dialogue: Person, *, may_write: bool) -> int:
-    """Say what was found; of a whole trial the hull, too. Returns the exit code."""
-    from delfim.adoption.trial.concluding import conclude, motors_told  # numpy, which a trial alone need not load
+def interrupted(progress: TrialProgress, ended: str, place: Path, dialogue: Person) -> int:
+    """Say what is known of a trial that ended before its time. Returns the exit code."""
+    from delfim.adoption.trial.concluding import motors_told  # numpy, which a trial alone need not load
 
-    if ended:
-        dialogue.tell(f"The trial ended: {ended}.")
-        motors_told(progress, dialogue.tell)
-        dialogue.tell(f"It is kept in {place}: the same command goes on with it.")
-        return 1
-    ask = dialogue.ask if may_write else None
-    refused = conclude(progress, Path(file), place.with_suffix(".html"), on, ask, dialogue.tell)
+    dialogue.tell(f"The trial ended: {ended}.")
+    motors_told(progress, dialogue.tell)
+    dialogue.tell(f"It is kept in {place}: the same command goes on with it.")
+    return 1
+
+
+def adopted(progress: TrialProgress, place: Path, file: str, on: str, dialogue: Person) -> int:
+    """Say what a whole trial found of the boat, and write what is agreed to. Returns the exit code."""
+    from delfim.adoption.trial.concluding import conclude
+
+    refused = conclude(progress, Path(file), place.with_suffix(".html"), on, dialogue.ask, dialogue.tell)
+    keep(place, progress)
     if refused:
         dialogue.tell(f"The hull is not adopted: {refused}.")
+    if progress.written is not None and progress.written.gains:
+        dialogue.tell(f"{file} is written. Start her program again with it; the same command then goes on with the proof sail.")
     return 1 if refused else 0
+
+
+def copied(file: str, place: Path, *, afresh: bool) -> str:
+    """A copy of the vehicle's file for a boat that is drawn, whose sensors are not good; the name of it."""
+    if afresh or not place.exists():
+        place.parent.mkdir(parents=True, exist_ok=True)
+        poor: dict[Key, tuple[Any, str]] = {("simulation", key): (float(of), "of a drawn boat") for key, of in NOISE.items()}
+        replaced(place, changed(read_text(file), poor, file))
+    return str(place)
+
+
+def proof(progress: TrialProgress, place: Path, file: str, boat: ProofBoat, radius_m: float, dialogue: Person) -> int:
+    """The proof sail. Gains that it does not prove are put back in the file. Returns the exit code."""
+    written = progress.written
+    assert written is not None
+    try:
+        worse = proved(boat, config.load(file), radius_m, dialogue.tell)
+    except DelfimError as error:
+        dialogue.tell(f"{error}. Nothing is changed: the same command tries again.")
+        return 1
+    if worse:
+        replaced(Path(file), put_back(read_text(file), written.gains, file))
+        dialogue.tell(f"Not proven: {worse}. The gains before are in {file} again: start the boat's program again.")
+    else:
+        dialogue.tell("Proven: she does as her twin foretold, or better.")
+    progress.written = msgspec.structs.replace(written, proof=f"not proven: {worse}" if worse else "proven")
+    keep(place, progress)
+    return 1 if worse else 0

@@ -2,6 +2,7 @@
 
 import math
 from collections import deque
+from collections.abc import Sequence
 from random import Random
 from typing import Final, NamedTuple
 
@@ -133,6 +134,17 @@ def _sensors(settings: config.Vehicle, random: Random) -> HiddenSensors:
     length_m, beam_m = settings.boat.length_m, settings.boat.beam_m
     ahead_m, aside_m = random.uniform(-0.33, 0.33) * length_m, random.uniform(-0.33, 0.33) * beam_m
     return HiddenSensors(iron, ahead_m, aside_m, random.uniform(0.05, 0.3), math.radians(random.uniform(-0.5, 0.5)))
+
+
+def rewired(hidden: Hidden, rows: Sequence[ThrusterTable]) -> Hidden:
+    """The same boat for a file whose rows reach the motor at their side, and push ahead with it."""
+    found = list[ThrusterTable]()
+    for row in rows:
+        motor = next(each for each in hidden.rows if each.y_m * row.y_m > 0.0)
+        low, high = motor.thrust_n
+        ends_n = (low, high) if motor.angle_deg == 0.0 else (-high, -low)
+        found.append(msgspec.structs.replace(motor, name=row.name, thrust_n=ends_n, angle_deg=0.0))
+    return hidden._replace(rows=tuple(found), swapped=False, reversed=(False,) * len(found))
 
 
 class LateModel(Model):

@@ -211,6 +211,10 @@ def tried(wire: GatewayWire, file: Path, radius_m: float, folder: Path, *, afres
     if afresh:
         place.unlink(missing_ok=True)
     progress = session.kept(place, settings)
+    if progress.written is not None and progress.written.gains:
+        left = progress.written.proof or f"the proof sail is left: delfim adopt {file}, on the boat's computer"
+        person.tell(f"Adopted already, on {progress.written.on}: {left}.")
+        return 0
     if progress.is_proven:
         person.tell(f"Goes on with {place}, behind: {', '.join(('motors', *dict.fromkeys(progress.done)))}.")
     boat = LinkedTrial(wire, settings.thrusters, radius_m, progress.middle if progress.is_proven else None)
@@ -224,7 +228,9 @@ def tried(wire: GatewayWire, file: Path, radius_m: float, folder: Path, *, afres
     wire.say(sailed=True)
     for sentence in trial.differences():
         person.tell(sentence)
-    return dialogue.outcome(progress, ended, place, str(file), f"{datetime.now(UTC):%Y-%m-%d}", person, may_write=True)
+    if ended:
+        return dialogue.interrupted(progress, ended, place, person)
+    return dialogue.adopted(progress, place, str(file), f"{datetime.now(UTC):%Y-%m-%d}", person)
 
 
 def main() -> int:

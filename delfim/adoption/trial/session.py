@@ -28,6 +28,16 @@ BENT_RAD: Final = math.radians(11.0)  # in a quick turn a compass that is bent b
 JUMPED: Final = "heading jumped"
 BENT: Final = ": iron bends the compass too much for a quick turn; give it another place, or set [compass] before"
 SLOW_RADPS: Final = math.radians(15.0)  # ... and in one as slow as this it is not
+LAST: Final = "drift again"  # of the manoeuvres
+
+
+class Written(msgspec.Struct, frozen=True):
+    """What of a trial is in the vehicle's file."""
+
+    on: str  # the day
+    thrusters: tuple[config.ThrusterTable, ...]  # of the file since then
+    gains: tuple[tuple[str, ...], ...] = ()  # its keys that a proof sail must prove
+    proof: str = ""  # what became of it, in words
 
 
 class TrialProgress(msgspec.Struct):
@@ -41,6 +51,12 @@ class TrialProgress(msgspec.Struct):
     done: tuple[str, ...] = ()  # manoeuvres that came to their end
     tape: list[MotionSeen] = []
     played: list[Played] = []
+    written: Written | None = None
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether every manoeuvre came to its end."""
+        return self.is_proven and LAST in self.done
 
     @property
     def wiring(self) -> Wiring | None:
@@ -48,12 +64,13 @@ class TrialProgress(msgspec.Struct):
 
 
 def kept(place: Path, settings: config.Vehicle) -> TrialProgress:
-    """The progress that was kept for a boat with these thrusters, or a new one."""
+    """The progress that was kept for a boat with these thrusters, before or after they were corrected, or a new one."""
     try:
         found = msgspec.json.decode(read_file(place, KEPT_BYTES), type=TrialProgress)
     except (OSError, msgspec.MsgspecError, ValueError):
         return TrialProgress(settings.thrusters)
-    return found if found.thrusters == settings.thrusters and _is_whole(found) else TrialProgress(settings.thrusters)
+    rows = (found.thrusters, found.written.thrusters) if found.written is not None else (found.thrusters,)
+    return found if settings.thrusters in rows and _is_whole(found) else TrialProgress(settings.thrusters)
 
 
 def _is_whole(kept: TrialProgress) -> bool:

@@ -29,20 +29,40 @@ def metres(text: str) -> float:
 
 
 def run(asked: argparse.Namespace) -> int:
-    """Run the command. Returns 1 where the trial did not come to its end."""
+    """Run the command. Returns 1 where the trial did not come to its end, or its proof failed."""
     from delfim import config
     from delfim.adoption.trial import dialogue, session
     from delfim.adoption.trial.motors import unfit
     from delfim.base.errors import DelfimError
 
-    noise = [f"simulation.{key}={value}" for key, value in dialogue.NOISE.items()] if asked.sim is not None else []
-    settings = config.load(asked.file, [*noise, *asked.set])
-    if why := unfit(settings.thrusters):
-        raise DelfimError(f"{asked.file}: this boat cannot be adopted: {why}")
-    place = Path(asked.output) / f"{Path(asked.file).stem}.trial"
+    name = Path(asked.file).stem if asked.sim is None else f"{Path(asked.file).stem}-{asked.sim}"
+    place, file = Path(asked.output) / f"{name}.trial", asked.file
     if asked.afresh:
         place.unlink(missing_ok=True)
+    if asked.sim is not None and not asked.berth:
+        file = dialogue.copied(asked.file, place.with_suffix(".toml"), afresh=not place.exists())
+    settings = config.load(file, asked.set)
+    if why := unfit(settings.thrusters):
+        raise DelfimError(f"{asked.file}: this boat cannot be adopted: {why}")
     progress, person = session.kept(place, settings), dialogue.Dialogue(is_yes=asked.yes)
+    if asked.berth or not progress.is_whole:
+        code = _trial(asked, settings, progress, place, person)
+        if code is not None:
+            return code
+    if progress.written is None or not progress.written.gains:
+        refused = dialogue.adopted(progress, place, file, f"{datetime.now(UTC):%Y-%m-%d}", person)
+        if refused or asked.sim is None or progress.written is None or not progress.written.gains:
+            return refused
+    elif progress.written.proof:
+        print(f"Adopted already, on {progress.written.on}: {progress.written.proof}. --afresh begins anew.")
+        return 0
+    return _proof(asked, file, settings, progress, place, person)
+
+
+def _trial(asked: argparse.Namespace, settings: Any, progress: Any, place: Path, person: Any) -> int | None:
+    """Sail the trial, or the rest of it. Returns the code with which the command ends; None: the trial is whole."""
+    from delfim.adoption.trial import dialogue, session
+
     if progress.is_proven:
         print(f"Goes on with {place}, behind: {', '.join(('motors', *dict.fromkeys(progress.done)))}. --afresh begins anew.")
     with contextlib.ExitStack() as held:
@@ -61,5 +81,21 @@ def run(asked: argparse.Namespace) -> int:
             ended = session.TrialSession(boat, settings, progress, place, asked.radius, person.ask, person.tell).run()
         except KeyboardInterrupt:
             ended = "Ctrl-C"
-    on = f"{datetime.now(UTC):%Y-%m-%d}"
-    return dialogue.outcome(progress, ended, place, asked.file, on, person, may_write=asked.sim is None)
+    return dialogue.interrupted(progress, ended, place, person) if ended else None
+
+
+def _proof(asked: argparse.Namespace, file: str, settings: Any, progress: Any, place: Path, person: Any) -> int:
+    """Sail the proof. Returns the exit code."""
+    from delfim import config
+    from delfim.adoption.trial import dialogue
+
+    words = dialogue.AGAIN.format(file=file, name=settings.boat.name, radius_m=asked.radius)
+    if asked.sim is None and not person.ask(words):
+        return 1
+    with contextlib.ExitStack() as held:
+        boat: Any
+        if asked.sim is not None:
+            boat = dialogue.simulated_proof(config.load(asked.file), file, asked.sim, asked.radius)
+        else:
+            boat = dialogue.running_proof(settings, asked.radius, progress, person, held)
+        return dialogue.proof(progress, place, file, boat, asked.radius, person)

@@ -9,9 +9,11 @@ import heapq
 import json
 import os
 import re
+import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from importlib.util import find_spec
 from pathlib import Path
 from typing import NamedTuple
 
@@ -25,6 +27,7 @@ from delfim.logging.ashore.tree import LogFile, Run, Span
 STATE_FORMATS = ("csv", "parquet", "gpx", "kml", "mcap", "mat", "soundings")
 BOX_FORMATS = ("log", "asc", "blf", "mf4")
 
+SINCE_S = 120.0  # for a look at hull and motors after a fetch
 SYSTEM = "system"  # the id of the words of the programs
 WRITTEN_NS = 60_000_000_000  # a file on the boat that was changed so recently, by our clock, is being written
 
@@ -268,7 +271,25 @@ def _fetch(asked: argparse.Namespace) -> int:
                 print(f"{path}: incomplete on the boat, too; run delfim log repair on it")
         if summary and any("/state/" in path for path in outcome.fetched):
             _info(argparse.Namespace(path=[str(folder)], id=[], run=None, all=False, from_=None, to=None, json=False))
+            _since(folder)
     return 0
+
+
+def _since(folder: Path) -> None:
+    """Print in a line what has changed of hull and motors, where the boat was adopted: a fit in a process of its own."""
+    if find_spec("numpy") is None:
+        return
+    from delfim.adoption.identify import vehicle_of
+
+    try:
+        found = [file for file in tree.files([str(folder)]) if file.id == "state"]
+        if not vehicle_of(found).adopted.on:
+            return
+        words = [sys.executable, "-m", "delfim", "identify", str(folder), "--since"]
+        told = subprocess.run(words, capture_output=True, text=True, timeout=SINCE_S, check=False)
+    except (DelfimError, OSError, subprocess.SubprocessError):
+        return  # a voyage that nothing can be learned from is no fault of fetching
+    print(told.stdout, end="")
 
 
 def _frames(chosen: Selection, what: str) -> Iterator[tuple[str, Frame]]:

@@ -48,12 +48,25 @@ _new = tuple.__new__  # a fifth of the time of Memory._replace(...): steps are o
 
 
 def caution(settings: config.Vehicle, limits: Settings) -> Caution:
-    """The boat's limits for avoidance; its rate of turn is the one at which its autopilot's largest moment and the water's
-    damping are equal."""
-    gains, guard = limits.gains, settings.traffic.guard
-    turn_radps = gains.p_limit_nm / max(gains.d_nm_per_radps + limits.hull.damping_nm_per_radps, 1e-6)
+    """The boat's limits for avoidance; its rate of turn is the one at which its autopilot's largest moment, or all that its
+    thrusters give, and the damping are equal. Of a boat that was adopted the water's damping and the way to stop are known."""
+    gains, guard, speed, boat = limits.gains, settings.traffic.guard, limits.control.speed, settings.boat
+    water, own, most_nm = limits.hull.damping_nm_per_radps, gains.d_nm_per_radps, gains.p_limit_nm
+    turn_radps, ramp_mps2 = most_nm / max(own + water, 1e-6), speed.ramp_mps2
+    if settings.adopted.on:
+        slow, square = boat.yaw_nm_per_radps or water, boat.yaw_nm_per_radps2 or 0.0
+        turn_radps = min(_rate(most_nm, own + slow, square), _rate(limits.hull.turn_nm, slow, square))
+        stops_s = settings.fence.reaction_s + speed.cruise_mps / (2.0 * settings.fence.deceleration_mps2)
+        ramp_mps2 = min(ramp_mps2, 0.5 * speed.cruise_mps / stops_s)  # that way, with a constant deceleration
     turn_radps = min(max(turn_radps, TURN_MIN_RADPS), TURN_MAX_RADPS)
-    return Caution(settings.boat.length_m, turn_radps, limits.control.speed.ramp_mps2, guard.look_s, guard.stand_on)
+    return Caution(boat.length_m, turn_radps, ramp_mps2, guard.look_s, guard.stand_on)
+
+
+def _rate(moment_nm: float, slow: float, square: float) -> float:
+    """The rate of turn, rad/s, at which a damping takes this moment: slow, N m per rad/s, and with the square of the rate."""
+    if square <= 0.0:
+        return moment_nm / max(slow, 1e-6)
+    return (math.sqrt(slow * slow + 4.0 * square * moment_nm) - slow) / (2.0 * square)
 
 
 def slowed(setpoint: Setpoint, settings: Settings) -> Setpoint:
