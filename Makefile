@@ -100,6 +100,7 @@ pictures: $(READY) ## draw the documentation's pictures again
 	PYTHONSAFEPATH= $(BIN)/python -m tests.console.test_survey_page docs/pictures
 	PYTHONSAFEPATH= $(BIN)/python -m tests.console.test_adopt_page docs/pictures
 	PYTHONSAFEPATH= $(BIN)/python -m tests.console.test_depths docs/pictures
+	PYTHONSAFEPATH= $(BIN)/python -m tests.console.test_energy_page docs/pictures
 	PYTHONSAFEPATH= $(BIN)/python -m tests.console.moving_picture docs/pictures/voyage.gif
 
 bench: $(READY) ## measure the contracts of the design on this machine

@@ -466,6 +466,15 @@ class BatteryCritical(Trouble, frozen=True):
     home: ModeAction = "warn"
 
 
+class EnergyShort(Trouble, frozen=True):
+    """The way home takes all that the batteries hold but the reserve, by what was learnt of power and current."""
+
+    after_s: Annotated[float, msgspec.Meta(ge=0.0, le=3600.0)] = 10.0  # for this long
+    action: ActionName = "home"
+    manual: ModeAction = "warn"
+    home: ModeAction = "warn"
+
+
 class FenceNear(Trouble, frozen=True):
     """The boat is about to cross the fence: it can no longer stop at `fence.margin_m` from it."""
 
@@ -607,6 +616,7 @@ class Failsafe(Table, frozen=True):
     guest_silent: GuestSilent = GuestSilent()
     battery_low: BatteryLow = BatteryLow()
     battery_critical: BatteryCritical = BatteryCritical()
+    energy: EnergyShort = EnergyShort()
     fence: FenceNear = FenceNear()
     fence_left: FenceLeft = FenceLeft()
     thruster: ThrusterAstray = ThrusterAstray()

@@ -331,6 +331,7 @@ def test_the_vehicles_state_is_changed_by_the_loop_alone() -> None:
         "navigation/fixes",
         "navigation/estimated",
         "../parts/dsor/sysstat",
+        "../parts/energy/aboard",
         "../parts/handset/*",
         "../parts/*/driver",
         "../parts/*/sensor",

@@ -21,7 +21,7 @@ if TYPE_CHECKING:  # its import takes as long as that of all tables, and few fil
 
 GROUP: Final = "delfim.parts"
 API: Final = 1  # of the rows and of `delfim.api`: a part that was made for another one is refused
-TROUBLES: Final = range(25, 32)  # numbers for the troubles of parts: bits in the state log, of which the boat's own are lower
+TROUBLES: Final = range(26, 31)  # numbers for the troubles of parts: bits in the state log, of which the boat's own are lower
 OF_FILE: Final = Table  # in a row of the boat's own, whose keys every vehicle's file has
 
 
@@ -183,6 +183,14 @@ OWN: Final = {  # in the order in which sources are listed
                 TroubleRow("traffic_unclear", 21, OF_FILE, "delfim.parts.traffic.troubles:unclear"),
             ),
         ),
+        Part(
+            "energy",
+            "delfim.parts.energy.table:EnergyTable",
+            after="failsafe",
+            keys=("energy.capacity_wh",),
+            aboard="delfim.parts.energy.aboard:opened",
+            troubles=(TroubleRow("energy", 25, OF_FILE, "delfim.parts.energy.troubles:energy"),),
+        ),
         Part("handset", keys=("handset.device", "kill.chip"), aboard="delfim.parts.handset.aboard:opened"),
         Part("corrections", "delfim.parts.gnss.table:Corrections", after="nmea0183"),
         Part(
@@ -292,7 +300,9 @@ def named(wanted: object, file: str) -> tuple[Part, ...]:
     for name, trouble in ((row.name, trouble) for row in rows for trouble in row.troubles):
         key = f"parts.{name}"
         if trouble.number not in TROUBLES:
-            raise ConfigError(file, key, f"trouble {trouble.name} has number {trouble.number}", f"25 to {TROUBLES[-1]}")
+            raise ConfigError(
+                file, key, f"trouble {trouble.name} has number {trouble.number}", f"{TROUBLES[0]} to {TROUBLES[-1]}"
+            )
         if (other := numbers.setdefault(trouble.number, trouble.name)) != trouble.name:
             raise ConfigError(file, key, f"its trouble {trouble.name} has number {trouble.number}, as {other} has")
     for row in rows:

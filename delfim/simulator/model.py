@@ -104,8 +104,15 @@ def hull_of(vehicle: Vehicle) -> Hull:
         frontal_m2=same.frontal_m2 * long**2,
         lateral_m2=same.lateral_m2 * long**2,
         motor_s=lag_s(vehicle, same.motor_s),
+        capacity_ah=_capacity_ah(vehicle, same.capacity_ah),
     )
     return _dragged(hull, vehicle)
+
+
+def _capacity_ah(vehicle: Vehicle, otherwise_ah: float) -> float:
+    """Of the batteries of each thruster, where the file says what all hold together."""
+    whole_wh: float = getattr(vehicle.table("energy"), "capacity_wh", 0.0)
+    return whole_wh / VOLTAGE_V / len(vehicle.thrusters) if whole_wh else otherwise_ah
 
 
 def lag_s(vehicle: Vehicle, otherwise_s: float) -> float:

@@ -136,6 +136,21 @@ class SampleAsked(msgspec.Struct, frozen=True):
     tries: int = 0  # at most
 
 
+class EnergyFacts(Facts, frozen=True):
+    """What the batteries hold, and what the way home takes (docs/energy.md). Null: not known."""
+
+    left_wh: float | None = None
+    home_wh: float | None = None  # back along the driven track
+    plan_wh: float | None = None  # what is left of the plan, and the straight way home from its end
+    reserve_wh: float = 0.0  # to be left at home
+    power_w: float | None = None  # now
+    range_m: tuple[float, ...] = ()  # how far the boat gets over ground, reserve kept: by direction, from north clockwise
+    current_mps: float = 0.0  # what carries the boat: water and wind
+    current_deg: float = 0.0  # towards
+    no_way_home: bool = False  # the boat makes no way against it
+    why: str = ""  # why nothing is known, or little, in words
+
+
 class KillFacts(Facts, frozen=True):
     """The kill: the boat stays in idle until an operator clears it."""
 
@@ -254,6 +269,7 @@ class BoatReport(Facts, frozen=True):
     checks: tuple[Check, ...] = ()
     notices: tuple[NoticeFacts, ...] = ()
     traffic: TrafficSeen | None = None  # null: nobody was ever heard
+    energy: EnergyFacts | None = None  # null: the vehicle's file gives no capacity
     deadman: dict[str, Any] = {}
     clock: ClockStatus = ClockStatus()
 

@@ -54,6 +54,7 @@ def report(state: State, now_s: float, rows: Sequence[ThrusterTable] = (), **mor
         killed=KillFacts(**state.killed._asdict()),
         handset=state.handset,
         heard=_heard(state, now_s) if state.mode is Mode.TRIAL else {},
+        energy=state.energy,
         age_s=_ages(state, now_s),
         measured={name: value for name, (value, _) in state.measured.items()},
         sysstat={name: _node(told) for name, (told, _) in state.sysstat.items()},

@@ -9,7 +9,7 @@ from delfim.base.modes import Mode
 from delfim.base.vessels import Report
 from delfim.canproxy.dsor.messages import Navigation, SystemStatus
 from delfim.vehicle.inputhealth import InputHealth
-from delfim.vehicle.report import Announced, ClockStatus, HandsetReport, PartHealth, SampleAsked
+from delfim.vehicle.report import Announced, ClockStatus, EnergyFacts, HandsetReport, PartHealth, SampleAsked
 from delfim.vehicle.target import Traffic
 
 
@@ -268,6 +268,7 @@ class State:
     heard: dict[object, Sighting] = field(default_factory=dict)  # reports of other vessels that nobody looked at yet, in order
     traffic: Traffic = field(default_factory=Traffic)  # other vessels
     handset: HandsetReport | None = None  # None: never heard, or there is none
+    energy: EnergyFacts | None = None  # None: nothing is reckoned
     killed: Killed = field(default_factory=Killed)
     notices: tuple[Notice, ...] = ()  # present troubles, worst first
     announced: tuple[Announced, ...] = ()  # the newest, oldest first

@@ -10,7 +10,7 @@ import msgspec
 from delfim.base.modes import Mode
 from delfim.console.boats.othervessels import VesselsTold
 from delfim.console.boats.wayhome import HeardTrack
-from delfim.console.link.mavlink import BOAT_NAME, GUARDED, LINE, ORDERED, Offer, mavlink, own_offers
+from delfim.console.link.mavlink import BOAT_NAME, ENERGY, GUARDED, LINE, ORDERED, Offer, mavlink, own_offers
 from delfim.console.link.reception import Reception
 from delfim.console.link.statustext import Words
 
@@ -20,6 +20,8 @@ CHECKSUM_S: Final = 6.0  # the time for a boat to send the checksum of its plans
 NAME_MAX: Final = 32
 TRACK_MAX: Final = 36_000  # points: ten hours at one a second
 UNKNOWN_HEADING: Final = 65535
+DIRECTIONS: Final = 36  # of a boat's range, from north clockwise
+ENERGY_S: Final = 60.0  # an older word of its energy is none
 MEASURED_MAX: Final = 32  # values of sensors, by name
 
 
@@ -56,6 +58,7 @@ class Boat:
         self.measured: dict[str, Measured] = {}
         self.reference: dict[str, Any] = {}
         self.lines_done: list[int] = []  # of the survey aboard, that were sailed to their ends while it was heard
+        self.energy: dict[str, Any] = {}  # empty: it reckons none
         self.others = VesselsTold()
         self.reason, self.words = "", Words()  # its last text
         self.reason_s = -math.inf  # when
@@ -106,7 +109,16 @@ class Boat:
         self.before = self.name if self.name not in (name, f"boat {self.number}") else ""
         self.name, self.is_named = name, True
         if self.before:
-            for each in (self.values, self.measured, self.reference, self.at_s, self.has, self._modes_told, self._orders_told):
+            for each in (
+                self.values,
+                self.measured,
+                self.reference,
+                self.energy,
+                self.at_s,
+                self.has,
+                self._modes_told,
+                self._orders_told,
+            ):
                 each.clear()
             self.heard_track = HeardTrack()
             self.orders, self.has_told_orders = own_offers(), False
@@ -181,6 +193,7 @@ class Boat:
             "lines_done": self.lines_done,
             "order": self.others.order(now_s),
             "guard": self.others.guard(now_s),
+            "energy": self.energy if (self.age_s("DEBUG_FLOAT_ARRAY", now_s) or 0.0) < ENERGY_S and self.energy else None,
             "measured": {
                 name: {"value": each.value, "age_s": round(now_s - each.at_s, 2)} for name, each in self.measured.items()
             },
@@ -341,6 +354,17 @@ def _depth(boat: Boat, m: Any) -> None:
     boat.measure("depth_m", m.distance, m.time_boot_ms)
 
 
+def _energy(boat: Boat, m: Any) -> None:
+    """What the boat has left and how far it gets with it; a boat that reckons nothing says nothing."""
+    if m.name.rstrip("\0") != ENERGY:
+        return
+    left, home, plan, reserve, *ranges_m = (round(each, 1) if math.isfinite(each) else None for each in m.data)
+    ranges_m = [max(each or 0.0, 0.0) for each in ranges_m[:DIRECTIONS]]
+    boat.energy = {"left_wh": left, "home_wh": home, "plan_wh": plan, "reserve_wh": reserve, "range_m": ranges_m}
+    if left is None or not any(ranges_m):
+        boat.energy["range_m"] = []
+
+
 def _text(boat: Boat, m: Any) -> None:
     if m.param_id == BOAT_NAME:
         boat.rename(m.param_value)
@@ -398,6 +422,7 @@ _HANDLERS: Final[dict[str, Callable[[Boat, Any], None]]] = {
     "NAMED_VALUE_INT": _named,
     "NAMED_VALUE_FLOAT": _float,
     "WATER_DEPTH": _depth,
+    "DEBUG_FLOAT_ARRAY": _energy,
     "PARAM_EXT_VALUE": _text,
     "AVAILABLE_MODES": _available,
     "MISSION_CHECKSUM": _checksum,

@@ -13,7 +13,7 @@ from delfim.base.modes import PAYLOADS, Mode
 from delfim.canproxy.dsor.messages import BatteriesStatus, Node
 from delfim.parts.mavlink.codec.aisvessel import guard, ordered, vessels
 from delfim.parts.mavlink.codec.ardupilot import WaterDepth, Wind
-from delfim.parts.mavlink.codec.params import LINE, TROUBLES
+from delfim.parts.mavlink.codec.params import ENERGY, LINE, TROUBLES
 from delfim.parts.mavlink.codec.plans import ALL
 from delfim.parts.mavlink.codec.wire import Message, dialect
 from delfim.parts.mavlink.table import Mavlink
@@ -24,6 +24,7 @@ from delfim.vehicle.failsafe.troubles import charge
 from delfim.vehicle.loop import VehicleLoop
 from delfim.vehicle.propulsion import thrusters
 
+ARRAY: Final = 58  # numbers of a DEBUG_FLOAT_ARRAY
 Profile = Literal["lean", "radio", "wifi"]
 PROFILES: Final[tuple[Profile, ...]] = ("lean", "radio", "wifi")
 COMPONENT: Final = 1
@@ -269,6 +270,18 @@ def wind(view: TelemetryView) -> Iterator[Message]:
         yield Wind(math.degrees(compass(n.heading_rad + from_rad)), speed_mps, 0.0)
 
 
+def energy(view: TelemetryView) -> Iterator[Message]:
+    """DEBUG_FLOAT_ARRAY of the name ENERGY: Wh left, of the way home, of the plan with its way home, of the reserve (NaN: not
+    known); then how far the boat gets, m, by direction from north clockwise. Nothing where the boat does not reckon it."""
+    now = view.boat.state.energy
+    if now is None:
+        return
+    told = [math.nan if each is None else each for each in (now.left_wh, now.home_wh, now.plan_wh, now.reserve_wh)]
+    numbers = [*told, *now.range_m][:ARRAY]
+    name, filled = ENERGY.encode(), numbers + [0.0] * (ARRAY - len(numbers))
+    yield dialect.MAVLink_debug_float_array_message(_boot_us(view), name, 0, filled)
+
+
 def others(view: TelemetryView) -> Iterator[Message]:
     """AIS_VESSEL; a part of them each time."""
     return vessels(view.boat.state, view.turn)
@@ -344,6 +357,7 @@ ROWS: Final = (
     TelemetryRow(Wind.id, NEVER_S, 5.0, 1.0, wind, _blown),
     TelemetryRow(dialect.MAVLINK_MSG_ID_AIS_VESSEL, NEVER_S, 1.0, 0.25, others),
     TelemetryRow(dialect.MAVLINK_MSG_ID_BATTERY_STATUS, NEVER_S, 5.0, 1.0, batteries),
+    TelemetryRow(dialect.MAVLINK_MSG_ID_DEBUG_FLOAT_ARRAY, NEVER_S, 15.0, 3.0, energy),
 )
 
 

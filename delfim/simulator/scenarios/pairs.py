@@ -17,8 +17,9 @@ from delfim.vehicle.failsafe.troubles import NUMBERS
 from delfim.vehicle.loop import HELD_BY_HAND
 
 REFUSED: Final = " refused"
-NO_ORDERS: Final = (  # words of a console, and of the program, that ask nothing of the boat; of payloads, which campaigns lack
-    *("alive", "state", "watch", "return", "payload", "sight", "sampled", "ordered", "trial"),
+NO_ORDERS: Final = (  # words of a console, and of the program, that ask nothing of the boat; of payloads and parts, which
+    # campaigns lack
+    *("alive", "state", "watch", "return", "payload", "sight", "sampled", "order", "trial"),
 )
 OBEYED_ALWAYS: Final = ("stop", "kill", "leave", "speed", "rally", "take", "shutdown")  # by the helm, whatever happens
 

@@ -34,6 +34,7 @@ SWIFT: Final[Words] = {  # troubles that need not last as long as at sea
     "guest_silent": {"after_s": 1.0},
     "battery_low": {"after_s": 1.0},
     "battery_critical": {"after_s": 1.0},
+    "energy": {"after_s": 1.0},
     "fence_left": {"after_s": 0.5},
     "thruster": {"after_s": 3.0},  # a motor that is stopped coasts for two seconds
     "gnss_poor": {"after_s": 1.0},
@@ -55,6 +56,7 @@ NODES: Final = ("propeller_starboard", "batteries_starboard", "gps")  # some tha
 
 
 AT_S: Final = 4.0  # the boat is ready
+CAPACITY_WH: Final = 20_000.0  # about that of the simulated batteries
 EASY: Final = ("log", "gnss_poor", "battery_low", "sensor_bad", "sensor_bad", "handset_silent")  # come when they are asked for
 WITHOUT_TABLE: Final = ("control", "kill", "restarted")  # what the boat does for them is not a matter of its file
 OF_VESSELS: Final = ("traffic", "traffic_close", "traffic_unclear", "ais_silent")
@@ -250,6 +252,9 @@ class _Aimed:
                 if trouble == "battery_critical" and "sensor_bad" not in self.troubles:
                     self._does("sensor_bad", "warn")  # or the voltage, which is low then, stops the boat before the charge does
                 self._break("battery_sag", at_s, self.thrusters[0], charge)
+            case "energy":
+                self._lay({"energy": {"capacity_wh": CAPACITY_WH, "reserve": 0.9}})  # what a low battery would not tell
+                self._break("battery_sag", at_s, self.thrusters[0], random.uniform(0.5, 0.85))
             case "thruster":
                 kind = random.choice(("thruster_dead", "thruster_stuck", "thruster_reversed"))
                 self._break(kind, at_s, self.thrusters[0])

@@ -26,7 +26,7 @@ _WATCHED = {  # lines that a trouble watches under way
     "log": Trigger.LOG,
     "hand-set": Trigger.HANDSET_SILENT,
 }
-ADVISORY = frozenset({"clock", "mission", "link", "last shutdown", "image"})  # shown, but they forbid no mode
+ADVISORY = frozenset({"clock", "mission", "link", "last shutdown", "image", "energy"})  # shown, but they forbid no mode
 
 
 def checks(rules: Rules, state: State, inputs: Inputs, now_s: float, time_ns: int) -> list[Check]:
@@ -48,6 +48,7 @@ def checks(rules: Rules, state: State, inputs: Inputs, now_s: float, time_ns: in
         _clock(rules, state, age_s, time_ns),
         Check("log", not inputs.log_reason, f"no log, no start: {inputs.log_reason}" if inputs.log_reason else "being written"),
         Check("battery", not critical, critical or _level(rules.settings, state, now_s)),
+        *_energy(state),
         _fence(state, inputs),
         *_adopted(rules),
         Check("mission", True, f"{plan.name}, {len(plan.waypoints)} waypoints" if plan is not None else "none loaded"),
@@ -66,6 +67,19 @@ def _level(settings: config.Vehicle, state: State, now_s: float) -> str:
         return f"{batteries.replace('_', ' ')} at {least:.0%}"
     volts, name = voltage(settings, state, now_s)
     return f"{name.replace('_', ' ')} at {volts:.1f} V" if name else "no charge reported"
+
+
+def _energy(state: State) -> list[Check]:
+    """A line where the boat reckons its energy."""
+    now = state.energy
+    if now is None:
+        return []
+    if now.left_wh is None:
+        return [Check("energy", False, now.why)]
+    is_enough = now.left_wh - (now.plan_wh or 0.0) >= now.reserve_wh
+    needs = "" if now.plan_wh is None else f"; the mission takes {now.plan_wh:.0f} Wh with the way home"
+    keeps = f", and {now.reserve_wh:.0f} Wh are the reserve" if now.plan_wh is not None or not is_enough else ""
+    return [Check("energy", is_enough, f"{now.left_wh:.0f} Wh left{needs}{keeps}")]
 
 
 def refusal(rules: Rules, mode: Mode, lines: list[Check], is_at_sea: bool) -> str | None:

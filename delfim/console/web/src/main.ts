@@ -335,6 +335,7 @@ Object.assign(window, {
     survey: () => survey.lines,
     loadArea: (name: string, words: string) => survey.load(new File([words], name)),
     wayHome: (boat: number) => wayHome.words(boat),
+    reach: (boat: number) => wayHome.reaches(state.byId(boat)),
     vessels: () => state.vessels.map((each) => [each.name, watch.gravity(each)]),
   },
 });

@@ -1,15 +1,16 @@
 // The way that a boat goes home, while its menu is open and while it goes: the track that was heard, back to the end that the boat tells.
+// And how far its energy takes it.
 import Feature from "ol/Feature";
-import { LineString, Point } from "ol/geom";
+import { LineString, Point, Polygon } from "ol/geom";
 import VectorLayer from "ol/layer/Vector";
 import VectorSource from "ol/source/Vector";
 import { Circle as Disc, Fill, Stroke, Style, Text } from "ol/style";
 import type { Chart } from "./chart";
 import { point } from "./chart";
 import { position } from "./fleet";
-import { distance_m, metres } from "./geo";
+import { distance_m, metres, towards } from "./geo";
 import type { Net } from "./net";
-import { cased, palette } from "./palette";
+import { cased, inked, palette } from "./palette";
 import type { State } from "./state";
 import type { Boat, Heard, Place } from "./wire";
 
@@ -55,17 +56,37 @@ export class WayHome {
     if (!here || !way?.points.length) return "";
     const points = [here, ...way.points.toReversed()];
     const long = metres(points.slice(1).reduce((sum, each, i) => sum + distance_m(points[i]!, each), 0));
-    return way.whole ? `home: ${long}` : `home is further than these ${long}: the track was not heard from its beginning`;
+    const energy = boat.energy;
+    const takes = energy?.left_wh != null && energy.home_wh != null ? `, ${energy.home_wh.toFixed(0)} of ${energy.left_wh.toFixed(0)} Wh` : "";
+    return way.whole ? `home: ${long}${takes}` : `home is further than these ${long}: the track was not heard from its beginning`;
   }
 
   private draw(): void {
     this.lines.clear();
     for (const boat of this.state.boats) {
       const goes = boat.mode === "home";
+      if (!this.state.replaying && (goes || boat.id === this.menu)) this.reach(boat);
       if (this.state.replaying || !(goes || boat.asked === "home" || boat.id === this.menu)) this.ways.delete(boat.id);
       else if (!this.ways.has(boat.id)) this.ask(boat.id);
       else this.add(boat, this.ways.get(boat.id)!, goes);
     }
+  }
+
+  /** How far a boat gets over ground, its reserve kept; "": not known. */
+  reaches(boat: Boat | undefined): string {
+    const range_m = boat?.energy?.range_m ?? [];
+    return range_m.some((each) => each > 0) ? `reach: ${metres(Math.min(...range_m))} to ${metres(Math.max(...range_m))}` : "";
+  }
+
+  /** The same as a shape: longer with the water than against it. */
+  private reach(boat: Boat): void {
+    const [here, range_m, words] = [position(boat), boat.energy?.range_m ?? [], this.reaches(boat)];
+    if (!here || !words) return;
+    const ring = range_m.map((far_m, i) => point(towards(here, (360 * i) / range_m.length, far_m)));
+    const shape = new Feature(new Polygon([[...ring, ring[0]!]]));
+    const text = new Text({ text: words, placement: "line", font: "600 12px system-ui, sans-serif", fill: new Fill({ color: palette.steer }), stroke: new Stroke({ color: palette.halo, width: 4 }) });
+    shape.setStyle(new Style({ fill: new Fill({ color: inked(palette.steer, 0.06) }), stroke: new Stroke({ color: palette.steer, width: 1.4, lineDash: [2, 5] }), text }));
+    this.lines.addFeature(shape);
   }
 
   private ask(id: number): void {

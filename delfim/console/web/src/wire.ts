@@ -59,6 +59,14 @@ export interface Mission {
 export type Pair = [number | null, number | null];
 export type Mode = string; // from the list that the boat sends
 
+export interface Energy {
+  left_wh: number | null;
+  home_wh: number | null;
+  plan_wh: number | null; // of the plan, and home from its end
+  reserve_wh: number | null;
+  range_m: number[]; // how far it gets, by direction, from north clockwise; []: not known
+}
+
 export interface Boat {
   id: number;
   name: string;
@@ -90,6 +98,7 @@ export interface Boat {
   pitch_deg: number | null;
   satellites: number | null;
   fix: string | null;
+  energy?: Energy | null; // null: it reckons none
   measured?: Record<string, { value: number; age_s: number }>; // by sensors, by their names with units
   reference: {
     heading_deg: number | null;

@@ -49,6 +49,7 @@ PARAMS: Final = (
 )
 BOAT_NAME: Final = "BOAT_NAME"  # the parameters that are texts; read only
 BOAT_RUN: Final = "BOAT_RUN"  # drawn at the start: two addresses with the same value are one boat
+ENERGY: Final = "ENERGY"  # the array of the energy
 TROUBLES: Final = "TROUBLES"  # the named value of those that are there now: bit n is number n of `Trigger`
 LINE: Final = "LINE"  # the named value of the line of a survey that the boat is on; 0: none
 NAMES: Final = (PROFILE, *(param.name for param in PARAMS))

@@ -1,0 +1,156 @@
+"""The energy aboard: once a second the boat learns what it draws and where it drifts, and reckons the way home.
+
+Costs by direction and the way home are reckoned in slices, for a track has thousands of points. The look of a second costs
+some 50 us, that of the nine between some 20.
+"""
+
+import math
+from typing import Final
+
+from delfim.base.cooperative import Sliced, Work
+from delfim.base.modes import Mode
+from delfim.canproxy.dsor.messages import BatteriesStatus
+from delfim.parts.energy.consumption import Consumption, Propulsive
+from delfim.parts.energy.drift import Drifting
+from delfim.parts.energy.reach import Point, ahead_of, along, costs
+from delfim.parts.energy.table import EnergyTable
+from delfim.vehicle.aboard import Added, OpenedWith
+from delfim.vehicle.failsafe.troubles import charge
+from delfim.vehicle.helm.helm import Helm
+from delfim.vehicle.report import EnergyFacts
+from delfim.vehicle.state import Actuation, State
+
+EACH_S: Final = 1.0
+SMOOTH_S: Final = 8.0  # of push and velocity: as long as a boat needs to follow its thrusters
+SLOW_S: Final = 24.0  # the push of so long is compared with it ...
+STEADY: Final = 0.05  # ... and where they differ by more, of full push, the boat gathers way or loses it
+SETTLED_S: Final = 16.0  # it went straight with one push for so long: it has the way that the push gives
+UNDER_WAY: Final = 0.03  # of full push: a boat with less drifts, aside and faster
+TURNING_RADPS: Final = math.radians(4.0)  # a boat that turns more quickly does not go where it points
+Reckoned = tuple[tuple[float, ...], float, float]  # J/m by direction; J of the way home, and of the plan with its way home
+UNSURE_S: Final = 60.0  # before that, nothing is said of the range
+W_PER_N: Final = 8.0  # of small electric motors at full thrust: those of maker's pages draw 6 to 12
+FARTHEST_M: Final = 1e6
+
+
+class EnergyWatch:
+    """Nothing of it raises; without batteries that tell their charge it says why it reckons nothing."""
+
+    def __init__(self, boat: OpenedWith) -> None:
+        settings, self._state = boat.settings, boat.state
+        self._table, self._speed_mps = settings.of(EnergyTable), settings.control.home.speed_mps
+        self._stale_s = settings.sysstat.stale_s
+        self._hull: Propulsive | None = None  # until the helm tells it
+        self._consumption: Consumption
+        self._drifting, self._most_mps = Drifting(self._speed_mps), settings.control.speed.max_mps
+        self._push = self._slow = self._north_mps = self._east_mps = self._watts = 0.0  # smoothed
+        self._steady_s, self._next_s = 0.0, -math.inf
+        self._costs: tuple[float, ...] = ()
+        self._work: Sliced[Reckoned] | None = None
+        self._home_j, self._plan_j = math.nan, math.nan
+
+    def look(self, helm: Helm, now_s: float) -> None:
+        if self._hull is None:
+            craft = helm.limits.hull
+            self._hull = Propulsive((craft.drag_n_per_mps, craft.drag_n_per_mps2), craft.ahead_n)
+            self._consumption = Consumption(self._hull, self._table.idle_w, self._table.full_w or W_PER_N * craft.ahead_n)
+        if now_s >= self._next_s:
+            dt_s = min(now_s - self._next_s + EACH_S, 5.0) if self._next_s > -math.inf else EACH_S
+            self._next_s = now_s + EACH_S
+            self._learn(helm, self._hull, now_s, dt_s)
+            self._state.energy = self._told(now_s)
+        elif self._work is None:
+            self._work = Sliced(
+                self._reckoned(min(self._hull.full_mps, self._most_mps), helm.track.way_home(), helm.memory.leg)
+            )
+        elif self._work.step():
+            (self._costs, self._home_j, self._plan_j), self._work = self._work.result, None
+
+    def _learn(self, helm: Helm, hull: Propulsive, now_s: float, dt_s: float) -> None:
+        state, motion = self._state, self._state.motion
+        share, push = 1.0 - math.exp(-dt_s / SMOOTH_S), pushed_n(helm, state.actuation) / hull.ahead_n
+        self._push += share * (push - self._push)
+        self._slow += (1.0 - math.exp(-dt_s / SLOW_S)) * (push - self._slow)
+        watts, still_mps = power(state, self._stale_s, now_s), 0.0
+        self._watts += share * ((watts or 0.0) - self._watts)
+        if {"heading", "velocity"} <= motion.has:
+            self._north_mps += share * (motion.north_mps - self._north_mps)
+            self._east_mps += share * (motion.east_mps - self._east_mps)
+        is_steady = abs(self._push - self._slow) < STEADY and abs(motion.yaw_rate_radps) < TURNING_RADPS
+        self._steady_s = self._steady_s + dt_s if is_steady and self._push >= UNDER_WAY else 0.0
+        if self._steady_s >= SETTLED_S and {"heading", "velocity"} <= motion.has:
+            still_mps = hull.still_mps(self._push)
+            self._drifting.learn(still_mps, motion.heading_rad, self._north_mps, self._east_mps, dt_s)
+        elif state.actuation.run:
+            return
+        if watts is not None:
+            self._consumption.learn(still_mps, self._watts if still_mps else watts, dt_s)
+
+    def _reckoned(self, most_mps: float, track: tuple[Point, ...], leg: int) -> Work[Reckoned]:
+        """The way home leads back along the track; the plan's, from its last place straight to the track's end."""
+        power_of, drift = self._consumption, self._drifting.found
+        by_direction = yield from costs(power_of, drift, most_mps, self._speed_mps)
+        motion, plan = self._state.motion, self._state.setpoint.plan
+        here = ((motion.north_m, motion.east_m),) if "position" in motion.has else ()
+        home_j = yield from along((*here, *reversed(track)), by_direction)
+        if plan is None or not here:
+            return by_direction, home_j, math.nan
+        is_sailed = self._state.mode in (Mode.PLAY, Mode.PATH)
+        places, speed_mps = yield from ahead_of(plan, leg if is_sailed else 0)
+        as_planned = yield from costs(power_of, drift, most_mps, speed_mps)
+        plan_j = yield from along((*here, *places), as_planned)
+        back_j = yield from along((*places[-1:], *(track[:1] or here)), by_direction)
+        return by_direction, home_j, plan_j + back_j
+
+    def _told(self, now_s: float) -> EnergyFacts:
+        table, found = self._table, self._drifting.found
+        least, batteries = charge(self._state)
+        why = "" if batteries else "no battery tells its charge"
+        left_wh = least * table.capacity_wh if batteries else None
+        usable_j = max((left_wh or 0.0) - table.reserve * table.capacity_wh, 0.0) * 3600.0
+        sure = self._consumption.learnt_s >= UNSURE_S
+        return EnergyFacts(
+            left_wh=None if left_wh is None else round(left_wh, 1),
+            home_wh=round(self._home_j / 3600.0, 1) if math.isfinite(self._home_j) else None,
+            plan_wh=round(self._plan_j / 3600.0, 1) if math.isfinite(self._plan_j) else None,
+            reserve_wh=round(table.reserve * table.capacity_wh, 1),
+            power_w=_rounded(power(self._state, self._stale_s, now_s)),
+            range_m=tuple([round(min(usable_j / each, FARTHEST_M)) for each in self._costs]) if left_wh is not None else (),
+            current_mps=round(math.hypot(found.north_mps, found.east_mps), 2),
+            current_deg=round(math.degrees(math.atan2(found.east_mps, found.north_mps)) % 360.0),
+            no_way_home=self._home_j == math.inf,
+            why=why or ("" if sure else "by the file: the batteries have not told for a minute yet"),
+        )
+
+    def report(self, now_s: float) -> dict[str, object]:
+        return {}  # the state has it
+
+
+def pushed_n(helm: Helm, sent: Actuation) -> float:
+    """The force ahead of these commands in still water, N, as the vehicle's file has it."""
+    if not sent.run:
+        return 0.0
+    rows = zip(helm.propulsion.allocation.thrusters, sent.thrust, sent.angle_rad, strict=False)
+    return sum(each.curve.force(thrust) * math.cos(each.angle_rad + angle_rad) for each, thrust, angle_rad in rows)
+
+
+def power(state: State, stale_s: float, now_s: float) -> float | None:
+    """The power that all batteries give, or else all thrusters take, W; None: one of them does not tell."""
+    batteries = [(report, at_s) for report, at_s in state.sysstat.values() if isinstance(report, BatteriesStatus)]
+    drawn = [_drawn(report.voltage_v, report.current_a, now_s - at_s <= stale_s) for report, at_s in batteries]
+    if not drawn or None in drawn:
+        drawn = [_drawn(each.voltage_v, each.current_a, now_s - each.heard_s <= stale_s) for each in state.thrusters.values()]
+    return max(sum(each or 0.0 for each in drawn), 0.0) if drawn and None not in drawn else None
+
+
+def _drawn(volts: float | None, amperes: float | None, is_fresh: bool) -> float | None:
+    return volts * amperes if is_fresh and volts is not None and amperes is not None else None
+
+
+def _rounded(value: float | None) -> float | None:
+    return None if value is None else round(value, 1)
+
+
+def opened(boat: OpenedWith) -> Added:
+    """Open the watch of the energy."""
+    return Added(EnergyWatch(boat))
