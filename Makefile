@@ -151,6 +151,8 @@ lock: $(READY) ## pin and hash the packages of pyproject.toml again (ARGS=--upgr
 	$(call compile,site) -c requirements/boat.txt -c requirements/ground.txt -c requirements/campaign.txt -c requirements/test.txt \
 		-c requirements/release.txt requirements/site.in
 	$(call compile,release) -c requirements/boat.txt -c requirements/ground.txt -c requirements/formats.txt requirements/release.in
+	$(call compile,readers) $(addprefix -c requirements/,$(addsuffix .txt,boat ground test formats campaign foxglove fleet ros mavproxy release)) \
+		requirements/readers.in
 compile = $(BIN)/pip-compile --quiet --generate-hashes --allow-unsafe --strip-extras --no-header --no-emit-index-url \
 	--no-emit-trusted-host --no-emit-find-links $(ARGS) --output-file requirements/$(1).txt
 
@@ -194,6 +196,6 @@ $(MANUAL): $(BOAT) requirements/site.txt manual/scripts.lock
 	@cd $(VENV)/scripts && npm pack --silent $$(sed 's/.*  \(.*\)-\(.*\)\.tgz/\1@\2/' scripts.lock) >/dev/null && sha512sum --check --quiet scripts.lock
 	@touch $@
 
-$(MORE): $(READY) requirements/formats.txt requirements/campaign.txt requirements/foxglove.txt requirements/fleet.txt requirements/ros.txt requirements/mavproxy.txt requirements/release.txt
+$(MORE): $(READY) requirements/formats.txt requirements/campaign.txt requirements/foxglove.txt requirements/fleet.txt requirements/ros.txt requirements/mavproxy.txt requirements/release.txt requirements/readers.txt
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes --no-deps $(patsubst %,-r %,$(filter %.txt,$^))
 	@touch $@

@@ -346,7 +346,10 @@ LOGS = {"system log", "state log", "black box", "sidecar", "run to repeat", "sta
 READ_BY = {  # function: the readers above that come by it
     "adoption/trial/session.py: kept": {"trial to go on"},
     "adoption/trial/concluding.py: conclude": {"vehicle to be adopted"},
-    "adoption/writing.py: write": {"vehicle to be adopted"},
+    "adoption/trial/dialogue.py: copied": {"vehicle to be adopted"},
+    "adoption/trial/dialogue.py: proof": {"vehicle to be adopted"},
+    "adoption/identify.py: with_twin": {"vehicle to be adopted"},
+    "adoption/identify.py: write": {"vehicle to be adopted"},
     "base/tables.py: read_toml": {"vehicle", "mission", "scenario", "control points"},
     "console/plans/library.py: load": {"library"},
     "console/terminal/bus.py: logged": {"candump", "candump, deflated"},
@@ -390,6 +393,7 @@ READ_BY = {  # function: the readers above that come by it
 }
 OTHERS = {  # what the kernel tells, and what is only copied or digested
     "adoption/record.py: digest_of",
+    "survey/chart/takehome.py: geopackage",  # it writes one
     *(
         "commands/description/commission.py: _mission",
         "commands/description/new.py: _about",

@@ -8,12 +8,11 @@ import tempfile
 from collections.abc import Awaitable, Callable
 from pathlib import Path
 
-from tests.console.chain import PATIENCE_S, afloat
+from tests.console.chain import PATIENCE_S, Boat, afloat
 from tests.console.test_first_voyage import Visit, console
 from tests.kit.pictures import keeper
 from tests.services.browser import Page, shrink, tab
 
-Picture = Callable[[Page, str], Awaitable[None]]
 SEA = (
     *(
         "energy.capacity_wh=200",
@@ -25,12 +24,11 @@ SEA = (
 )
 
 
-async def shown(folder: Path, picture: Picture, cycles: int = 9) -> None:
-    """`cycles`: of its navigation, before it goes home; it learns of the current then."""
+async def shown(folder: Path, then: Callable[[Page, Boat], Awaitable[None]]) -> None:
     async with console(folder) as (_, _, port, url), tab() as page:
         await page.open(url, width=1200, height=800, scale=1.0)
         await page.call("Page.bringToFront")
-        you = Visit(page, lambda name: picture(page, name), False)
+        you = Visit(page, nothing, False)
         with afloat(folder / "1", 1, port, SEA) as boat:
             await you.sees("boat1")
             await boat.until(lambda state: (state["energy"] or {}).get("range_m"))
@@ -38,24 +36,15 @@ async def shown(folder: Path, picture: Picture, cycles: int = 9) -> None:
             await page.press("h")
             await boat.until(lambda state: state["mode"] == "heading")
             await page.press("5")
-            await boat.sails_on(cycles)
             await boat.until(lambda state: (state["energy"]["home_wh"] or 0.0) > 0.0)
             await page.until("delfim.reach(1).startsWith('reach: ')", PATIENCE_S)
             await page.press("Enter")
             await page.until("delfim.wayHome(1).endsWith(' Wh')", PATIENCE_S)
             await page.press("Escape")
-            await page.press("l")
-            await boat.until(lambda state: state["mode"] == "home")
-            await boat.sails_on(cycles // 3)
-            await page.until("delfim.wayHome(1).endsWith(' Wh')", PATIENCE_S)
-            state = boat.state()
-            far_deg = 1.1 * max(state["energy"]["range_m"]) / 111_200.0
-            north, east = state["latitude_deg"], state["longitude_deg"]
-            await page.value(f"delfim.fit({north - far_deg}, {east - far_deg}, {north + far_deg}, {east + far_deg})")
-            await picture(page, "energy")
+            await then(page, boat)
 
 
-async def nothing(page: Page, name: str) -> None:
+async def nothing(*_: object) -> None:
     """No picture is kept."""
 
 
@@ -64,8 +53,19 @@ def test_the_range_and_what_the_way_home_takes_are_drawn_while_the_menu_is_open(
 
 
 def main(folder: Path) -> None:
+    async def kept(page: Page, boat: Boat) -> None:
+        """Of a boat that goes home, and has learnt of the current meanwhile."""
+        await boat.sails_on(500)
+        await page.press("l")
+        await boat.until(lambda state: state["mode"] == "home")
+        state = await boat.sails_on(150)
+        far_deg = 1.1 * max(state["energy"]["range_m"]) / 111_200.0
+        north, east = state["latitude_deg"], state["longitude_deg"]
+        await page.value(f"delfim.fit({north - far_deg}, {east - far_deg}, {north + far_deg}, {east + far_deg})")
+        await keeper(folder, "console")(page, "energy")
+
     with tempfile.TemporaryDirectory(prefix="energy-", ignore_cleanup_errors=True) as place:
-        asyncio.run(shown(Path(place), keeper(folder, "console"), 500))
+        asyncio.run(shown(Path(place), kept))
     shrink(folder.glob("console-energy.png"))
 
 

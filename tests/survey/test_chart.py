@@ -271,17 +271,6 @@ def test_crowd_sourced_bathymetry_is_as_its_schema_says(folder: Path) -> None:
     assert is_valid, told["errors"][:3]
 
 
-def test_qgis_opens_the_files(folder: Path) -> None:
-    core = pytest.importorskip("qgis.core", reason=READERS)
-    program = core.QgsApplication([], False)
-    program.initQgis()
-    its = [core.QgsVectorLayer(f"{folder}/survey.gpkg|layername={name}", name, "ogr") for name in ("contours", "soundings")]
-    its.append(core.QgsRasterLayer(f"{folder}/depth.tif", "depth"))
-    told = [(layer.isValid(), layer.crs().authid()) for layer in its]
-    program.exitQgis()
-    assert told == [(True, "EPSG:4326"), (True, "EPSG:4326"), (True, "EPSG:32629")]
-
-
 def test_what_makes_no_chart_is_refused_in_words(tmp_path: Path, capsys) -> None:
     (tmp_path / "empty.csv").write_text("utc,latitude [deg],longitude [deg],depth_m [m]\n")
     (tmp_path / "other.csv").write_text("a,b\n1,2\n")

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from delfim import config
 from delfim.base.modes import Mode
 from delfim.canproxy.dsor.messages import BatteriesStatus, Fault, GpsStatus, Navigation, PropellerStatus, Status
+from delfim.parts.energy.table import EnergyTable
 from delfim.vehicle.build import triggers
 from delfim.vehicle.failsafe.failsafe import (
     NO_TROUBLE,
@@ -27,7 +28,7 @@ from delfim.vehicle.failsafe.failsafe import (
 from delfim.vehicle.failsafe.failsafe import failsafe as look
 from delfim.vehicle.failsafe.troubles import Inputs, Trigger, astray
 from delfim.vehicle.plans.fence import Fence, polygon
-from delfim.vehicle.report import HandsetReport
+from delfim.vehicle.report import EnergyFacts, HandsetReport
 from delfim.vehicle.state import Actuation, Killed, Motion, Notice, Reference, Setpoint, State, ThrusterReport
 from delfim.vehicle.target import Danger, Traffic
 
@@ -38,6 +39,7 @@ SETTINGS = config.Vehicle(
     thrusters=(*config.Vehicle(boat=config.BoatTable(name="test")).thrusters, BOW),
     handset=config.HandsetTable(device="/dev/receiver"),
     failsafe=config.Failsafe(shallow=config.Shallow(min_depth_m=1.0)),
+    energy=EnergyTable(capacity_wh=1000.0),
 )
 RULES = Rules(SETTINGS, triggers(SETTINGS))
 OF_PARTS = SimpleNamespace(**{each.name: each for each in RULES.of_parts})
@@ -110,6 +112,8 @@ def troubled(trigger: AnyTrigger, mode: Mode, now_s: float = 100.0) -> tuple[Sta
             here.handset = HandsetReport(now_s - 1.1, 0.0, 0.0, takes=False, kills=False)
         case Trigger.SHALLOW:
             here.measured["depth_m"] = 0.9, now_s
+        case OF_PARTS.ENERGY:
+            here.energy = EnergyFacts(left_wh=300.0, home_wh=160.0, reserve_wh=150.0)
         case OF_PARTS.TRAFFIC:
             here.traffic = Traffic(dangers=(Danger("1", 40.0, 90.0, 0.5, "near", "MARIA is near"),))
         case OF_PARTS.TRAFFIC_CLOSE:
@@ -157,6 +161,7 @@ TABLE: dict[AnyTrigger, tuple[Action, dict[Mode, Action]]] = {
     Trigger.GNSS_POOR: (Action.WARN, {}),
     Trigger.KILL: (Action.STOP, {}),
     Trigger.HANDSET_SILENT: (Action.WARN, {}),
+    OF_PARTS.ENERGY: (Action.HOLD, {Mode.MANUAL: Action.WARN, Mode.HOME: Action.WARN}),
     OF_PARTS.TRAFFIC: (Action.WARN, {}),
     OF_PARTS.TRAFFIC_CLOSE: (Action.WARN, {}),
     OF_PARTS.AIS_SILENT: (Action.WARN, {}),

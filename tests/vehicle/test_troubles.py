@@ -53,7 +53,7 @@ def test_the_numbers_of_the_troubles_are_bits_of_the_log() -> None:
         *("CONTROL", "NAVIGATION_JUMPING", "NAVIGATION_SILENT", "NAVIGATION_FROZEN", "SENSOR_BAD", "BATTERY_CRITICAL"),
         *("THRUSTER", "MANUAL_SILENT", "CONSOLE_SILENT", "GUEST_SILENT", "FENCE", "BATTERY_LOW", "LOG", "GNSS_POOR", "KILL"),
         *("HANDSET_SILENT", "SHALLOW", "TRAFFIC", "TRAFFIC_CLOSE", "AIS_SILENT", "FENCE_LEFT", "TRAFFIC_UNCLEAR"),
-        *("RESTARTED", "OUTLET", "NAVIGATION_TWICE"),
+        *("RESTARTED", "OUTLET", "NAVIGATION_TWICE", "ENERGY"),
     )
     assert {name.lower(): number for number, name in enumerate(names)} == NUMBERS
     assert {trigger.name: int(trigger) for trigger in TRIGGERS} == {name: number for number, name in enumerate(names)}

@@ -23,7 +23,7 @@ MOST_MPS: Final = 50.0  # no boat goes so fast
 SEEN: Final = 0.1  # k is remembered where it is known as well as this
 
 
-class Drift(NamedTuple):
+class DriftFound(NamedTuple):
     """What was learnt. `covariance` is of (k, north, east), its six upper numbers row by row."""
 
     factor: float = 1.0
@@ -41,7 +41,7 @@ class Drifting:
         # Of u u, u to north, u to east, 1; and, with the velocity g, of u g along the keel, g to north, g to east.
         self._sums: tuple[float, ...] = (0.0,) * 7
         self._factor, self._sure_s = 1.0, 0.0  # k of the last hour, and how long it was known well
-        self.found = Drift()
+        self.found = DriftFound()
 
     def learn(self, still_mps: float, heading_rad: float, north_mps: float, east_mps: float, dt_s: float) -> None:
         """A second of steady way: `still_mps` u of the push, and the velocity over ground."""
@@ -67,7 +67,7 @@ class Drifting:
             self._factor += dt_s / (min(self._sure_s, REMEMBERS_S) + SOON_S) * (self.found.factor - self._factor)
             self._sure_s += dt_s
 
-    def _solved(self) -> Drift:
+    def _solved(self) -> DriftFound:
         """The least squares with their prior: three unknowns, of which north and east meet in k alone."""
         uu, un, ue, ones, ug, gn, ge = self._sums
         spread = max(KNOWN, FACTOR / (1.0 + self._sure_s / SOON_S))
@@ -84,10 +84,10 @@ class Drifting:
             of_k * of_n * of_e,
             1.0 / ones + of_k * of_e * of_e,
         )
-        return Drift(factor, (gn - factor * un) / ones, (ge - factor * ue) / ones, covariance)
+        return DriftFound(factor, (gn - factor * un) / ones, (ge - factor * ue) / ones, covariance)
 
 
-def still_mps(drift: Drift, speed_mps: float, course_rad: float) -> float:
+def still_mps(drift: DriftFound, speed_mps: float, course_rad: float) -> float:
     """The still-water speed of the push that takes the boat over ground with this speed on this course, and more: SIGMAS
     standard deviations of what is not known of it."""
     through_n = speed_mps * math.cos(course_rad) - drift.north_mps
@@ -101,7 +101,7 @@ def still_mps(drift: Drift, speed_mps: float, course_rad: float) -> float:
     return through / k + SIGMAS * math.sqrt(max(variance, 0.0))
 
 
-def over_ground_mps(drift: Drift, still: float, course_rad: float) -> float:
+def over_ground_mps(drift: DriftFound, still: float, course_rad: float) -> float:
     """The speed over ground on a course with the push of this still-water speed, with a crab angle; 0 where the boat makes no
     way on it."""
     north, east = math.cos(course_rad), math.sin(course_rad)

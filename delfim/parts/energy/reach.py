@@ -6,7 +6,7 @@ from typing import Final
 
 from delfim.base.cooperative import Work
 from delfim.parts.energy.consumption import Consumption
-from delfim.parts.energy.drift import Drift, over_ground_mps, still_mps
+from delfim.parts.energy.drift import DriftFound, over_ground_mps, still_mps
 from delfim.vehicle.state import Arc, Line, Plan, Waypoint
 
 DIRECTIONS: Final = 36  # of the shape on the map, from north clockwise
@@ -15,7 +15,7 @@ SLOW_MPS: Final = 0.1  # a way on which the boat is slower over ground is none
 Point = tuple[float, float]  # north_m, east_m
 
 
-def joules_per_m(power: Consumption, drift: Drift, most_mps: float, speed_mps: float, course_rad: float) -> float:
+def joules_per_m(power: Consumption, drift: DriftFound, most_mps: float, speed_mps: float, course_rad: float) -> float:
     """The energy of a metre over ground on this course, J/m, at this speed over ground, or at what is left of it where the push
     for `most_mps` in still water is all that the boat has. Infinite where it makes no way."""
     still = still_mps(drift, speed_mps, course_rad)
@@ -25,7 +25,7 @@ def joules_per_m(power: Consumption, drift: Drift, most_mps: float, speed_mps: f
     return power.watts(still) / speed_mps if speed_mps >= SLOW_MPS else math.inf
 
 
-def costs(power: Consumption, drift: Drift, most_mps: float, speed_mps: float) -> Work[tuple[float, ...]]:
+def costs(power: Consumption, drift: DriftFound, most_mps: float, speed_mps: float) -> Work[tuple[float, ...]]:
     """The same for each of DIRECTIONS."""
     found = list[float]()
     for index in range(DIRECTIONS):

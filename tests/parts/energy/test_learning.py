@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from delfim.base.cooperative import Sliced
 from delfim.parts.energy.consumption import Consumption, Propulsive
-from delfim.parts.energy.drift import Drift, Drifting, over_ground_mps, still_mps
+from delfim.parts.energy.drift import DriftFound, Drifting, over_ground_mps, still_mps
 from delfim.parts.energy.reach import DIRECTIONS, ahead_of, along, costs, joules_per_m
 from delfim.vehicle.state import Arc, Line, Plan, Waypoint
 
@@ -31,7 +31,7 @@ class Sea:
     north_mps: float
     east_mps: float
 
-    def sailed(self, headings_deg: list[float], seconds: int = 60, still: float = 1.2) -> Drift:
+    def sailed(self, headings_deg: list[float], seconds: int = 60, still: float = 1.2) -> DriftFound:
         drifting = Drifting(still)
         for heading in map(math.radians, headings_deg):
             for _ in range(seconds):
@@ -93,7 +93,7 @@ def test_no_motion_makes_the_drift_raise_or_be_none(motions: list[tuple[float, f
 
 
 def test_a_metre_against_the_water_costs_more_than_one_with_it() -> None:
-    water = Drift(1.0, 0.0, 0.3, SURE)
+    water = DriftFound(1.0, 0.0, 0.3, SURE)
     by_direction = Sliced(costs(consumption(), water, HULL.full_mps, 1.0)).finish()
     assert len(by_direction) == DIRECTIONS
     east, west = by_direction[DIRECTIONS // 4], by_direction[3 * DIRECTIONS // 4]
@@ -102,7 +102,7 @@ def test_a_metre_against_the_water_costs_more_than_one_with_it() -> None:
 
 
 def test_a_boat_that_the_water_carries_away_has_no_way_back() -> None:
-    water = Drift(1.0, 0.0, 2.5, SURE)
+    water = DriftFound(1.0, 0.0, 2.5, SURE)
     assert over_ground_mps(water, HULL.full_mps, -EAST) == 0.0
     assert joules_per_m(consumption(), water, HULL.full_mps, 1.0, -EAST) == math.inf
     assert math.isfinite(joules_per_m(consumption(), water, HULL.full_mps, 1.0, EAST))
