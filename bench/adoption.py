@@ -60,7 +60,7 @@ def other_model(settings: config.Vehicle, hull: int, seed: int) -> Iterator[Step
     place = math.radians(here.latitude_deg), math.radians(here.longitude_deg)
     model = SteppedModel(hull_of(settings), "127.0.0.1:0", *place, settings.thrusters)
     port = str(model._socket.getsockname()[1])
-    child = subprocess.Popen([sys.executable, "-m", "bench.otherhulls", port, str(hull), str(seed)])
+    child = subprocess.Popen([sys.executable, otherhulls.__file__, port, str(hull), str(seed)])
     try:
         model.begin()
         yield model
