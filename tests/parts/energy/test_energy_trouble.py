@@ -6,8 +6,10 @@ from delfim import config
 from delfim.base.parts import OWN
 from delfim.parts.energy.table import EnergyTable
 from delfim.parts.energy.troubles import energy
+from delfim.vehicle.failsafe.checks import checks
+from delfim.vehicle.failsafe.failsafe import Rules
 from delfim.vehicle.failsafe.troubles import NUMBERS, Inputs, Look
-from delfim.vehicle.report import EnergyFacts
+from delfim.vehicle.report import Check, EnergyFacts
 from delfim.vehicle.state import State
 
 SETTINGS = config.Vehicle(boat=config.BoatTable(name="test"), energy=EnergyTable(capacity_wh=1000.0))  # type: ignore[call-arg]
@@ -46,3 +48,25 @@ def test_its_words_have_the_figures() -> None:
 def test_a_boat_that_reckons_nothing_has_no_trouble() -> None:
     assert energy(Look(SETTINGS, State(), Inputs("", None), (), 0.0)) is None
     assert OWN["energy"].keys == ("energy.capacity_wh",)
+
+
+@pytest.mark.parametrize(
+    ("facts", "line"),
+    [
+        (None, None),
+        (EnergyFacts(why="no battery tells its charge"), Check("energy", False, "no battery tells its charge")),
+        (EnergyFacts(left_wh=400.0, reserve_wh=150.0), Check("energy", True, "400 Wh left")),
+        (EnergyFacts(left_wh=140.0, reserve_wh=150.0), Check("energy", False, "140 Wh left, and 150 Wh are the reserve")),
+        (
+            EnergyFacts(left_wh=400.0, plan_wh=250.0, reserve_wh=150.0),
+            Check("energy", True, "400 Wh left; the mission takes 250 Wh with the way home, and 150 Wh are the reserve"),
+        ),
+        (
+            EnergyFacts(left_wh=400.0, plan_wh=251.0, reserve_wh=150.0),
+            Check("energy", False, "400 Wh left; the mission takes 251 Wh with the way home, and 150 Wh are the reserve"),
+        ),
+    ],
+)
+def test_the_line_of_the_checks_says_whether_it_is_enough(facts: EnergyFacts | None, line: Check | None) -> None:
+    lines = checks(Rules(SETTINGS), State(energy=facts), Inputs("", None), 0.0, 0)
+    assert next((each for each in lines if each.name == "energy"), None) == line
