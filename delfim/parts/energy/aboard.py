@@ -57,28 +57,27 @@ class EnergyWatch:
         if now_s >= self._next_s:
             dt_s = min(now_s - self._next_s + EACH_S, 5.0) if self._next_s > -math.inf else EACH_S
             self._next_s = now_s + EACH_S
-            self._learn(helm, self._hull, now_s, dt_s)
-            self._state.energy = self._told(now_s)
+            watts = power(self._state, self._stale_s, now_s)
+            self._learn(helm, self._hull, watts, dt_s)
+            self._state.energy = self._told(watts)
         elif self._work is None:
-            self._work = Sliced(
-                self._reckoned(min(self._hull.full_mps, self._most_mps), helm.track.way_home(), helm.memory.leg)
-            )
+            self._work = Sliced(self._reckoned(min(self._hull.full_mps, self._most_mps), helm.track.way_home()))
         elif self._work.step():
             (self._costs, self._home_j, self._plan_j), self._work = self._work.result, None
 
-    def _learn(self, helm: Helm, hull: Propulsive, now_s: float, dt_s: float) -> None:
-        state, motion = self._state, self._state.motion
+    def _learn(self, helm: Helm, hull: Propulsive, watts: float | None, dt_s: float) -> None:
+        state, motion, still_mps = self._state, self._state.motion, 0.0
+        is_known = {"heading", "velocity"} <= motion.has
         share, push = 1.0 - math.exp(-dt_s / SMOOTH_S), pushed_n(helm, state.actuation) / hull.ahead_n
         self._push += share * (push - self._push)
         self._slow += (1.0 - math.exp(-dt_s / SLOW_S)) * (push - self._slow)
-        watts, still_mps = power(state, self._stale_s, now_s), 0.0
         self._watts += share * ((watts or 0.0) - self._watts)
-        if {"heading", "velocity"} <= motion.has:
+        if is_known:
             self._north_mps += share * (motion.north_mps - self._north_mps)
             self._east_mps += share * (motion.east_mps - self._east_mps)
         is_steady = abs(self._push - self._slow) < STEADY and abs(motion.yaw_rate_radps) < TURNING_RADPS
         self._steady_s = self._steady_s + dt_s if is_steady and self._push >= UNDER_WAY else 0.0
-        if self._steady_s >= SETTLED_S and {"heading", "velocity"} <= motion.has:
+        if self._steady_s >= SETTLED_S and is_known:
             still_mps = hull.still_mps(self._push)
             self._drifting.learn(still_mps, motion.heading_rad, self._north_mps, self._east_mps, dt_s)
         elif state.actuation.run:
@@ -86,7 +85,7 @@ class EnergyWatch:
         if watts is not None:
             self._consumption.learn(still_mps, self._watts if still_mps else watts, dt_s)
 
-    def _reckoned(self, most_mps: float, track: tuple[Point, ...], leg: int) -> Work[Reckoned]:
+    def _reckoned(self, most_mps: float, track: tuple[Point, ...]) -> Work[Reckoned]:
         """The way home leads back along the track; the plan's, from its last place straight to the track's end."""
         power_of, drift = self._consumption, self._drifting.found
         by_direction = yield from costs(power_of, drift, most_mps, self._speed_mps)
@@ -96,13 +95,13 @@ class EnergyWatch:
         if plan is None or not here:
             return by_direction, home_j, math.nan
         is_sailed = self._state.mode in (Mode.PLAY, Mode.PATH)
-        places, speed_mps = yield from ahead_of(plan, leg if is_sailed else 0)
+        places, speed_mps = yield from ahead_of(plan, self._state.reference.leg if is_sailed else 0)
         as_planned = yield from costs(power_of, drift, most_mps, speed_mps)
         plan_j = yield from along((*here, *places), as_planned)
         back_j = yield from along((*places[-1:], *(track[:1] or here)), by_direction)
         return by_direction, home_j, plan_j + back_j
 
-    def _told(self, now_s: float) -> EnergyFacts:
+    def _told(self, watts: float | None) -> EnergyFacts:
         table, found = self._table, self._drifting.found
         least, batteries = charge(self._state)
         why = "" if batteries else "no battery tells its charge"
@@ -114,7 +113,7 @@ class EnergyWatch:
             home_wh=round(self._home_j / 3600.0, 1) if math.isfinite(self._home_j) else None,
             plan_wh=round(self._plan_j / 3600.0, 1) if math.isfinite(self._plan_j) else None,
             reserve_wh=round(table.reserve * table.capacity_wh, 1),
-            power_w=_rounded(power(self._state, self._stale_s, now_s)),
+            power_w=None if watts is None else round(watts, 1),
             range_m=tuple([round(min(usable_j / each, FARTHEST_M)) for each in self._costs]) if left_wh is not None else (),
             current_mps=round(math.hypot(found.north_mps, found.east_mps), 2),
             current_deg=round(math.degrees(math.atan2(found.east_mps, found.north_mps)) % 360.0),
@@ -145,10 +144,6 @@ def power(state: State, stale_s: float, now_s: float) -> float | None:
 
 def _drawn(volts: float | None, amperes: float | None, is_fresh: bool) -> float | None:
     return volts * amperes if is_fresh and volts is not None and amperes is not None else None
-
-
-def _rounded(value: float | None) -> float | None:
-    return None if value is None else round(value, 1)
 
 
 def opened(boat: OpenedWith) -> Added:

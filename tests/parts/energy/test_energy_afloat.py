@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable
+from pathlib import Path
 
 import pytest
 
@@ -101,3 +102,16 @@ def test_a_boat_without_a_capacity_reckons_nothing() -> None:
     until(run, lambda state: run.elapsed_s > 2.0, 30.0)
     assert run.state.energy is None
     assert not [each for each in run.vehicle.helm.checks() if each.name == "energy"]
+
+
+def test_a_path_that_the_boat_is_still_on_its_way_to_counts_whole() -> None:
+    run = boat()
+    until(run, lambda state: run.elapsed_s > 5.0, 30.0)
+    assert run.order(console.LoadMission(Path("etc/missions/lawnmower.toml").read_text()), "tester") is None
+    until(run, lambda state: state.energy is not None and state.energy.plan_wh is not None, 30.0)
+    before_wh = run.state.energy.plan_wh if run.state.energy is not None else None
+    assert run.order(console.SetMode("path"), "tester") is None
+    until(run, lambda state: run.elapsed_s > 12.0, 30.0)
+    assert run.vehicle.helm.memory.leg < 0  # not on its first piece yet
+    assert run.state.energy is not None
+    assert run.state.energy.plan_wh == pytest.approx(before_wh, rel=0.1)
