@@ -84,13 +84,14 @@ def adopted(here: Path) -> Said:
     from delfim.adoption.found import FoundKey
     from delfim.adoption.trial.concluding import conclude
     from delfim.adoption.trial.session import TrialProgress
-    from delfim.adoption.writing import replaced, with_keys
+    from delfim.adoption.writing import with_keys
     from delfim.base.input.untrusted import read_text
+    from delfim.base.wholefile import replace_file
 
     file, nothing = here / "boat.toml", TrialProgress(config.load(ROOT / "etc/delfimx.toml").thrusters)
     found = FoundKey(("boat", "inertia_kgm2"), 120.0, 3.0, None), FoundKey(("adopted", "chi2"), 0.4, None, None)
     concluded = refused(lambda: conclude(nothing, file, here / "report", "today", None, str))
-    return concluded + refused(lambda: replaced(file, with_keys(read_text(file), found, "found", "boat.toml")))
+    return concluded + refused(lambda: replace_file(file, with_keys(read_text(file), found, "found", "boat.toml")))
 
 
 def trial_to_go_on(here: Path) -> Said:

@@ -13,9 +13,10 @@ from delfim.adoption.record import BoatRecord, read_log
 from delfim.adoption.twin.gains import ChosenGains
 from delfim.adoption.twin.twintrack import TwinTrack, twin_track
 from delfim.adoption.windows import windows_of
-from delfim.adoption.writing import replaced, with_keys
+from delfim.adoption.writing import with_keys
 from delfim.base.errors import DelfimError
 from delfim.base.input.untrusted import parse_toml, read_text
+from delfim.base.wholefile import replace_file
 from delfim.logging.ashore.tree import LogFile, events
 from delfim.vehicle.plans.mission import Mission
 
@@ -118,4 +119,4 @@ def with_found(result: Identified, text: str, file: str) -> str:
 
 def write(result: Identified, file: Path) -> None:
     """Write what was found into the vehicle's file. Raises DelfimError where the fit is refused."""
-    replaced(file, with_found(result, read_text(file), str(file)))
+    replace_file(file, with_found(result, read_text(file), str(file)))

@@ -3,10 +3,8 @@
 The text is changed line by line, then read again: it must say what the old one said but for these keys, or nothing is written.
 """
 
-import os
 import re
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any, Final
 
 from delfim.adoption.found import FoundKey, Key
@@ -25,16 +23,6 @@ def with_keys(text: str, keys: Sequence[FoundKey], words: str, file: str) -> str
     no place for a key."""
     told = {each.key: (each.value, words if each.spread is None else f"{words}: ±{each.spread:.2g}") for each in keys}
     return changed(text, told, file)
-
-
-def replaced(file: Path, text: str) -> None:
-    """Put this text in the place of the file: at any moment it is the old one or the new one, whole."""
-    part = file.with_name(f".{file.name}.part")
-    with part.open("w", encoding="utf-8") as new:
-        new.write(text)
-        new.flush()
-        os.fsync(new.fileno())
-    os.replace(part, file)
 
 
 def changed(text: str, told: Mapping[Key, tuple[Any, str]], file: str) -> str:

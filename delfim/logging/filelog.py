@@ -10,6 +10,7 @@ from collections.abc import Callable
 from typing import Any, Final
 
 from delfim.base.clock import Clock
+from delfim.base.wholefile import sync_directory
 from delfim.logging import free_space
 from delfim.logging.liblog import LogSettings, LogStatus
 
@@ -293,14 +294,3 @@ def _write_all(fd: int, data: bytes | bytearray) -> None:
     while written < len(data):  # the disk is about to be full: the next call says so
         data = data[written:]
         written = os.write(fd, data)
-
-
-def sync_directory(path: str | os.PathLike[str]) -> None:
-    """Make names that were made or changed in a directory survive a power cut. Raises OSError. Windows has no call for it."""
-    if not hasattr(os, "O_DIRECTORY"):
-        return
-    fd = os.open(path, os.O_RDONLY | os.O_DIRECTORY)
-    try:
-        os.fsync(fd)
-    finally:
-        os.close(fd)

@@ -5,7 +5,6 @@ an empty battery, a power cut or a lost link, by whichever boat.
 """
 
 import math
-import os
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Annotated, Final, Literal
@@ -15,6 +14,7 @@ import numpy as np
 
 from delfim.base.errors import FormatError
 from delfim.base.input.untrusted import UNREADABLE, read_file
+from delfim.base.wholefile import replace_file
 from delfim.survey.areafile import Shape
 from delfim.survey.ground import Ground, Place, Segment, in_degrees, in_plane
 from delfim.survey.planning import SurveyPlan
@@ -97,9 +97,7 @@ def read_survey(path: str | Path) -> KeptSurvey:
 
 def write_survey(survey: KeptSurvey, path: Path) -> None:
     """Write it, all or nothing."""
-    beside = path.with_name(f"{path.name}.part")
-    beside.write_bytes(msgspec.json.encode(survey))
-    os.replace(beside, path)
+    replace_file(path, msgspec.json.encode(survey))
 
 
 def sailed(lines: Sequence[Segment], places: Iterable[Place], spacing_m: float) -> list[list[Span]]:

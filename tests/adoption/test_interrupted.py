@@ -1,10 +1,8 @@
 """A trial that is interrupted at any second: the boat is idle or holds, its file is whole, and it goes on where it was."""
 
-import contextlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from random import Random
-from typing import Any
 
 import msgspec
 import pytest
@@ -14,7 +12,6 @@ from delfim.adoption.trial import session
 from delfim.adoption.trial.boats import SimulatedTrial
 from delfim.adoption.trial.hiddenhull import drawn
 from delfim.adoption.trial.session import TrialProgress, TrialSession, kept
-from delfim.adoption.writing import replaced
 from delfim.base.modes import Mode
 from delfim.commands.operation.adopt import RADIUS_M
 from delfim.vehicle import console
@@ -108,57 +105,3 @@ def test_whatever_ends_it_the_motors_are_off_the_file_is_whole_and_it_goes_on(
     assert progress.is_proven
     times = [each.at_s for each in progress.tape]
     assert times == sorted(times)
-
-
-class Killed(BaseException):
-    pass
-
-
-def killed_at(module: Any, name: str, calls: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let the process die as it calls this function for this time."""
-    real, left = getattr(module, name), [calls]
-
-    def dies(*words: Any, **more: Any) -> Any:
-        left[0] -= 1
-        if left[0] == 0:
-            raise Killed
-        return real(*words, **more)
-
-    monkeypatch.setattr(module, name, dies)
-
-
-@contextlib.contextmanager
-def dying() -> Iterator[None]:
-    with contextlib.suppress(Killed):
-        yield
-
-
-@pytest.mark.parametrize("at", ["fsync", "replace"])
-def test_a_kill_while_it_is_kept_leaves_the_old_or_the_new(at: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    place, settings = tmp_path / "a.trial", vehicle("heron")
-    old = TrialProgress(settings.thrusters, done=("circles",))
-    session.keep(place, old)
-    with monkeypatch.context() as patch:
-        killed_at(session.os, at, 1, patch)
-        with dying():
-            session.keep(place, TrialProgress(settings.thrusters, done=STEPS))
-    assert kept(place, settings) == old
-    session.keep(place, TrialProgress(settings.thrusters, done=STEPS))
-    assert kept(place, settings).done == STEPS
-
-
-@pytest.mark.parametrize("at", ["fsync", "replace"])
-def test_a_kill_while_the_vehicle_file_is_written_leaves_the_old_or_the_new(
-    at: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    from delfim.adoption import writing
-
-    file = tmp_path / "a.toml"
-    file.write_text("# old\n")
-    with monkeypatch.context() as patch:
-        killed_at(writing.os, at, 1, patch)
-        with dying():
-            replaced(file, "# new\n" * 1000)
-    assert file.read_text() == "# old\n"
-    replaced(file, "# new\n")
-    assert file.read_text() == "# new\n"

@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 
 from delfim import config
+from delfim.base import wholefile
 from delfim.base.clock import ManualClock
 from delfim.logging import filelog, free_space, liblog
 from delfim.logging.liblog import LogStatus
@@ -382,6 +383,7 @@ def run_with_faults(directory, monkeypatch, first: int, count: int, **how: bool)
     settings = liblog.LogSettings(str(directory), "gps", ".log", b"", 600, 12.0, 1, "delete-oldest")
     with monkeypatch.context() as patch:
         patch.setattr(filelog, "os", faulty)
+        patch.setattr(wholefile, "os", faulty)
         patch.setattr(free_space, "os", faulty)
         patch.setattr(free_space, "shutil", faulty)
         log = filelog.FileLog(settings, clock, **how)

@@ -15,10 +15,11 @@ from delfim.adoption.trial.session import TrialProgress, Written
 from delfim.adoption.trial.taped import record_of
 from delfim.adoption.twin import gains
 from delfim.adoption.twin.child import in_child
-from delfim.adoption.writing import changed, replaced
+from delfim.adoption.writing import changed
 from delfim.base.errors import DelfimError
 from delfim.base.input.untrusted import parse_toml, read_text
 from delfim.base.tables import inline
+from delfim.base.wholefile import replace_file
 
 RECEIVER_M: Final = 1.0  # deviation of a receiver that nobody has told: it wanders more slowly than a trial is long
 
@@ -50,7 +51,7 @@ def conclude(progress: TrialProgress, file: Path, report: Path, on: str, ask: As
     motors_told(progress, tell)
     is_written = ask is not None and ask(f"Write this into {file}?")
     if is_written:
-        replaced(file, text)
+        replace_file(file, text)
         progress.written = Written(on, vehicle.thrusters)
         tell(f"{file} is written. The boat's program has the old one until it is started again.")
     try:

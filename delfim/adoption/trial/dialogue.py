@@ -15,9 +15,10 @@ from delfim.adoption.trial.boats import RunningTrial, SimulatedTrial
 from delfim.adoption.trial.hiddenhull import drawn, rewired
 from delfim.adoption.trial.proof import ProofBoat, RunningProof, SimulatedProof, proved
 from delfim.adoption.trial.session import TrialProgress, keep
-from delfim.adoption.writing import changed, put_back, replaced
+from delfim.adoption.writing import changed, put_back
 from delfim.base.errors import DelfimError
 from delfim.base.input.untrusted import read_text
+from delfim.base.wholefile import replace_file
 from delfim.services.bench import keys, pressed
 from delfim.vehicle.operator.link import Link
 
@@ -146,7 +147,7 @@ def copied(file: str, place: Path, *, afresh: bool) -> str:
     if afresh or not place.exists():
         place.parent.mkdir(parents=True, exist_ok=True)
         poor: dict[Key, tuple[Any, str]] = {("simulation", key): (float(of), "of a drawn boat") for key, of in NOISE.items()}
-        replaced(place, changed(read_text(file), poor, file))
+        replace_file(place, changed(read_text(file), poor, file))
     return str(place)
 
 
@@ -160,7 +161,7 @@ def proof(progress: TrialProgress, place: Path, file: str, boat: ProofBoat, radi
         dialogue.tell(f"{error}. Nothing is changed: the same command tries again.")
         return 1
     if worse:
-        replaced(Path(file), put_back(read_text(file), written.gains, file))
+        replace_file(Path(file), put_back(read_text(file), written.gains, file))
         dialogue.tell(f"Not proven: {worse}. The gains before are in {file} again: start the boat's program again.")
     else:
         dialogue.tell("Proven: she does as her twin foretold, or better.")

@@ -6,7 +6,6 @@ goes on behind the last one that came to its end.
 
 import contextlib
 import math
-import os
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Final
@@ -18,6 +17,7 @@ from delfim.adoption.trial.manoeuvres import BoatOnTrial, MotionSeen, Played, Se
 from delfim.adoption.trial.motors import DriftNoise, MotorsFound, Wiring, wiring
 from delfim.base.errors import DelfimError
 from delfim.base.input.untrusted import read_file
+from delfim.base.wholefile import replace_file
 
 KEPT_BYTES: Final = 50_000_000  # a trial of twenty minutes has 3 MB
 APART_S: Final = 60.0  # between the clocks of two sessions in one record
@@ -86,12 +86,7 @@ def _is_whole(kept: TrialProgress) -> bool:
 def keep(place: Path, progress: TrialProgress) -> None:
     """Replace the file as a whole."""
     place.parent.mkdir(parents=True, exist_ok=True)
-    part = place.with_name(f".{place.name}.part")
-    with part.open("wb") as new:
-        new.write(msgspec.json.encode(progress))
-        new.flush()
-        os.fsync(new.fileno())
-    os.replace(part, place)
+    replace_file(place, msgspec.json.encode(progress))
 
 
 class TrialSession:

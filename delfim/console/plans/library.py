@@ -1,6 +1,5 @@
 """The operator's missions: files of the project's own format (docs/missions.md) in one folder, and as the page has them."""
 
-import os
 import re
 from pathlib import Path
 from threading import Timer
@@ -9,6 +8,7 @@ from typing import Any, Final
 from delfim.base.cooperative import Sliced
 from delfim.base.errors import DelfimError, Refused, in_words
 from delfim.base.input.untrusted import read_text
+from delfim.base.wholefile import replace_file
 from delfim.console.plans.plan import checked_tables, page_of
 from delfim.vehicle.plans.mission import canonical, checked
 from delfim.vehicle.plans.missionreader import Reading, gathered
@@ -55,9 +55,7 @@ class Library:
             Sliced(checked(mission, str(plan["name"]))).finish()
             text = canonical(mission)
             self._folder.mkdir(parents=True, exist_ok=True)
-            new = file.with_suffix(".new")
-            new.write_text(text, encoding="utf-8", newline="\n")
-            os.replace(new, file)
+            replace_file(file, text)
         except (DelfimError, OSError) as error:
             raise Refused(in_words(error)) from None
 

@@ -10,9 +10,9 @@ from collections.abc import Callable, Iterator
 from typing import Final, NamedTuple
 
 from delfim.base.errors import FormatError
+from delfim.base.wholefile import replace_file
 from delfim.logging.ashore.tree import LogFile
 from delfim.logging.candump import parse_line
-from delfim.logging.filelog import sync_directory
 from delfim.logging.reading import LOG_BYTES, Inflating, member, raw
 from delfim.logging.statelog import Schema
 
@@ -45,7 +45,8 @@ def repair(file: LogFile, *, in_place: bool = False) -> list[Repair]:
         target = ""
         if complaint:
             target = path if in_place else _beside(path)
-            _write(target, whole, os.stat(path))
+            like = os.stat(path)
+            replace_file(target, whole, (like.st_atime_ns, like.st_mtime_ns))
         results.append(Repair(path, complaint, target))
     return results
 
@@ -145,15 +146,3 @@ def _beside(path: str) -> str:
     folder, name = os.path.split(path)
     stem, dot, suffix = name.partition(".")
     return os.path.join(folder, f"{stem.removesuffix('-repaired')}-repaired{dot}{suffix}")
-
-
-def _write(path: str, data: bytes, like: os.stat_result) -> None:
-    """Write a file that is there whole or not at all, with the times of the original."""
-    part = path + ".part"
-    with open(part, "wb") as file:
-        file.write(data)
-        file.flush()
-        os.fsync(file.fileno())
-    os.utime(part, ns=(like.st_atime_ns, like.st_mtime_ns))
-    os.replace(part, path)
-    sync_directory(os.path.dirname(path) or ".")

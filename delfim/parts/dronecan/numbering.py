@@ -10,7 +10,6 @@ import contextlib
 import hashlib
 import json
 import logging
-import os
 import platform
 from pathlib import Path
 from typing import Final
@@ -19,6 +18,7 @@ from delfim import __version__
 from delfim.base.clock import Clock
 from delfim.base.errors import BusError, FormatError
 from delfim.base.input.untrusted import parse_json, read_file
+from delfim.base.wholefile import replace_file
 from delfim.canproxy.dronecan.datatypes import (
     ALLOCATION,
     NODE_STATUS,
@@ -130,12 +130,7 @@ def known_numbers(place: Path) -> dict[bytes, int]:
 
 def keep(place: Path, table: dict[bytes, int]) -> None:
     """Write the numbers, whole or not at all. Raises OSError."""
-    part = place.with_suffix(".part")
-    with open(part, "w") as file:
-        json.dump({identity.hex(): node for identity, node in table.items()}, file, indent=1)
-        file.flush()
-        os.fsync(file.fileno())
-    os.replace(part, place)
+    replace_file(place, json.dumps({identity.hex(): node for identity, node in table.items()}, indent=1))
 
 
 async def serve(runtime: Runtime) -> None:

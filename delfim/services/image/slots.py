@@ -20,7 +20,7 @@ import msgspec
 
 from delfim.base.errors import FormatError, Refused
 from delfim.base.input.untrusted import read_file
-from delfim.logging.filelog import sync_directory
+from delfim.base.wholefile import replace_file, sync_directory
 from delfim.services.image.imagefile import (
     MANIFEST,
     MEMBERS,
@@ -125,7 +125,7 @@ class Slots:
         sync_directory(folder)
         image = verify(bundle, signers, folder)
         for name, text in ((SIGNATURE, image.signature), (MANIFEST, image.paper)):
-            _replace(folder / name, text)
+            replace_file(folder / name, text)
         if damage := self.damage(slot):
             raise Refused(f"slot {slot}: {damage}: the disk does not keep written data; replace it")
         self._write(Environment(environment.slot, trial=slot))
@@ -146,7 +146,7 @@ class Slots:
         self._write(Environment(running, environment.trial))
 
     def _write(self, environment: Environment) -> None:
-        _replace(self._environment, write_environment(environment))
+        replace_file(self._environment, write_environment(environment))
 
 
 def parse_environment(text: bytes) -> Environment:
@@ -164,17 +164,6 @@ def parse_environment(text: bytes) -> Environment:
 def write_environment(environment: Environment) -> bytes:
     text = ENVIRONMENT_HEAD + "".join(f"{key}={getattr(environment, key)}\n" for key in KEYS)
     return text.encode().ljust(ENVIRONMENT_BYTES, b"#")
-
-
-def _replace(path: Path, text: bytes) -> None:
-    """Replace a file's text, so that a power cut leaves the old text or the new one."""
-    new = path.with_name(path.name + ".new")
-    with new.open("wb") as file:
-        file.write(text)
-        file.flush()
-        os.fsync(file.fileno())
-    new.replace(path)
-    sync_directory(path.parent)
 
 
 def _digest_of_disk(path: Path) -> str:
