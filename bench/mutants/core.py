@@ -41,6 +41,7 @@ TESTS: Final = (  # files that take long, and see nothing that others do not see
         "tests/parts/test_orders.py",
     ),
     *("tests/services/test_supervisor_turns.py", "tests/services/test_stop.py", "tests/services/test_exposure.py"),
+    "tests/parts/energy/test_energy_trouble.py",
 )
 ABOUT: Final = {  # the tests of what is called by a row of a table, without an import
     "delfim/vehicle/orders/handlers.py": (
@@ -48,8 +49,10 @@ ABOUT: Final = {  # the tests of what is called by a row of a table, without an 
         "tests/vehicle/test_pause.py",
         "tests/vehicle/test_trial.py",
         "tests/parts/test_orders.py",
+        "tests/vehicle/test_survey_lines.py",
     ),
     "delfim/parts/traffic/troubles.py": ("tests/vehicle/test_troubles.py",),
+    "delfim/vehicle/failsafe/checks.py": ("tests/vehicle/test_checks.py", "tests/parts/energy/test_energy_trouble.py"),
     **dict.fromkeys(_EXPOSURES, ("tests/services/test_exposure.py",)),
 }
 NOT_ASKED: Final = "test_qgroundcontrol.py", "test_mavlink_fuzz.py", "test_handset_afloat.py"

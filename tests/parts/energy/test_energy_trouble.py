@@ -56,6 +56,7 @@ def test_a_boat_that_reckons_nothing_has_no_trouble() -> None:
         (None, None),
         (EnergyFacts(why="no battery tells its charge"), Check("energy", False, "no battery tells its charge")),
         (EnergyFacts(left_wh=400.0, reserve_wh=150.0), Check("energy", True, "400 Wh left")),
+        (EnergyFacts(left_wh=150.0, reserve_wh=150.0), Check("energy", True, "150 Wh left")),
         (EnergyFacts(left_wh=140.0, reserve_wh=150.0), Check("energy", False, "140 Wh left, and 150 Wh are the reserve")),
         (
             EnergyFacts(left_wh=400.0, plan_wh=250.0, reserve_wh=150.0),

@@ -115,6 +115,39 @@ def test_a_boat_turns_as_its_autopilot_can(p_nm: float, d_nm: float, damping_nm:
     assert tuple(found) == (SETTINGS.boat.length_m, pytest.approx(turn_radps), LIMITS.control.speed.ramp_mps2, 180.0, "small")
 
 
+@pytest.mark.parametrize(
+    ("p_nm", "most_nm", "water_nm", "yaw_nm", "yaw_nm2", "turn_radps"),
+    [
+        (6.0, 1000.0, 10.0, None, None, 0.2),
+        (6.0, 1000.0, 7.0, 10.0, None, 0.2),
+        (6.0, 1.5, 7.0, 10.0, None, 0.15),
+        (8.0, 1000.0, 7.0, 10.0, 50.0, 0.2),  # 8 N m = 30 * 0.2 + 50 * 0.2 ** 2
+        (8.0, 1.5, 7.0, 10.0, 50.0, 0.1),  # 1.5 N m = 10 * 0.1 + 50 * 0.1 ** 2
+        (6.02, 1000.0, 7.0, 10.0, 0.5, 0.2),
+        (6.0, 3e-7, 0.0, None, None, 0.3),  # no damping is known: as if it were 1e-6 N m per rad/s
+    ],
+)
+def test_a_boat_that_was_adopted_turns_as_she_was_found(
+    p_nm: float, most_nm: float, water_nm: float, yaw_nm: float | None, yaw_nm2: float | None, turn_radps: float
+) -> None:
+    boat = msgspec.structs.replace(SETTINGS.boat, yaw_nm_per_radps=yaw_nm, yaw_nm_per_radps2=yaw_nm2)
+    settings = msgspec.structs.replace(SETTINGS, boat=boat, adopted=config.AdoptedTable(on="2026-11-27"))
+    gains = LIMITS.gains._replace(p_limit_nm=p_nm, d_nm_per_radps=20.0)
+    hull = LIMITS.hull._replace(damping_nm_per_radps=water_nm, turn_nm=most_nm)
+    found = caution(settings, LIMITS._replace(gains=gains, hull=hull))
+    assert found.turn_radps == pytest.approx(turn_radps)
+
+
+@pytest.mark.parametrize(("deceleration_mps2", "ramp_mps2"), [(0.25, 0.1875), (10.0, LIMITS.control.speed.ramp_mps2)])
+def test_a_boat_that_was_adopted_stops_as_she_was_found(deceleration_mps2: float, ramp_mps2: float) -> None:
+    """From 1.5 m/s she goes 1.5 m within 1 s, and 4.5 m at 0.25 m/s2: the 6 m of 0.1875 m/s2 all the way."""
+    fence = msgspec.structs.replace(SETTINGS.fence, reaction_s=1.0, deceleration_mps2=deceleration_mps2)
+    settings = msgspec.structs.replace(SETTINGS, fence=fence, adopted=config.AdoptedTable(on="2026-11-27"))
+    speed = msgspec.structs.replace(LIMITS.control.speed, cruise_mps=1.5)
+    limits = LIMITS._replace(control=msgspec.structs.replace(LIMITS.control, speed=speed))
+    assert caution(settings, limits).ramp_mps2 == pytest.approx(ramp_mps2)
+
+
 def test_a_boat_with_a_number_waits_to_be_heard(monkeypatch: pytest.MonkeyPatch) -> None:
     assert Boat(monkeypatch).keeper.told(0.0) is None
     assert Boat(monkeypatch, mmsi=1).keeper.told(0.0) is not None

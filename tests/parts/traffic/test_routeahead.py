@@ -95,6 +95,19 @@ def test_without_a_way_of_its_own_a_boat_goes_back_to_its_place(mode: Mode, memo
 
 
 @pytest.mark.parametrize(
+    ("leg", "holds", "found"),
+    [(2, {}, LINES[2:14]), (2, {1: 9.0, 4: 0.5, 6: 1.0}, LINES[2:5]), (4, {4: 9.0}, LINES[4:5]), (-3, {4: 9.0}, LINES[2:5])],
+)
+def test_a_path_leads_by_its_pieces_to_the_first_one_at_whose_end_it_stays(
+    leg: int, holds: dict[int, float], found: tuple[Line, ...]
+) -> None:
+    path = tuple(piece._replace(hold_s=holds.get(i, 0.0)) for i, piece in enumerate(LINES))
+    there = ahead(Mode.PATH, HERE._replace(east_m=2.0), {"leg": leg}, plan=plan(*path))
+    onto = ((200.0, 0.0),) if leg < 0 else ()
+    assert there == RouteAhead((*onto, *((piece.to_north_m, piece.to_east_m) for piece in found)), found[0].speed_mps)
+
+
+@pytest.mark.parametrize(
     ("leg", "many", "found"),
     [(0, 2, POINTS[:2]), (1, 2, POINTS[1:2]), (2, 2, ()), (0, 11, POINTS[:11]), (3, 19, POINTS[3:15]), (3, 14, POINTS[3:14])],
 )
