@@ -52,7 +52,6 @@ ABOUT: Final = {  # the tests of what is called by a row of a table, without an 
         "tests/vehicle/test_survey_lines.py",
     ),
     "delfim/parts/traffic/troubles.py": ("tests/vehicle/test_troubles.py",),
-    "delfim/vehicle/failsafe/checks.py": ("tests/vehicle/test_checks.py", "tests/parts/energy/test_energy_trouble.py"),
     **dict.fromkeys(_EXPOSURES, ("tests/services/test_exposure.py",)),
 }
 NOT_ASKED: Final = "test_qgroundcontrol.py", "test_mavlink_fuzz.py", "test_handset_afloat.py"
