@@ -6,12 +6,14 @@ answered by a `PreviewTold`; both by `{"refused": WORDS}` where there is none. I
 """
 
 import sys
+from collections.abc import Iterable, Sequence
 from typing import Any, Final, NamedTuple
 
 import msgspec
 
 from delfim import config
 from delfim.base.errors import DelfimError, in_words
+from delfim.base.geodesy import Origin
 from delfim.survey.areafile import CORNERS, Corner, Ring, Shape, read_area
 
 MEMORY_BYTES: Final = 2 << 30  # of addresses; numpy and Shapely take half a gigabyte of them
@@ -34,7 +36,12 @@ class PreviewAsked(msgspec.Struct, forbid_unknown_fields=True):
     speed_mps: float = 0.0
     fence: Ring = []  # of the mission, to stay in
     obstacles: list[tuple[float, float, float]] = []  # of the mission: latitude and longitude, degrees, and radius, m
+    closed: list[Ring] = []  # zones of the mission to stay out of
     name: str = "survey"
+    lines: list[tuple[Corner, Corner]] = []  # as they were planned: what is left of them is asked for
+    across: int = 0  # so many of them, the last ones, lie across
+    at: Corner | None = None  # where the boat is
+    heard: list[str] = []  # files of soundings, by which it is known what is left
 
 
 class PreviewTold(NamedTuple):
@@ -51,15 +58,21 @@ class PreviewTold(NamedTuple):
     covered: tuple[float, float]  # parts: of what may be sailed, and of the area
     room_m: float
     mission: Any  # the tables of its file
+    done: Sequence[tuple[Corner, Corner]] = ()  # parts of lines that are done ...
+    counts: str = ""  # ... in words
+    known: Sequence[tuple[Corner, Corner]] = ()  # all lines of the survey, whose rest these are ...
+    known_across: int = 0  # ... the last ones across
 
 
 def told(asked: PreviewAsked, settings: config.Vehicle) -> dict[str, Any]:
     """The survey of these areas. Raises DelfimError, ImportError."""
     from delfim.survey import planning
-    from delfim.survey.ground import in_degrees, laid
+    from delfim.survey.ground import laid
 
     if sum(len(ring) for shape in asked.areas for ring in (shape.outline, *shape.holes)) > CORNERS:
         raise DelfimError(f"more than {CORNERS} corners: simplify the areas")
+    if asked.lines:
+        return _rest(asked, settings)
     if not asked.areas:
         raise DelfimError("there is no area: draw one, or load a file")
     if not (asked.spacing_m or asked.swath_m):
@@ -76,34 +89,94 @@ def told(asked: PreviewAsked, settings: config.Vehicle) -> dict[str, Any]:
         speed_mps=asked.speed_mps or None,
     )
     plan = planning.planned(laid(asked.areas), wanted, _around(asked, settings.fence))
-    mission = planning.mission(plan, asked.name)
+    return _as_told(plan, asked.name, settings)._asdict()
+
+
+def _as_told(plan: Any, name: str, settings: config.Vehicle) -> PreviewTold:
+    """A plan for the page. Raises DelfimError where the boat would not take its mission."""
+    from delfim.survey import planning
+
+    mission = planning.mission(plan, name)
     planning.check(mission, plan, settings)
-    at = plan.ground.at
-
-    def degrees(place: tuple[float, float]) -> Corner:
-        latitude_deg, longitude_deg = in_degrees(at, *place)
-        return round(latitude_deg, 7), round(longitude_deg, 7)
-
     return PreviewTold(
-        [(degrees(begin), degrees(end)) for begin, end in plan.lines],
+        _ends(plan.ground.at, plan.lines),
         plan.across,
-        [degrees(place) for place in planning.drawn(plan)],
+        [_degrees(plan.ground.at, place) for place in planning.drawn(plan)],
         plan.heading_deg,
-        wanted.spacing_m,
+        plan.wanted.spacing_m,
         plan.line_m,
         plan.way_m,
         plan.time_s,
         plan.covered(),
-        wanted.room_m,
+        plan.wanted.room_m,
         msgspec.to_builtins(mission),
-    )._asdict()
+    )
+
+
+def _degrees(at: Origin, place: tuple[float, float]) -> Corner:
+    from delfim.survey.ground import in_degrees
+
+    latitude_deg, longitude_deg = in_degrees(at, *place)
+    return round(latitude_deg, 7), round(longitude_deg, 7)
+
+
+def _ends(at: Origin, lines: Iterable[tuple[Corner, Corner]]) -> list[tuple[Corner, Corner]]:
+    return [(_degrees(at, begin), _degrees(at, end)) for begin, end in lines]
+
+
+def _rest(asked: PreviewAsked, settings: config.Vehicle) -> dict[str, Any]:
+    """The lines of what is left of a survey, from where the boat is. Raises DelfimError, also where nothing is left."""
+    from delfim.survey import missions, progress
+    from delfim.survey.ground import in_plane, laid, swaths
+
+    survey = _known(asked)
+    missions.go_on(survey, asked.heard)
+    ground, fence = laid(survey.areas), _around(asked, settings.fence)
+    lines = survey.segments(ground)
+    counts = progress.told(survey, lines)[0].partition(": ")[2]
+    fenced = msgspec.structs.replace(settings.fence, keep_in=fence.keep_in, keep_out=fence.keep_out)
+    boat = missions.SurveyBoat("boat", msgspec.structs.replace(settings, fence=fenced))
+    start = in_plane(ground.at, *asked.at) if asked.at is not None else None
+    (plan,) = missions.rest(survey, [boat], [start]) or [None]
+    if plan is None:
+        raise DelfimError(f"nothing is left: {counts}")
+    done = [part for each in zip(lines, survey.done, strict=True) for part in progress.parts(*each)]
+    both = swaths([*done, *plan.lines], plan.wanted.cut.wide_m)
+    its = _as_told(plan, asked.name, settings)._replace(
+        covered=(both.intersection(plan.free).area / plan.free.area, both.intersection(ground.area).area / ground.area.area),
+        done=_ends(ground.at, done),
+        counts=counts,
+        known=survey.lines,
+        known_across=survey.across,
+    )
+    return its._asdict()
+
+
+def _known(asked: PreviewAsked) -> Any:
+    """The survey whose lines these are, of which nothing is known to be done. Without areas, as for a mission that was read
+    from a boat, it has what its lines cover; without a spacing, that of its lines."""
+    from delfim.survey import progress
+
+    if not asked.areas:
+        return progress.by_lines(asked.name, asked.lines, asked.spacing_m, asked.speed_mps or None)
+    wishes = progress.SurveyWishes(
+        spacing_m=asked.spacing_m or asked.swath_m * (1.0 - asked.overlap_pct / 100.0),
+        swath_m=asked.swath_m,
+        cross_m=asked.cross_m,
+        run_in_m=asked.run_in_m or None,
+        speed_mps=asked.speed_mps or None,
+    )
+    heading_deg = progress.by_lines(asked.name, asked.lines).heading_deg
+    done: list[list[tuple[float, float]]] = [[] for _ in asked.lines]
+    return progress.KeptSurvey(progress.VERSION, asked.name, asked.areas, wishes, heading_deg, asked.across, asked.lines, done)
 
 
 def _around(asked: PreviewAsked, boats: config.Zones) -> config.Zones:
     """The fence for the lines: the boat's zones with those of the mission, and the mission's fence in place of the boat's."""
     circles = (config.Area(centre=((north, east),), radius_m=radius_m) for north, east, radius_m in asked.obstacles)
+    closed = (config.Area(polygon=tuple(ring)) for ring in asked.closed)
     keep_in = (config.Area(polygon=tuple(asked.fence)),) if asked.fence else boats.keep_in
-    return config.Zones(keep_in=keep_in, keep_out=(*boats.keep_out, *circles))
+    return config.Zones(keep_in=keep_in, keep_out=(*boats.keep_out, *circles, *closed))
 
 
 def answered(line: bytes, settings: config.Vehicle) -> dict[str, Any]:

@@ -6,17 +6,22 @@ an empty battery, a power cut or a lost link, by whichever boat.
 
 import math
 from collections.abc import Iterable, Sequence
+from itertools import pairwise
 from pathlib import Path
+from statistics import median
 from typing import Annotated, Final, Literal
 
 import msgspec
 import numpy as np
+from shapely.geometry import LineString
 
-from delfim.base.errors import FormatError
+from delfim.base.errors import DelfimError, FormatError
+from delfim.base.geodesy import origin
 from delfim.base.input.untrusted import UNREADABLE, read_file
 from delfim.base.wholefile import replace_file
-from delfim.survey.areafile import Shape
-from delfim.survey.ground import Ground, Place, Segment, in_degrees, in_plane
+from delfim.survey.areafile import Corner, Shape
+from delfim.survey.ground import Ground, Place, Segment, in_degrees, in_plane, polygons, union
+from delfim.survey.lines import AlongLines
 from delfim.survey.planning import SurveyPlan
 
 VERSION: Final = 1
@@ -27,6 +32,10 @@ LEAST_M: Final = 3.0  # a gap that is no longer is none; nor is one up to LIMIT
 OVERLAP_M: Final = 3.0  # a line that goes on begins so far in what is done
 WHOLE: Final = 0.8  # of a line; of a longer one a spacing: what is shorter was sailed across
 MOST_M: Final = 100_000.0  # of a line
+AMONG_DEG: Final = 45.0  # a line that lies farther off the heading of the longest one lies across
+BESIDE_M: Final = 0.5  # lines that lie no farther apart are one
+LONG: Final = 0.5  # of the longest line: shorter ones may be of a part beside their strip
+ALONE_M: Final = 10.0  # the spacing of a survey of one line
 
 Span = tuple[float, float]
 """From where to where along a line, m."""
@@ -87,6 +96,43 @@ def kept(plans: Sequence[SurveyPlan], name: str, areas: list[Shape], asked: Surv
     return KeptSurvey(VERSION, name, areas, asked, heading, len(across), lines, [[] for _ in lines])
 
 
+def by_lines(
+    name: str, lines: Sequence[tuple[Corner, Corner]], spacing_m: float = 0.0, speed_mps: float | None = None
+) -> KeptSurvey:
+    """The survey of which only the lines are known, as from a mission that another operator sent; its area is what they cover.
+    `spacing_m` 0: as they lie. Raises DelfimError."""
+    at = origin(*map(math.radians, lines[0][0]))
+    ends = [(in_plane(at, *begin), in_plane(at, *end)) for begin, end in lines]
+    if min(math.dist(*each) for each in ends) < BESIDE_M:
+        raise DelfimError(f"a line of less than {BESIDE_M} m")
+    longest = max(ends, key=lambda line: math.dist(*line))
+    turned = AlongLines(math.degrees(heading := _heading_rad(longest)))
+    off = [abs(math.sin(_heading_rad(each) - heading)) > math.sin(math.radians(AMONG_DEG)) for each in ends]
+    among = [
+        LineString(each)
+        for each, is_off in zip(ends, off, strict=True)
+        if not is_off and math.dist(*each) > LONG * math.dist(*longest)
+    ]
+    sides = sorted(turned.of(each).centroid.y for each in among)
+    steps = [after - before for before, after in pairwise(sides) if after - before > BESIDE_M]
+    spacing_m = spacing_m or (median(steps) if steps else ALONE_M)
+    swaths = [LineString(each).buffer(spacing_m / 2.0, cap_style="flat") for each in ends]
+    areas = [
+        Shape([in_degrees(at, *place) for place in part.exterior.coords[:-1]], [])
+        for part in polygons(union([each for swath in swaths for each in polygons(swath)]))
+    ]
+    order = sorted(range(len(lines)), key=lambda number: off[number])
+    wishes = SurveyWishes(spacing_m=spacing_m, speed_mps=speed_mps)
+    heading_deg = math.remainder(math.degrees(heading), 360.0)
+    its = [lines[number] for number in order]
+    return KeptSurvey(VERSION, name, areas, wishes, heading_deg, sum(off), its, [[] for _ in its])
+
+
+def _heading_rad(line: Segment) -> float:
+    (x, y), (to_x, to_y) = line
+    return math.atan2(to_x - x, to_y - y)
+
+
 def read_survey(path: str | Path) -> KeptSurvey:
     """Read the file of a survey. Raises OSError, FormatError."""
     try:
@@ -134,6 +180,14 @@ def merged(one: Iterable[Span], other: Iterable[Span]) -> list[Span]:
     return found
 
 
+def parts(line: Segment, spans: Iterable[Span]) -> list[Segment]:
+    """These parts of a line."""
+    (x, y), (to_x, to_y) = line
+    long_m = math.hypot(to_x - x, to_y - y)
+    ux, uy = (to_x - x) / long_m, (to_y - y) / long_m
+    return [((x + a * ux, y + a * uy), (x + b * ux, y + b * uy)) for a, b in spans]
+
+
 def least_m(spacing_m: float) -> float:
     """A gap that is no longer is none."""
     return max(LEAST_M, LIMIT * spacing_m)
@@ -142,17 +196,14 @@ def least_m(spacing_m: float) -> float:
 def left(line: Segment, done: Iterable[Span], least_m: float = LEAST_M, joined_m: float = 0.0) -> list[Segment]:
     """The parts of a line that are not done, each a little longer than its gap; gaps of up to `least_m` are none. Parts
     that lie no farther apart than `joined_m` are sailed in one."""
-    (x, y), (to_x, to_y) = line
-    long_m = math.hypot(to_x - x, to_y - y)
-    ux, uy = (to_x - x) / long_m, (to_y - y) / long_m
-    gaps, at = list[Span](), 0.0
+    long_m, gaps, at = math.dist(*line), list[Span](), 0.0
     for begin, end in [*merged(done, ()), (long_m, long_m)]:
         if begin - at > least_m:
             gap = max(at - OVERLAP_M, 0.0), min(begin + OVERLAP_M, long_m)
             is_near = gaps and gap[0] - gaps[-1][1] <= joined_m
             gaps[-1:] = [(gaps[-1][0], gap[1])] if is_near else [*gaps[-1:], gap]
         at = max(at, end)
-    return [((x + a * ux, y + a * uy), (x + b * ux, y + b * uy)) for a, b in gaps]
+    return parts(line, gaps)
 
 
 def told(survey: KeptSurvey, lines: Sequence[Segment]) -> list[str]:

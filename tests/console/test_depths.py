@@ -7,11 +7,15 @@ import base64
 import math
 import sys
 import tempfile
+import time
 from array import array
 from pathlib import Path
 from typing import Any
 
+from delfim.base.clock import ManualClock
 from delfim.console.boats.depths import CELL_M, SIDE, TILES_MAX, DepthGrid
+from delfim.console.boats.soundings import PENDING_MAX, SoundingFiles
+from delfim.survey.chart.reduction import good_places
 from tests.console.chain import PATIENCE_S, afloat
 from tests.console.scenes import opened, show
 from tests.console.standin import Standin, boat, place
@@ -64,6 +68,38 @@ def test_what_is_no_depth_is_dropped_and_the_tiles_are_bounded() -> None:
     for _ in range(70_000):  # more than a cell counts
         grid.add(38.69, -9.0 + 0.01 * 50, 3.0)
     assert max(max(cells) for cells in told(grid).values()) == 300
+
+
+def test_what_was_heard_is_there_again_after_a_restart_and_a_torn_line_is_cut_off(tmp_path: Path) -> None:
+    clock = ManualClock(time_ns=time.time_ns())
+    files = SoundingFiles(tmp_path, clock)
+    for number in range(5):
+        files.put(number % 2 + 1, 38.69 + number * 1e-5, -9.215, 4.0 + number)
+    assert [file.name for file in files.files()] == ["1.csv", "2.csv"]
+    with (tmp_path / "soundings/1.csv").open("a") as out:
+        out.write("1790000000.0,38.69")
+    again = SoundingFiles(tmp_path, clock)
+    assert sorted(each.depth_m for each in again.read()) == [4.0, 5.0, 6.0, 7.0, 8.0]
+    again.put(1, 38.69, -9.215, 9.0)
+    assert [place[0] for place in good_places(again.files()[0])][:2] == [38.69, 38.69002], "as the log of a boat is read"
+    assert len(list(SoundingFiles(tmp_path, clock).read())) == 6
+    clock.step(8 * 86400.0)
+    assert list(SoundingFiles(tmp_path, clock).read()) == [], "of a survey of last month nothing counts"
+    assert SoundingFiles(tmp_path, clock).files() == []
+    assert len(list(tmp_path.glob("soundings-*/*.csv"))) == 2
+
+
+def test_a_disk_that_takes_nothing_is_told_and_the_rows_wait_bounded(tmp_path: Path) -> None:
+    (tmp_path / "soundings").write_text("no folder")
+    files = SoundingFiles(tmp_path, ManualClock())
+    for _ in range(PENDING_MAX + 5):
+        files.put(1, 38.69, -9.215, 4.0)
+    files.tick()
+    assert "soundings" in files.reason
+    (tmp_path / "soundings").unlink()
+    files.flush()
+    assert files.reason == ""
+    assert len((tmp_path / "soundings/1.csv").read_text().splitlines()) == PENDING_MAX + 1
 
 
 async def heard(folder: Path) -> None:

@@ -1,7 +1,6 @@
 """A survey goes on wherever it was cut, and is divided among boats: nothing is left out, and little is sailed twice."""
 
 import math
-from collections.abc import Iterator
 from itertools import pairwise
 from pathlib import Path
 from random import Random
@@ -15,7 +14,19 @@ from delfim.base.errors import FormatError
 from delfim.config import Zones
 from delfim.survey.ground import Place, Segment, in_degrees, swaths
 from delfim.survey.planning import LinesWanted, SurveyPlan, plan_of, planned
-from delfim.survey.progress import LEAST_M, OVERLAP_M, Span, kept, least_m, left, merged, read_survey, sailed, write_survey
+from delfim.survey.progress import (
+    LEAST_M,
+    OVERLAP_M,
+    Span,
+    kept,
+    least_m,
+    left,
+    merged,
+    parts,
+    read_survey,
+    sailed,
+    write_survey,
+)
 from delfim.survey.progress import SurveyWishes as Wishes
 from delfim.survey.sharing import BoatShare, shared
 from tests.survey.drawn import drawn
@@ -39,16 +50,6 @@ def soundings(plan: SurveyPlan, draw: Random, until: float = 1.0) -> list[Place]
         if far_m <= 0.0:
             break
     return places
-
-
-def parts(line: Segment, done: list[Span]) -> Iterator[Segment]:
-    (x, y), (to_x, to_y) = line
-    long_m = math.dist(*line)
-    for a, b in done:
-        yield (
-            (x + a / long_m * (to_x - x), y + a / long_m * (to_y - y)),
-            (x + b / long_m * (to_x - x), y + b / long_m * (to_y - y)),
-        )
 
 
 def covered(plan: SurveyPlan, done: list[list[Span]]) -> float:

@@ -60,10 +60,10 @@ class DepthGrid:
     def __init__(self) -> None:
         self._tiles: dict[Place, DepthTile] = {}  # the one that was sounded last stands last
 
-    def add(self, latitude_deg: float, longitude_deg: float, depth_m: float) -> None:
-        """Takes a depth; one that is none, or nowhere, is dropped."""
+    def add(self, latitude_deg: float, longitude_deg: float, depth_m: float) -> bool:
+        """Takes a depth; one that is none, or nowhere, is dropped. Whether it was taken."""
         if not (abs(latitude_deg) <= LATITUDE_DEG and abs(longitude_deg) <= 180.0 and 0.0 < depth_m <= DEPTH_M):
-            return
+            return False
         row = math.floor(latitude_deg / TILE_DEG)
         place = row, math.floor(longitude_deg / wide_deg(row))
         tile = self._tiles.pop(place, None) or DepthTile(place)
@@ -71,6 +71,10 @@ class DepthGrid:
         tile.add(latitude_deg, longitude_deg, depth_m)
         if len(self._tiles) > TILES_MAX:
             del self._tiles[next(iter(self._tiles))]
+        return True
+
+    def forget(self) -> None:
+        self._tiles.clear()
 
     def changes(self) -> Iterator[dict[str, Any]]:
         """For the pages: cells that have changed since the last time."""

@@ -52,6 +52,7 @@ class Fleet:
         self.record: Callable[[bytes], None] = lambda frame: None  # every valid frame received, and every frame sent
         self.heard: Callable[[Boat, Any, float], None] = lambda boat, message, now_s: None  # each message, once it is taken
         self.troubles: Callable[[int, int], None] = lambda number, bits: None  # that a boat tells
+        self.sounded: Callable[[int, float, float, float], None] = lambda *told: None  # each depth: boat, place, degrees, and m
         self._clock, self._transmit, self._tell, self._key = clock, transmit, tell, key
         self._boats_max, self._peers_max = (BOATS_MAX, PEERS_MAX) if key is None else (SIGNED_MAX, 2 * SIGNED_MAX)
         self._peers: dict[Address, Codec] = {}
@@ -197,6 +198,11 @@ class Fleet:
             self._homes.discard(boat.number)
             way = boat.heard_track.way_home(message.latitude / 1e7, message.longitude / 1e7)
             self._tell({"t": "way_home", "boat": boat.number, **way})
+
+    def _on_depth(self, boat: Boat, message: Any, now_s: float) -> None:
+        told = message.lat / 1e7, message.lng / 1e7, message.distance
+        if self.depths.add(*told):
+            self.sounded(boat.number, *told)
 
     def _on_mission(self, boat: Boat, message: Any, now_s: float) -> None:
         self._exchange.receive(boat, message, now_s)
@@ -392,7 +398,7 @@ _HANDLERS: Final[dict[str, Callable[[Fleet, Boat, Any, float], None]]] = {
     "PARAM_EXT_VALUE": Fleet._on_name,
     "TIMESYNC": Fleet._on_sync,
     "HOME_POSITION": Fleet._on_home,
-    "WATER_DEPTH": lambda fleet, boat, m, _: fleet.depths.add(m.lat / 1e7, m.lng / 1e7, m.distance),
+    "WATER_DEPTH": Fleet._on_depth,
     "NAMED_VALUE_INT": lambda fleet, boat, m, _: fleet.troubles(boat.number, m.value) if m.name == TROUBLES else None,
     **dict.fromkeys(SAID, Fleet._on_mission),
 }

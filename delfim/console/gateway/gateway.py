@@ -17,9 +17,10 @@ from aiohttp import WSMsgType, web
 
 from delfim import __version__
 from delfim.base.clock import Clock
-from delfim.base.errors import DelfimError, Refused
+from delfim.base.errors import DelfimError, Refused, in_words
 from delfim.console.boats.fleet import Fleet
 from delfim.console.boats.othervessels import around
+from delfim.console.boats.soundings import SoundingFiles
 from delfim.console.charts.charts import Charts
 from delfim.console.gateway import foxglove, page_messages
 from delfim.console.gateway.admission import Admission, own_number
@@ -101,6 +102,7 @@ class Gateway:
         self.udp = Udp(self._receive)
         self.radios = {each.device: each for each in (radio(words, self._receive) for words in radios)}
         self.session = Session(sessions, clock) if sessions is not None and not tapes else None
+        self.soundings = SoundingFiles(sessions, clock) if self.session is not None and sessions is not None else None
         self.charts = Charts(charts)
         admission = Admission(token)
         self.token = admission.token
@@ -117,11 +119,15 @@ class Gateway:
             if self.session is not None:
                 self.fleet.record = self.session.put
             self.fleet.troubles = self.watch.alarms.troubles
+            if self.soundings is not None:
+                for heard in self.soundings.read():
+                    self.fleet.depths.add(*heard[1:])
+                self.fleet.sounded = self.soundings.put
         self.adoption = Adoption(self.fleet, vehicle, self.tell) if isinstance(self.fleet, Fleet) else None
         self.broker: BrokerLine | None = None
         self._complaints: dict[str, str] = {}  # the last complaint about each link and file, to say it once
         self.heard_on: list[str] = [*self.radios]  # addresses and radios, for the page
-        self._desk, self._surveys = Desk(self.fleet, missions, vehicle, self.charts), SurveyDesk(vehicle)
+        self._desk, self._surveys = Desk(self.fleet, missions, vehicle, self.charts), SurveyDesk(vehicle, self._heard)
         self._ticks = self._opened = 0
         self.app = web.Application(middlewares=[admission.admit], client_max_size=MESSAGE_BYTES)
         self.app.router.add_get("/", self._index)
@@ -144,6 +150,8 @@ class Gateway:
         if self.session is not None:
             self.session.flush()
             self._keep()
+        if self.soundings is not None:
+            self.soundings.flush()
         self.charts.close()
         self._surveys.close()
         if self.adoption is not None:
@@ -173,6 +181,9 @@ class Gateway:
                 self._keep()
             self._complain("recording of the session", self.session.reason)
             self._complain("log of the watch", self.watch.log.reason)
+        if self.soundings is not None:
+            self.soundings.tick()
+            self._complain("recording of the depths", self.soundings.reason)
         for name, each in self.radios.items():
             self._complain(name, each.reason)
         if self.broker is not None:
@@ -192,6 +203,18 @@ class Gateway:
         """Writes the log of the watch beside the frames."""
         if self.session is not None and self.session.file is not None:
             self.watch.log.write(self.session.file.with_suffix(".csv"))
+
+    def _heard(self) -> list[Path]:
+        """The files of the depths that were heard."""
+        return self.soundings.files() if self.soundings is not None else []
+
+    def _forget_depths(self) -> None:
+        """Raises OSError."""
+        if self.soundings is not None:
+            self.soundings.put_aside()
+        if isinstance(self.fleet, Fleet):
+            self.fleet.depths.forget()
+        self.tell({"t": "no_depths"})
 
     def _complain(self, name: str, reason: str) -> None:
         """Tells the pages once for each reason."""
@@ -336,8 +359,8 @@ class Gateway:
             asked = json.loads(text)  # it accepts infinity, so that the message's number is found all the same
             sequence = asked.get("seq") if isinstance(asked, dict) else None
             self._ask(page, msgspec.convert(asked, page_messages.Message), asked, partial(_answer, page, sequence))
-        except DelfimError as error:
-            _answer(page, sequence, False, str(error))
+        except (DelfimError, OSError) as error:
+            _answer(page, sequence, False, in_words(error))
         except (msgspec.MsgspecError, ValueError, TypeError, KeyError, RecursionError) as error:
             _answer(page, sequence, False, f"not understood: {error}")
 
@@ -384,6 +407,9 @@ class Gateway:
                 self._desk.ask(asked, words.get("mission"), page.tell, answer)
             case page_messages.Survey():
                 self._surveys.ask(page.who, asked, page.tell, answer)
+            case page_messages.Depths():
+                self._forget_depths()
+                answer(True, "")
             case page_messages.Adopt():
                 if self.adoption is None:
                     raise Refused("nothing is adopted in a replay")

@@ -59,6 +59,8 @@ class WatchKeeper:
                 order = f"link profile {profile}"[:200]
             case page_messages.Mission(do=deed) if deed in DEEDS:
                 order = f"mission: {deed}"
+            case page_messages.Depths(do=deed):
+                order = f"depths: {deed}"
             case page_messages.Adopt(do=deed):
                 order = f"adopt: {deed}"
             case _:

@@ -128,11 +128,15 @@ Length = Annotated[float, msgspec.Meta(ge=0.0, le=1000.0)]
 
 
 class Survey(Said, frozen=True):
-    """Asks for the lines of areas, each an outline and its holes; `survey` tells them. A later one of the same page takes the
-    place of one that waits."""
+    """Asks for the lines of areas, each an outline and its holes, or with `lines` for what of these is left by the depths that
+    this console heard; `survey` tells them. A later one of the same page takes the place of one that waits."""
 
     boat: Number
     areas: Annotated[list[tuple[Ring, list[Ring]]], msgspec.Meta(max_length=100)]
+    lines: Annotated[list[tuple[Corner, Corner]], msgspec.Meta(max_length=1000)] = []  # of the survey, as it was planned
+    across: Annotated[int, msgspec.Meta(ge=0)] = 0  # so many of the lines, the last ones, lie across
+    at: Corner | None = None  # where the boat is that sails what is left
+    closed: Annotated[list[Ring], msgspec.Meta(max_length=200)] = []  # zones of the plan, which the boat must not enter
     spacing_m: Length = 0.0  # 0: by swath and overlap
     swath_m: Length = 0.0  # that a line covers; 0: the spacing
     overlap_pct: Annotated[float, msgspec.Meta(ge=0.0, le=90.0)] = 20.0
@@ -147,6 +151,12 @@ class Survey(Said, frozen=True):
     name: Annotated[str, msgspec.Meta(max_length=200)] = "Survey"
 
 
+class Depths(Said, frozen=True):
+    """Another survey of the same water begins: the depths that were heard until now go from all pages, and count no longer."""
+
+    do: Literal["forget"]
+
+
 class Adopt(Said, frozen=True):
     """A trial of a boat's motors and hull (docs/adopt.md): begins it, or begins it afresh, answers its question, ends it, or
     takes it off the pages. Any other order to that boat ends it, too."""
@@ -156,5 +166,5 @@ class Adopt(Said, frozen=True):
     radius_m: Annotated[float, msgspec.Meta(ge=15.0, le=160.0)] = 60.0  # of its circle
 
 
-Message = Command | Input | Release | Profile | Forget | Home | Replay | Acknowledge | Mission | Survey | Adopt
+Message = Command | Input | Release | Profile | Forget | Home | Replay | Acknowledge | Mission | Survey | Depths | Adopt
 NO_NUMBERS = frozenset({"t", "seq", "boat", "command"})

@@ -11,7 +11,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from threading import Timer
 from typing import Any, Final
@@ -77,9 +77,11 @@ class Planner:
 
 
 class SurveyDesk:
-    """Answers the pages. `vehicle`: the boat's file; without one the lines are those of the usual boat."""
+    """Answers the pages. `vehicle`: the boat's file; without one the lines are those of the usual boat. `heard`: the files of
+    the soundings that were heard."""
 
-    def __init__(self, vehicle: Path | None) -> None:
+    def __init__(self, vehicle: Path | None, heard: Callable[[], list[Path]] = list) -> None:
+        self._heard = heard
         self._planner = Planner(str(vehicle or USUAL))
         self._waiting: dict[str, tuple[bytes, page_messages.Survey, Tell, Answer]] = {}  # of each page the newest
         self._began_s: float | None = None  # when the request under way was begun
@@ -93,7 +95,7 @@ class SurveyDesk:
         """Makes the lines that a page asks for, and answers it later."""
         if (older := self._waiting.pop(who, None)) is not None:
             older[3](False, REPLACED)
-        self._waiting[who] = request(asked), asked, tell, answer
+        self._waiting[who] = request(asked, self._heard() if asked.lines else ()), asked, tell, answer
         if self._began_s is None:
             self._next()
         elif time.monotonic() - self._began_s > NEWER_S:
@@ -143,11 +145,11 @@ class SurveyDesk:
         return told
 
 
-def request(asked: page_messages.Survey) -> bytes:
+def request(asked: page_messages.Survey, heard: Iterable[Path] = ()) -> bytes:
     """The line that the process is asked with."""
     words = {key: value for key, value in msgspec.to_builtins(asked).items() if key not in ("t", "seq", "boat")}
     words["obstacles"] = [(each.latitude_deg, each.longitude_deg, each.radius_m) for each in asked.obstacles]
-    return msgspec.json.encode(words)
+    return msgspec.json.encode(words | {"heard": [str(file) for file in heard]})
 
 
 def _tell(told: dict[str, Any], asked: page_messages.Survey, tell: Tell, answer: Answer) -> None:

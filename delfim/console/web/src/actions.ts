@@ -156,6 +156,11 @@ export class Actions {
     if (!answer.ok) this.say(boat, 4, refusal("forget", answer.reason));
   }
 
+  async forgetDepths(): Promise<void> {
+    const answer = await this.net.ask({ t: "depths", do: "forget" });
+    if (!answer.ok) this.say(null, 4, refusal("forget the depths", answer.reason));
+  }
+
   replay(to: { at_s?: number; rate?: number }): void {
     void this.net.ask({ t: "replay", ...to });
   }

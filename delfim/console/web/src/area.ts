@@ -1,7 +1,7 @@
 // The areas of a survey as parts of a plan: outlines and holes, with the same changes as a fence has.
 import { distance_m, towards } from "./geo";
 import { cornerPlace } from "./mission";
-import type { Area, Mission, Place, Ring } from "./wire";
+import type { Area, Line, Mission, Place, Ring } from "./wire";
 
 /** A ring of a plan's areas; `hole` counts from 0, -1 is the outline. */
 export interface RingOf {
@@ -14,6 +14,13 @@ export const corner = (place: Place): [number, number] => [place.latitude_deg, p
 
 export const areasOf = (mission: Mission): Area[] => mission.survey?.areas ?? [];
 
+/** The lines of the survey that the plan sails, or sails the rest of. Those of a mission that was read from a boat are its legs with a number. */
+export const linesOf = ({ survey, waypoints }: Mission): Line[] =>
+  survey?.lines ?? waypoints.flatMap((to, i): Line[] => (i && to.line ? [[corner(waypoints[i - 1]!), corner(to)]] : []));
+
+/** Whether hundreds of numbers would hide its lines. */
+export const isSurvey = (mission: Mission): boolean => linesOf(mission).length > 0;
+
 /** All rings in their order, by which handles name them. */
 export function ringsOf(mission: Mission): RingOf[] {
   return areasOf(mission).flatMap(([outline, holes], area) => [{ area, hole: -1, corners: outline }, ...holes.map((corners, hole) => ({ area, hole, corners }))]);
@@ -21,7 +28,7 @@ export function ringsOf(mission: Mission): RingOf[] {
 
 export function withAreas(mission: Mission, areas: Area[]): Mission {
   const { survey, ...rest } = mission;
-  return areas.length ? { ...rest, survey: { values: survey?.values ?? [], areas } } : rest;
+  return areas.length ? { ...rest, survey: { values: [], ...survey, areas } } : rest;
 }
 
 /** The plan with another ring in place of this one; one of fewer than three corners is gone, with its holes if it is an outline. */

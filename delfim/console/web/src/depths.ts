@@ -6,9 +6,10 @@ import Layer from "ol/layer/Layer";
 import { areasOf, isInside } from "./area";
 import type { Chart } from "./chart";
 import { point } from "./chart";
-import { make } from "./dom";
+import { make, text } from "./dom";
 import { distance_m } from "./geo";
 import type { State } from "./state";
+import type { Survey } from "./survey";
 import type { Heard, Mission, Place } from "./wire";
 
 type Told = Extract<Heard, { t: "depths" }>;
@@ -33,6 +34,9 @@ export class Depths {
   private gaps: { extent: Extent; picture: HTMLCanvasElement } | null = null;
   private covered: number | null = null; // part of the area
   private looked = 0;
+  private readonly labels = make("span.labels");
+  private readonly share = make("small");
+  private readonly fill = make("button.plain", "Fill the gaps");
   private readonly canvas = make("canvas");
   private readonly layer: Layer;
   visible = localStorage.getItem(KEPT) !== "off";
@@ -41,7 +45,10 @@ export class Depths {
     private readonly box: HTMLElement,
     chart: Chart,
     private readonly state: State,
+    private readonly survey: Survey,
   ) {
+    this.fill.addEventListener("click", () => survey.fill());
+    box.append(make("i.ramp"), this.labels, this.share, this.fill);
     this.canvas.className = "depths";
     this.layer = new Layer({ render: (frame) => this.render(frame!) });
     this.layer.setVisible(this.visible);
@@ -67,6 +74,7 @@ export class Depths {
     [this.gaps, this.covered] = [null, null];
     this.range = [Infinity, -Infinity];
     this.legend();
+    this.layer.changed();
   }
 
   take({ tile: [row, column], extent, whole, cells }: Told): void {
@@ -135,9 +143,9 @@ export class Depths {
     this.box.hidden = !this.visible || !this.tiles.size;
     if (this.box.hidden) return;
     const [least, most] = this.range.map((each) => each / 100) as [number, number];
-    const bar = make("i.ramp");
-    const labels = make("span.labels", make("b", `${least} m`), make("b", `${(least + most) / 2} m`), make("b", `${most} m`));
-    this.box.replaceChildren(bar, labels, make("small", this.covered === null ? "" : `${Math.floor(100 * this.covered)} % covered`));
+    this.labels.replaceChildren(...[least, (least + most) / 2, most].map((each) => make("b", `${each} m`)));
+    text(this.share, this.covered === null ? "" : `${Math.floor(100 * this.covered)} % covered`);
+    this.fill.hidden = this.state.replaying || !this.survey.hasLines;
   }
 
   /** What of the area has no sounding within half a line's spacing: looked for now and then. */

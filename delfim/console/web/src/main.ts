@@ -63,7 +63,7 @@ const survey = new Survey(chart, popup, state, plans, net, messages, edit);
 const planning = new Planning(popup, state, actions, chart, plans, messages, edit, undo, survey);
 const wayHome = new WayHome(chart, state, net);
 popup.closed = () => wayHome.show(null);
-const depths = new Depths(element("depths"), chart, state);
+const depths = new Depths(element("depths"), chart, state, survey);
 const adopt = new Adopt(element("adopt"), chart, state, popup, net, messages);
 const menus = new Menus(popup, state, actions, chart, fleet, plans, planning, () => watchLog.open(), sound, watch, wayHome, () => keyCard.toggle(), adopt, depths);
 const hints = new Hints(element("hint"), element("nobody"), state, actions.did, popup);
@@ -161,6 +161,8 @@ function heard(message: Heard): void {
       return state.tell("missions");
     case "depths":
       return depths.take(message);
+    case "no_depths":
+      return depths.forget();
     case "adoption":
       return adopt.take(message);
     case "survey":

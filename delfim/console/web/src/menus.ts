@@ -203,6 +203,7 @@ export class Menus {
       { title: "Sound", tick: this.sound.on, do: () => this.sound.toggle() },
       { title: "Guard zone", note: this.watch.zone_m ? `${this.watch.zone_m} m around each boat, on this page` : "none on this page", sub: () => this.zones() },
       { title: "Depths", note: "as the boats tell them, by colour", tick: this.depths.visible, do: () => this.depths.toggle() },
+      { title: "Forget the depths", note: "on all pages: another survey of the same water begins", refuse: this.depths.counts[0] ? undefined : "none were heard", do: () => void this.actions.forgetDepths() },
       ...charts,
       "line",
       { title: "Log of the watch", do: this.log },

@@ -280,6 +280,7 @@ export class Planning {
       { title: "Speed, acceptance, stay…", note: waypointWords(its), do: () => this.waypointForm(boat, index) },
       this.position(boat, `Waypoint ${index + 1}`, its, (each, to) => M.moveWaypoint(each, index, to)),
       ...(A.areasOf(mission).length && mission.survey!.values.length ? [{ title: "Change the survey…", note: "its lines anew", do: () => this.survey.form() }] : []),
+      ...(this.survey.hasLines ? [this.survey.filling()] : []),
       ...(found ? [{ title: `Change the ${KINDS[found.pattern.kind].title.toLowerCase()}…`, note: `waypoints ${found.first + 1} to ${found.first + found.count}`, do: () => this.patternForm(boat, found.pattern, found) }] : []),
       { title: "Leg to it", refuse: before ? undefined : "it is the first", note: "as path following sails it", sub: () => this.legs(boat, index) },
       "line",
@@ -360,6 +361,7 @@ export class Planning {
     const words = hole < 0 ? "area" : "hole";
     this.popup.menu(at, { title: `Corner ${index + 1} of the ${words}` }, [
       { title: "Lines…", do: () => this.survey.form() },
+      ...(this.survey.hasLines ? [this.survey.filling()] : []),
       this.position(boat, `Corner ${index + 1}`, its, (each, to) => A.moveRingCorner(each, ring, index, to)),
       { title: "Delete the corner", do: () => this.change(boat, (each) => A.deleteRingCorner(each, ring, index)) },
       { title: `Delete the ${words}`, do: () => this.change(boat, (each) => A.deleteRing(each, ring)) },

@@ -10,7 +10,7 @@ import type { Chart, Pixel } from "./chart";
 import { placeOf, point } from "./chart";
 import { keptAboard } from "./aboard";
 import { bearing, bearing_deg, distance_m, metres } from "./geo";
-import { insertRingCorner, moveRingCorner, ringsOf } from "./area";
+import { insertRingCorner, isSurvey, moveRingCorner, ringsOf } from "./area";
 import { alike, cornerPlace, insertCorner, insertWaypoint, leg, moveCorner, moveWaypoint, path as pathOf, setObstacle } from "./mission";
 import { cased, inked, palette } from "./palette";
 import { drawnAreas } from "./survey";
@@ -151,7 +151,7 @@ export class Plans {
       const place = { latitude_deg: (a.latitude_deg + b.latitude_deg) / 2, longitude_deg: (a.longitude_deg + b.longitude_deg) / 2 };
       made.push({ kind, index, place, ...(ring === undefined ? {} : { ring }) });
     };
-    if (!mission.survey?.values.length) mission.waypoints.forEach((to, i) => i && !to.turn && add("middle", i, mission.waypoints[i - 1]!, to));
+    if (!isSurvey(mission)) mission.waypoints.forEach((to, i) => i && !to.turn && add("middle", i, mission.waypoints[i - 1]!, to));
     const corners = mission.fence.map(cornerPlace);
     corners.forEach((each, i) => add("edge", i + 1, each, corners[(i + 1) % corners.length]!));
     ringsOf(mission).forEach(({ corners: round }, ring) => round.forEach((each, i) => add("side", i + 1, cornerPlace(each), cornerPlace(round[(i + 1) % round.length]!), ring)));
@@ -189,9 +189,9 @@ export class Plans {
     const [current, last] = [sails ? boat!.mission.current : null, mission.waypoints.length - 1];
     const drawn = numbered(this.chart, mission.waypoints, current);
     const aside = besideTheFirst(this.chart, mission.waypoints);
-    const isSurvey = Boolean(mission.survey?.values.length); // hundreds of numbers would hide its lines
+    const hasLines = isSurvey(mission);
     mission.waypoints.forEach((each, i) => {
-      if (isSurvey && i && i < last && i !== current) this.marks.addFeature(drawnCorner(each, look.colour, 3));
+      if (hasLines && i && i < last && i !== current) this.marks.addFeature(drawnCorner(each, look.colour, 3));
       else if (drawn.has(i)) this.marks.addFeature(drawnWaypoint(each, i, i === current, look, aside && i === last ? ASIDE_PX : 0));
     });
   }

@@ -4,7 +4,7 @@ import { LineString, Point, Polygon } from "ol/geom";
 import VectorLayer from "ol/layer/Vector";
 import VectorSource from "ol/source/Vector";
 import { Fill, RegularShape, Stroke, Style } from "ol/style";
-import { areasOf, corner, ringsOf, square, withAreas, withHole } from "./area";
+import { areasOf, corner, linesOf, ringsOf, square, withAreas, withHole } from "./area";
 import type { Chart, Pixel } from "./chart";
 import { point } from "./chart";
 import type { Field } from "./form";
@@ -14,7 +14,7 @@ import { cornerPlace, understood } from "./mission";
 import type { Answer, Net } from "./net";
 import { cased, palette } from "./palette";
 import type { Plans } from "./plans";
-import type { Entry, Popup } from "./popup";
+import type { Entry, Item, Popup } from "./popup";
 import type { State } from "./state";
 import { enteredSpeed_mps, inKnots, speedUnit } from "./units";
 import type { Area, Heard, Mission, Place, Ring, Said } from "./wire";
@@ -25,6 +25,7 @@ type Asked = Extract<Said, { t: "survey" }>;
 const ASIDE: Pixel = [Infinity, 60]; // the form must not cover the area
 const STARTS = ["", "nw", "ne", "se", "sw"] as const;
 const BEGIN = [10, 0, 20, 0, 0, 0, 0, 0, 0]; // of the form: spacing, swath, overlap, heading, cross lines, start, edges, run-in, speed
+const HOLE = /^hole \d+$/; // a zone that a survey made
 const CLOSE_PX = 14;
 const ENDINGS = ".geojson,.json,.kml,.gpx,.shp,.plan";
 
@@ -73,6 +74,7 @@ export class Survey {
       { title: "Hole around here…", refuse: none, do: () => this.square("Hole", hole, place, (mission, ring) => withHole(mission, ring, place)) },
       "line",
       { title: "Lines…", refuse: none, do: () => this.form() },
+      this.filling(),
       { title: "Delete the areas", refuse: none, do: () => this.change(withAreas(this.mission, [])) },
     ];
   }
@@ -161,20 +163,46 @@ export class Survey {
     const before = this.mission;
     const kept = before.survey?.values ?? [];
     const fields = formFields(kept.length === BEGIN.length ? kept : BEGIN);
-    const bare: Mission = { ...before, waypoints: [], path: [] };
     let values: number[] = [];
-    const live = (now: number[]) => {
-      values = [...now];
-      this.ask({ ...asked(before, now), boat: this.state.planning });
+    this.shape("Survey lines", fields, before, (now) => asked(before, (values = [...now])), (told) => {
+      const { across } = told;
+      return { areas: areasOf(before), values, lines: told.lines, across };
+    });
+  }
+
+  /** The entry of a menu that plans what is left. */
+  filling(): Item {
+    return { title: "Fill the gaps…", note: "lines of what is left", refuse: linesOf(this.mission).length ? undefined : "the plan has no lines", do: () => this.fill() };
+  }
+
+  get hasLines(): boolean {
+    return linesOf(this.mission).length > 0;
+  }
+
+  /** The form of the lines that are left, by what this console heard: from where the boat is now. */
+  fill(): void {
+    const before = this.mission;
+    const { values: kept = [], across = 0, areas = [] } = before.survey ?? {};
+    const begin = kept.length === BEGIN.length ? kept : areas.length ? BEGIN : BEGIN.map(() => 0);
+    const { boat } = this.state;
+    const at = boat?.latitude_deg == null ? null : corner(boat as Place);
+    const ask = ([speed]: number[]) => ({ ...asked(before, begin.with(-1, speed!)), lines: linesOf(before), across, at });
+    this.shape("Fill the gaps", [speedField(begin.at(-1)!)], before, ask, (told) => ({ areas, values: kept, lines: told.known, across: told.known_across }));
+  }
+
+  /** A form that shows its lines on the map; OK makes them the plan, of a survey that `kept` tells. */
+  private shape(title: string, fields: Field[], before: Mission, ask: (values: number[]) => Asked, kept: (told: Told) => Mission["survey"]): void {
+    const live = (values: number[]) => {
+      this.ask({ ...ask(values), boat: this.state.planning });
       return this.words(before);
     };
-    this.plans.preview(bare);
-    this.again = this.popup.form(ASIDE, "Survey lines", fields, live, (ok) => {
+    this.plans.preview({ ...before, waypoints: [], path: [] });
+    this.again = this.popup.form(ASIDE, title, fields, live, (ok) => {
       const { told } = this;
       [this.told, this.asked, this.wanted, this.again] = [null, "", null, () => {}];
       this.plans.preview(null);
       this.draw();
-      if (ok && told) this.change(planned(before, told, values));
+      if (ok && told) this.change(planned(before, told, kept(told)));
     });
   }
 
@@ -216,10 +244,11 @@ export class Survey {
     const left = free === area ? "" : `, which is ${area} of the area: ${told.room_m} m about holes and fences are left`;
     const old = before.waypoints.length ? `\nThey take the place of the plan’s ${before.waypoints.length} waypoints.` : "";
     const across = told.across ? `, ${told.across} across` : "";
+    const filled = told.counts && `${told.counts} heard here. What was not heard, because a link was lost, is a gap.\n`;
     return (
-      `${told.lines.length} lines${across}, ${metres(told.spacing_m)} apart, ${bearing(told.heading_deg)}\n` +
+      `${filled}${told.lines.length} lines${across}, ${metres(told.spacing_m)} apart, ${bearing(told.heading_deg)}\n` +
       `${metres(told.line_m)} of lines, ${metres(told.way_m)} in all, ${duration(told.time_s)}\n` +
-      `covered: ${free} of what may be sailed${left}${old}`
+      `covered${filled && ", all together"}: ${free} of what may be sailed${left}${old}`
     );
   }
 
@@ -237,11 +266,11 @@ export class Survey {
 }
 
 /** The plan with these lines as its waypoints. Its fence, obstacles and home stay; holes of an earlier survey go. */
-function planned(before: Mission, told: Told, values: number[]): Mission {
+function planned(before: Mission, told: Told, survey: Mission["survey"]): Mission {
   const made = understood(told.mission);
-  const zones = [...(before.zones ?? []).filter(({ name }) => !/^hole \d+$/.test(name)), ...(made.zones ?? [])];
+  const zones = [...(before.zones ?? []).filter(({ name }) => !HOLE.test(name)), ...(made.zones ?? [])];
   const { patterns: _, ...rest } = before;
-  return { ...rest, waypoints: made.waypoints, path: made.path ?? [], zones, survey: { areas: areasOf(before), values } };
+  return { ...rest, waypoints: made.waypoints, path: made.path ?? [], zones, ...(survey && { survey }) };
 }
 
 function asked(mission: Mission, [spacing, swath, overlap, heading, cross, start, edges, run_in, speed]: number[]): Asked {
@@ -253,6 +282,7 @@ function asked(mission: Mission, [spacing, swath, overlap, heading, cross, start
     ...{ inside: edges === 1, run_in_m: run_in!, speed_mps: enteredSpeed_mps(speed!) },
     fence: mission.fence,
     obstacles: mission.obstacles,
+    closed: (mission.zones ?? []).filter(({ kind, name, polygon }) => kind === "keep_out" && polygon.length && !HOLE.test(name)).map(({ polygon }) => polygon),
     name: mission.name,
   };
 }
@@ -270,9 +300,11 @@ function formFields([spacing, swath, overlap, heading, cross, start, edges, run_
     { title: "Begin", unit: "", value: start!, step: 1, least: 0, most: 4, show: (value) => corners[value]!, read: (words) => (cornerIn(words) < 0 ? null : cornerIn(words)), zero: corners[0]! },
     { title: "Cover", unit: "", value: edges!, step: 1, least: 0, most: 1, zero: "to the edge", show: () => "inside" },
     m("Run-in", run_in!, 1, "its own"),
-    { title: "Speed", unit: speedUnit(), value: speed!, step: 0.1, least: 0, most: inKnots ? 20 : 10, zero: "its own" },
+    speedField(speed!),
   ];
 }
+
+const speedField = (value: number): Field => ({ title: "Speed", unit: speedUnit(), value, step: 0.1, least: 0, most: inKnots ? 20 : 10, zero: "its own" });
 
 /** Holes that a file has beside its outlines belong to the first area. */
 function joined(areas: Area[]): Area[] {
@@ -280,10 +312,15 @@ function joined(areas: Area[]): Area[] {
   return areas.filter(([outline]) => outline.length).map(([outline, holes], i) => [outline, i ? holes : [...holes, ...loose]]);
 }
 
-function drawnLines({ lines, across, way }: Told): Feature[] {
+function drawnLines({ lines, across, way, done }: Told): Feature[] {
   const thin = new Feature(new LineString(way.map((each) => point(cornerPlace(each)))));
   thin.setStyle(cased(palette.draft, 1.1));
-  return [thin, ...lines.flatMap(([from, to], i) => directed(cornerPlace(from), cornerPlace(to), i < lines.length - across ? palette.survey : palette.steer))];
+  const past = done.map((ends) => {
+    const line = new Feature(new LineString(ends.map((each) => point(cornerPlace(each)))));
+    line.setStyle(cased(palette.done, 3.2));
+    return line;
+  });
+  return [thin, ...past, ...lines.flatMap(([from, to], i) => directed(cornerPlace(from), cornerPlace(to), i < lines.length - across ? palette.survey : palette.steer))];
 }
 
 /** A line, its direction at its middle. */

@@ -43,6 +43,7 @@ export interface Pattern {
 
 export type Ring = [latitude_deg: number, longitude_deg: number][];
 export type Area = [outline: Ring, holes: Ring[]];
+export type Line = [begin: Ring[0], end: Ring[0]];
 
 export interface Mission {
   name: string;
@@ -53,7 +54,7 @@ export interface Mission {
   home: Place | null;
   path?: PathPoint[]; // of its own, beside the waypoints
   patterns?: Pattern[];
-  survey?: { areas: Area[]; values: number[] }; // what its lines were made of, in the plan on the screen; values of its form
+  survey?: { areas: Area[]; values: number[]; lines?: Line[]; across?: number }; // what its lines were made of, in the plan on the screen; values of its form; all its lines, those across last
 }
 
 export type Pair = [number | null, number | null];
@@ -246,9 +247,10 @@ export type Heard =
   | { t: "answer"; seq: number; ok: boolean; reason: string; stage?: string }
   | { t: "mission"; boat: number; where: "here" | "aboard"; mission: Mission }
   | { t: "missions"; names: string[] }
-  | { t: "survey"; boat: number; lines: [Ring[0], Ring[0]][]; across: number; way: Ring; heading_deg: number; spacing_m: number; line_m: number; way_m: number; time_s: number; covered: [number, number]; room_m: number; mission: Mission }
+  | { t: "survey"; boat: number; lines: Line[]; across: number; way: Ring; heading_deg: number; spacing_m: number; line_m: number; way_m: number; time_s: number; covered: [number, number]; room_m: number; mission: Mission; done: Line[]; counts: string; known: Line[]; known_across: number }
   | { t: "adoption"; boat: number | null; is_running: boolean; circle: (Place & { radius_m: number }) | null; steps: TrialStep[]; part: number; lines: string[]; question: string; end: string; file: string; is_written: boolean; report: boolean }
   | { t: "depths"; tile: [row: number, column: number]; extent: [number, number, number, number]; whole?: string; cells?: [cell: number, depth_cm: number][] }
+  | { t: "no_depths" }
   | { t: "progress"; boat: number; what: string; part: number }
   | { t: "dryrun"; boat: number; time_s: number; distance_m: number; track: [number, number][] };
 
@@ -258,7 +260,8 @@ export type Said =
   | { t: "command"; boat: number | "all"; command: string; [key: string]: Values[string] }
   | { t: "mission"; boat: number; do: MissionDeed; mission?: Mission; name?: string }
   | { t: "profile"; boat: number; profile: string }
-  | { t: "survey"; boat: number; areas: Area[]; heading_deg: number | null; start: string; inside: boolean; fence: Ring; obstacles: Obstacle[]; name: string; [key: `${string}_m` | `${string}_mps` | `${string}_pct`]: number }
+  | { t: "survey"; boat: number; areas: Area[]; heading_deg: number | null; start: string; inside: boolean; fence: Ring; obstacles: Obstacle[]; closed: Ring[]; name: string; lines?: Line[]; across?: number; at?: Ring[0] | null; [key: `${string}_m` | `${string}_mps` | `${string}_pct`]: number }
+  | { t: "depths"; do: "forget" }
   | { t: "adopt"; boat: number; do: "begin" | "afresh" | "yes" | "no" | "end" | "close"; radius_m?: number }
   | { t: "forget"; boat: number }
   | { t: "home"; boat: number }
