@@ -146,6 +146,31 @@ def test_silence_of_navigation_and_what_the_watchdog_did_are_repeated(tmp_path):
     assert result.exact, result.text()
 
 
+def test_frames_that_are_stamped_long_after_their_look_are_repeated_as_they_were(tmp_path):
+    """When the watchdog looked is known of a look alone that noted something; the others sent what the black box stamped later."""
+    day = sailed(tmp_path / "day")
+    assert day.command(console.Heading(10.0, 1.0)) is None
+    day.sail(1.0)
+    after_s, age_s = day.settings.failsafe.navigation_silent.after_s, day.clock.monotonic_s() - day.sailing.state.navigation_s
+    day.clock.advance((after_s - 0.02 - age_s) % 0.1003)  # a look comes 20 ms before that is the trouble
+    silent(day, 3.0)
+    day.sail(2.0)
+    day.end()
+    box = copied(tmp_path / "day", tmp_path / "later") / "lockstep/000000.log"
+    columns, _ = table([file for file in logged(tmp_path / "later") if file.id == "state"])
+    t1 = columns["t1"]
+    lines = list[str]()
+    for line in box.read_text().splitlines(keepends=True):
+        name, frame = parse_line(line)
+        before = t1[t1 <= frame.t_ns]
+        is_of_a_look = " 04" in line and len(before) and frame.t_ns - before[-1] > 400_000_000
+        lines.append(format_line(frame._replace(t_ns=frame.t_ns + 45_000_000), name) if is_of_a_look else line)
+    assert lines != box.read_text().splitlines(keepends=True)
+    box.write_text("".join(lines))
+    result = rerun(logged(tmp_path / "later"), None)
+    assert result.exact, result.text()
+
+
 @pytest.mark.parametrize("lasts_s", [1.0, 3.5])
 def test_what_positions_that_were_refused_made_of_the_boat_is_repeated(tmp_path, lasts_s):
     """A refused position makes no cycle, and so no record."""

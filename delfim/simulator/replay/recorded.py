@@ -33,6 +33,7 @@ class Due(NamedTuple):
     what: Any = None
     source: int = 0  # of a cycle: its place in `navigation.sources`
     sent: tuple[tuple[int, str, float], ...] = ()  # of a cycle: thrusters by their rows, "command" or "angle", and its value
+    heard_ns: int = 0  # of a cycle: stamp of its message, after `t_ns` where a busy machine let a line wait to be read
 
 
 class GuestReference(NamedTuple):
@@ -70,9 +71,9 @@ def cycles(columns: Any, rows: Sequence[tuple[int, str]]) -> Iterator[Due]:
         for what in ("command", "angle")
         if f"{name}_{what}" in columns
     ]
-    times = zip(columns["t1"].tolist(), columns["monotonic_s"].tolist(), _asked(columns), _sources(columns), strict=True)
-    for i, (t1, at_s, asked, source) in enumerate(times):
-        yield Due(t1, "navigation", at_s, asked, source, tuple((index, what, values[i]) for index, what, values in told))
+    times = zip(*(columns[key].tolist() for key in ("t1", "monotonic_s", "t0")), _asked(columns), _sources(columns), strict=True)
+    for i, (t1, at_s, t0, asked, source) in enumerate(times):
+        yield Due(t1, "navigation", at_s, asked, source, tuple((index, what, values[i]) for index, what, values in told), t0)
 
 
 def first_ns(columns: Any) -> dict[int, int]:

@@ -223,12 +223,15 @@ class Rerun:
         self.clock.now_ns, self.clock.now_s = t_ns, at_s
 
     def _unexplained(self) -> None:
-        """Replay a propulsion command outside a cycle: a check of the watchdog in idle, or the end."""
+        """Replay a propulsion command outside a cycle: a check of the watchdog in idle, or the end. It looked before its frames
+        were stamped; when, is known only of a look that noted something, and that is no look that notes nothing later."""
         t_ns, group = self.recorded[0]
         self.feed(t_ns)
-        self.clock.now_s += (t_ns - self.clock.now_ns) / 1e9
-        self.clock.now_ns = t_ns
+        at_s = self.clock.now_s + (t_ns - self.clock.now_ns) / 1e9
+        sends_s = self.state.navigation_s + REPEAT_S + 1e-6  # before, it would send nothing
+        self._at(t_ns, min(at_s, max(at_s - LATER_NS / 1e9, self.clock.now_s, sends_s)))
         self.vehicle.on_watchdog()
+        self._at(t_ns, at_s)
         if not self._compare(t_ns):
             self.recorded.popleft()
             self._judge(t_ns, group, ())
@@ -244,12 +247,12 @@ class Rerun:
     def _navigate(self, due: Due) -> None:
         """Replay the cycle of a record. The black box may have stamped its last frame after the vehicle read it."""
         self._ask(due.what)
-        refused, waiting = self._refused(), WAITING
+        refused, waiting, until_ns = self._refused(), WAITING, max(due.t_ns + LATER_NS, due.heard_ns)
         while not any(self.vehicle.on_navigation(source) for source in self.vehicle.sources[due.source :]):
             if waiting and (again := self._refused()) != refused:  # the message of the record comes after it
                 refused, waiting = again, waiting - 1
                 continue
-            if not self._inputs or self._inputs[0].t_ns > due.t_ns + LATER_NS:
+            if not self._inputs or self._inputs[0].t_ns > until_ns:
                 break
             self._deliver(self._inputs.popleft())
             self._at(due.t_ns, due.at_s)
