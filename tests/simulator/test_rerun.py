@@ -147,7 +147,7 @@ def test_silence_of_navigation_and_what_the_watchdog_did_are_repeated(tmp_path):
 
 
 def test_frames_that_are_stamped_long_after_their_look_are_repeated_as_they_were(tmp_path):
-    """When the watchdog looked is known of a look alone that noted something; the others sent what the black box stamped later."""
+    """When the watchdog looked is known only where it noted something; all else it sent, and the black box stamped it later."""
     day = sailed(tmp_path / "day")
     assert day.command(console.Heading(10.0, 1.0)) is None
     day.sail(1.0)

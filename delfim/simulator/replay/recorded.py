@@ -71,8 +71,8 @@ def cycles(columns: Any, rows: Sequence[tuple[int, str]]) -> Iterator[Due]:
         for what in ("command", "angle")
         if f"{name}_{what}" in columns
     ]
-    times = zip(*(columns[key].tolist() for key in ("t1", "monotonic_s", "t0")), _asked(columns), _sources(columns), strict=True)
-    for i, (t1, at_s, t0, asked, source) in enumerate(times):
+    moments = (columns[key].tolist() for key in ("t1", "monotonic_s", "t0"))
+    for i, (t1, at_s, t0, asked, source) in enumerate(zip(*moments, _asked(columns), _sources(columns), strict=True)):
         yield Due(t1, "navigation", at_s, asked, source, tuple((index, what, values[i]) for index, what, values in told), t0)
 
 
