@@ -585,16 +585,20 @@ async def test_in_a_replay_nothing_is_offered_that_cannot_be_done() -> None:
         assert await page.value("document.getElementById('stop').getClientRects().length") == 0
         assert await page.value("document.getElementById('replay').getClientRects().length") == 1
         for key in "imhgpyxr5":
+            await gateway.frame(0)  # a page that hears nothing for 3 s is offline
             await page.press(key)
         await page.value("document.querySelector('.chip').click()")
         await page.until("document.querySelector('.item') !== null")
+        await gateway.frame(0)
         titles = await page.value("[...document.querySelectorAll('.item .title')].map((each) => each.firstChild.data)")
         assert titles[:3] == ["Copy its mission…", "Copy its track as a mission…", "Ruler from here"]
         await page.press("Escape")
         await page.mouse(await pixel(page, *SURVEY[3]))
         await page.until("document.querySelector('.item') !== null")
+        await gateway.frame(0)
         assert await page.value("document.querySelector('.item .title').textContent") == "Ruler from here"
         await page.press("Escape")
+        await gateway.frame(0)
         await page.press(" ")
         await gateway.until(lambda m: m["t"] == "replay")
         assert {m.get("do", m["t"]) for m in gateway.said} == {"list", "replay"}
