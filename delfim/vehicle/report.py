@@ -141,6 +141,7 @@ class EnergyFacts(Facts, frozen=True):
 
     left_wh: float | None = None
     home_wh: float | None = None  # back along the driven track
+    doubt_wh: float = 0.0  # that it may take more, kept beside the reserve
     plan_wh: float | None = None  # what is left of the plan, and the straight way home from its end
     reserve_wh: float = 0.0  # to be left at home
     power_w: float | None = None  # now

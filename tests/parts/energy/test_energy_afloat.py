@@ -115,3 +115,30 @@ def test_a_path_that_the_boat_is_still_on_its_way_to_counts_whole() -> None:
     assert run.vehicle.helm.memory.leg < 0  # not on its first piece yet
     assert run.state.energy is not None
     assert run.state.energy.plan_wh == pytest.approx(before_wh, rel=0.1)
+
+
+def test_it_slows_down_on_its_way_home_where_the_charge_would_not_do() -> None:
+    run = boat()
+    until(run, lambda state: run.elapsed_s > 5.0, 30.0)
+    go(run, 250.0, 0.0)
+    until(run, lambda state: state.mode is Mode.HOLD, 400.0)
+    for drive in run.nodes.model.drives.values():
+        drive.charge = 0.33  # of 150 Wh; home at 1.5 m/s takes some 45
+    assert run.order(console.SetMode("home"), "tester") is None
+    until(run, lambda state: (state.setpoint.override_mps or 9.0) < 1.4, 30.0)
+    until(run, lambda state: state.mode is Mode.HOLD, 600.0)
+    assert run.state.setpoint.override_mps is None
+    assert min(drive.charge for drive in run.nodes.model.drives.values()) > 0.1
+
+
+def test_the_speed_that_an_operator_asks_for_on_the_way_home_stays() -> None:
+    run = boat()
+    until(run, lambda state: run.elapsed_s > 5.0, 30.0)
+    go(run, 100.0, 0.0)
+    until(run, lambda state: state.mode is Mode.HOLD, 200.0)
+    for drive in run.nodes.model.drives.values():
+        drive.charge = 0.16
+    assert run.order(console.SetMode("home"), "tester") is None
+    assert run.order(console.SetSpeed(speed_mps=1.5), "tester") is None
+    until(run, lambda state: state.mode is Mode.HOME and math.hypot(state.motion.north_m, state.motion.east_m) < 50.0, 200.0)
+    assert run.state.setpoint.override_mps == 1.5

@@ -45,6 +45,12 @@ def test_its_words_have_the_figures() -> None:
     assert told(392.0, None, no_way=True) == "no way home: the water runs at 2.4 m/s towards 80 degrees"
 
 
+def test_what_is_not_known_of_the_way_home_is_kept_beside_the_reserve() -> None:
+    facts = EnergyFacts(left_wh=400.0, home_wh=240.0, doubt_wh=11.0, reserve_wh=150.0)
+    words = energy(Look(SETTINGS, State(energy=facts), Inputs("", None), (), 0.0))
+    assert words == "home takes 240 to 251 Wh of the 400 Wh left, and 150 Wh are the reserve"
+
+
 def test_a_boat_that_reckons_nothing_has_no_trouble() -> None:
     assert energy(Look(SETTINGS, State(), Inputs("", None), (), 0.0)) is None
     assert OWN["energy"].keys == ("energy.capacity_wh",)
