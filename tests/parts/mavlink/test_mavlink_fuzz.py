@@ -22,7 +22,7 @@ from delfim.parts.mavlink.received.commands import COMMANDS
 from delfim.parts.mavlink.station import FRAMES, PENDING, Station
 from delfim.parts.mavlink.stationsocket import MavlinkLink
 from delfim.parts.mavlink.table import Mavlink
-from delfim.vehicle.console import Stop, Take
+from delfim.vehicle.console import Kill, Stop, Take
 from tests.parts.mavlink.mavlink_console import HOME, Console, Radio
 from tests.parts.mavlink.test_mavlink_station import afloat, sail
 
@@ -74,7 +74,7 @@ VALUES = st.builds(
 @given(st.lists(st.tuples(STRANGERS, ANYTHING | ORDERS | THRUSTS | VALUES), min_size=1, max_size=20))
 def test_whatever_anybody_else_says_moves_nothing(make_boat, mode, said):
     """Beside a boat that hears its own console alone: what the propellers are told is the same in each cycle. Anybody may stop
-    the boat or take over, and neither goes on from there."""
+    or kill the boat or take over, and it does not go on from there."""
     disturbed, alone = (afloat(make_boat()) for _ in range(2))
     for sea in (disturbed, alone):
         sea.console.mode(mode)
@@ -87,7 +87,7 @@ def test_whatever_anybody_else_says_moves_nothing(make_boat, mode, said):
         while disturbed.station.turn():
             pass
         obeyed = disturbed.log[before:]
-        assert all(isinstance(command, Stop | Take) for command in obeyed)
+        assert all(isinstance(command, Stop | Kill | Take) for command in obeyed)
         if obeyed:
             return
         for sea in (disturbed, alone):
