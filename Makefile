@@ -91,6 +91,7 @@ pictures: $(READY) ## draw the documentation's pictures again
 	$(BIN)/python -m tests.vehicle.estimator_trial docs/pictures
 	$(BIN)/delfim survey lines etc/areas/basin.geojson --spacing 10 --output run/pictures/basin.toml --picture docs/pictures/survey.png
 	$(BIN)/python -m tests.survey.pictures docs/pictures
+	$(BIN)/python -m tests.simulator.test_missions docs/pictures
 	PYTHONPATH=. $(BIN)/python -m bench.uphill docs/pictures/payload-uphill.png
 	$(BIN)/python -m tests.guest.figure_2_9 docs/pictures/figure-2-9.png
 	PYTHONSAFEPATH= $(BIN)/python -m tests.services.pictures docs/pictures
