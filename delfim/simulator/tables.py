@@ -134,7 +134,7 @@ class Simulation(Table, frozen=True):
     latitude_deg: Annotated[float, msgspec.Meta(ge=-89.0, le=89.0)] = 38.6907  # where it starts
     longitude_deg: Annotated[float, msgspec.Meta(ge=-180.0, le=180.0)] = -9.2153  # where it starts
     heading_deg: Annotated[float, msgspec.Meta(ge=0.0, le=360.0)] = 0.0  # how it lies at start
-    mission: str = ""  # played by `delfim sim`, beside the vehicle's file
+    mission: str = ""  # played by `delfim sim`, beside the vehicle's file; empty: with --console the boat lies in idle
     noise: bool = True  # false: the sensors measure exactly, whatever the next three say
     position_noise_m: Annotated[float, msgspec.Meta(ge=0.0, le=100.0)] = 0.3  # standard deviation of the position
     heading_noise_deg: Annotated[float, msgspec.Meta(ge=0.0, le=90.0)] = 0.5  # standard deviation of the heading

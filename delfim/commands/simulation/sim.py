@@ -215,9 +215,12 @@ def _alone(interface: str) -> None:
 
 
 def _mission(asked: argparse.Namespace, settings: config.Vehicle) -> Mission:
+    """What is played at the start. With a console it may be nothing, a mission without waypoints. Raises ConfigError."""
     if asked.mission:
         return load_mission(asked.mission)
     if not settings.of(Simulation).mission:
+        if asked.console and not asked.lockstep:
+            return Mission(version=1, name=settings.boat.name, waypoint=())
         raise ConfigError(asked.file, "simulation.mission", "missing, and no --mission was given")
     return load_mission(config.mission_place(asked.file, settings))
 

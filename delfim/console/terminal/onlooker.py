@@ -23,12 +23,15 @@ Show = Callable[[dict[str, Any], str], None]  # a state, and words beside it
 
 
 class Voyage:
-    """A mission sailed in real time, seen from outside: shown while it lasts, summed up afterwards."""
+    """A mission sailed in real time, seen from outside: shown while it lasts, summed up afterwards. One without waypoints is
+    not loaded: the boat lies in idle until its console commands."""
 
     def __init__(self, asked: argparse.Namespace, settings: config.Vehicle, mission: Mission) -> None:
         self._asked, self._settings, self._mission = asked, settings, mission
         self._began_s, self.began_utc_s = time.monotonic(), time.time()
-        self._played_s: float | None = None
+        self._played_s: float | None = (
+            None if mission.waypoint else self._began_s
+        )  # nothing to play: the boat keeps what is aboard
         self._last: dict[str, Any] | None = None  # state
         self.address, self.end = "", ""
         self.troubles = dict[str, str]()  # troubles of the boat: the last words about each

@@ -98,6 +98,8 @@ def _break(broken: Broken, name: str, data: bytes, now_s: float) -> str:
     if (asked.kind in ABOARD) is not (name == BOAT):
         raise FormatError(f"{asked.kind} does not exist in the {name}")
     broken.begin(asked, now_s)
+    if asked.kind == "restarted":
+        return "the boat's program is killed, and starts again by itself"
     lasts = "until it is ended" if asked.for_s == float("inf") else f"for {asked.for_s:g} s"
     return f"{asked.kind} {asked.where}".rstrip() + f" {lasts}"
 
