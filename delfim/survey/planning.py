@@ -18,6 +18,7 @@ from delfim.survey.order import ordered
 from delfim.survey.turns import Bend, turn
 from delfim.survey.ways import OpenWater
 from delfim.vehicle.helm.planning import laid
+from delfim.vehicle.plans.fence import stopping_m
 from delfim.vehicle.plans.mission import LEG_MIN_M, RADIUS_MIN_M, ROWS, Mission, PathPoint, PayloadItem, Waypoint
 
 ARC_S: Final = 7.0  # of a turn of a boat that steers, beyond its length, as the skiff sailed it
@@ -66,7 +67,7 @@ def wanted_of(settings: config.Vehicle, **asked: Any) -> LinesWanted:
     suits = {
         "speed_mps": control.speed.cruise_mps,
         "run_in_m": max(its.run_in_m or RUN_IN_M, control.path.acceptance_m + ACCEPTED_M),
-        "room_m": settings.fence.mission_margin_m + TURN_M,
+        "room_m": _room_m(settings.fence, asked.get("speed_mps") or control.speed.cruise_mps),
         "turn_s": guess_s if its.turn_s is None else its.turn_s,
         "radius_m": LENGTHS * settings.boat.length_m if is_steered else 0.0,
     }
@@ -83,6 +84,11 @@ def wanted_of(settings: config.Vehicle, **asked: Any) -> LinesWanted:
     if wanted.speed_mps > control.speed.max_mps:
         raise DelfimError(f"faster than this boat goes: up to {control.speed.max_mps} m/s")
     return wanted
+
+
+def _room_m(limits: config.FenceTable, speed_mps: float) -> float:
+    """From holes and the fence: what missions keep and the room for a turn, and what the boat needs to stop before them."""
+    return max(limits.mission_margin_m + TURN_M, math.ceil(limits.margin_m + stopping_m(limits, speed_mps)))
 
 
 class PlannedPiece(NamedTuple):
@@ -127,14 +133,17 @@ class SurveyPlan(NamedTuple):
         return done.intersection(self.free).area / self.free.area, done.intersection(area).area / area.area
 
 
-def planned(ground: Ground, wanted: LinesWanted, fence: config.Zones) -> SurveyPlan:
-    """The survey of an area. Raises DelfimError in words where there is none."""
+def planned(ground: Ground, wanted: LinesWanted, fence: config.Zones, come: Place | None = None) -> SurveyPlan:
+    """The survey of an area, from where the boat is, if that is known. Raises DelfimError in words where there is none."""
     around_m = AROUND_M + 2.0 * (wanted.run_in_m + wanted.radius_m) + wanted.spacing_m
     open_water = water(ground, fence, wanted.room_m, around_m)
     free = ground.area.intersection(open_water)
     if free.area < 1.0:
         raise DelfimError(f"nothing of the area is {wanted.room_m:g} m away from holes and the fence")
-    start, turn_s = _corner(free, wanted.start), wanted.turn_s + (wanted.spacing_m + 2.0 * wanted.run_in_m) / wanted.speed_mps
+    start, turn_s = (
+        _corner(free, wanted.start) or come,
+        wanted.turn_s + (wanted.spacing_m + 2.0 * wanted.run_in_m) / wanted.speed_mps,
+    )
     tried = list[tuple[float, list[Segment]]]()
     for each in _headings(free, wanted):
         if sum(len(known) for _, known in tried) < LOOKED_AT:
@@ -148,7 +157,7 @@ def planned(ground: Ground, wanted: LinesWanted, fence: config.Zones) -> SurveyP
     if not lines:
         raise DelfimError("the area is smaller than a line")
     ways = OpenWater(open_water)
-    begin, way = _sailed([*lines, *across], ways, wanted, open_water)
+    begin, way = _sailed([*lines, *across], ways, wanted, open_water, come)
     if len(way) + 1 > ROWS:
         raise DelfimError(f"{len(lines)} lines make {len(way) + 1} places, and a mission has {ROWS}: take the area in parts")
     return SurveyPlan(ground, wanted, free, ways, heading_deg, [*lines, *across], len(across), begin, way)
@@ -167,14 +176,14 @@ def plan_of(
     none."""
     around_m = AROUND_M + 2.0 * (wanted.run_in_m + wanted.radius_m) + wanted.spacing_m
     open_water = water(ground, fence, wanted.room_m, around_m)
-    start = start or _corner(ground.area, wanted.start)
-    lines = _again(main, heading_deg, wanted.spacing_m, wanted.radius_m, start)
-    there, cross_m = lines[-1][1] if lines else start, wanted.cross_m or wanted.spacing_m
+    near = start or _corner(ground.area, wanted.start)
+    lines = _again(main, heading_deg, wanted.spacing_m, wanted.radius_m, near)
+    there, cross_m = lines[-1][1] if lines else near, wanted.cross_m or wanted.spacing_m
     crossed = _again(across, heading_deg + 90.0, cross_m, wanted.radius_m, there)
     if not lines and not crossed:
         raise DelfimError("no line is left")
     ways = OpenWater(open_water)
-    begin, way = _sailed([*lines, *crossed], ways, wanted, open_water)
+    begin, way = _sailed([*lines, *crossed], ways, wanted, open_water, start)
     free = ground.area.intersection(open_water)
     return SurveyPlan(ground, wanted, free, ways, heading_deg, [*lines, *crossed], len(crossed), begin, way)
 
@@ -226,11 +235,13 @@ def _is_long(line: Segment, wanted: LinesWanted) -> bool:
 
 
 def _sailed(
-    lines: list[Segment], ways: OpenWater, wanted: LinesWanted, open_water: BaseGeometry
+    lines: list[Segment], ways: OpenWater, wanted: LinesWanted, open_water: BaseGeometry, come: Place | None
 ) -> tuple[Place, list[PlannedPiece]]:
-    """Where the boat begins, and its way: run-in, line, run-out, turn."""
-    begin, way = _beyond(ways, lines[0][1], lines[0][0], wanted.run_in_m), list[PlannedPiece]()
-    here = begin
+    """Where the boat begins, and its way: run-in, line, run-out, turn. Where holes lie between the boat and the first line, it
+    begins with the way round them."""
+    here = _beyond(ways, lines[0][1], lines[0][0], wanted.run_in_m)
+    begin, *places = [*_round(ways, come, here), here]
+    way = [PlannedPiece(Bend(place), None) for place in places]
     for number, line in enumerate(lines):
         ahead = _beyond(ways, line[1], line[0], wanted.run_in_m)
         if number:
@@ -243,6 +254,17 @@ def _sailed(
         if math.dist(line[1], here) >= LEG_MIN_M:
             way.append(PlannedPiece(Bend(here), None))
     return begin, way
+
+
+def _round(ways: OpenWater, come: Place | None, begin: Place) -> list[Place]:
+    """The places where the way from the boat turns; none where it is not known, or where there is no way: the boat says so."""
+    if come is None:
+        return []
+    try:
+        places = ways.between(come, begin)
+    except DelfimError:
+        return []
+    return [here for here, after in pairwise([*places, begin]) if math.dist(here, after) >= LEG_MIN_M]
 
 
 def _beyond(ways: OpenWater, begin: Place, end: Place, far_m: float) -> Place:

@@ -67,7 +67,7 @@ class PreviewTold(NamedTuple):
 def told(asked: PreviewAsked, settings: config.Vehicle) -> dict[str, Any]:
     """The survey of these areas. Raises DelfimError, ImportError."""
     from delfim.survey import planning
-    from delfim.survey.ground import laid
+    from delfim.survey.ground import in_plane, laid
 
     if sum(len(ring) for shape in asked.areas for ring in (shape.outline, *shape.holes)) > CORNERS:
         raise DelfimError(f"more than {CORNERS} corners: simplify the areas")
@@ -88,7 +88,9 @@ def told(asked: PreviewAsked, settings: config.Vehicle) -> dict[str, Any]:
         run_in_m=asked.run_in_m or None,
         speed_mps=asked.speed_mps or None,
     )
-    plan = planning.planned(laid(asked.areas), wanted, _around(asked, settings.fence))
+    ground = laid(asked.areas)
+    come = in_plane(ground.at, *asked.at) if asked.at is not None else None
+    plan = planning.planned(ground, wanted, _around(asked, settings.fence), come)
     return _as_told(plan, asked.name, settings)._asdict()
 
 
@@ -102,7 +104,7 @@ def _as_told(plan: Any, name: str, settings: config.Vehicle) -> PreviewTold:
         _ends(plan.ground.at, plan.lines),
         plan.across,
         [_degrees(plan.ground.at, place) for place in planning.drawn(plan)],
-        plan.heading_deg,
+        plan.heading_deg % 180.0,
         plan.wanted.spacing_m,
         plan.line_m,
         plan.way_m,

@@ -69,6 +69,17 @@ def test_two_hundred_drawn_areas(capsys) -> None:
     assert statistics.median(ratios) <= 1.30
 
 
+@pytest.mark.parametrize("start", ["", "nw", "ne", "se", "sw"])
+@pytest.mark.parametrize("come", [(50.0, -8.0), (-10.0, 50.0), (50.0, 75.0), (110.0, 110.0)])
+def test_a_boat_comes_to_its_first_line_round_holes(come: tuple[float, float], start: str) -> None:
+    plan = planned(ROUND_AN_ISLAND, BOAT._replace(start=start), config.Zones(), come)
+    assert plan.ways.free(come, plan.begin)
+    assert in_holes(plan) == 0
+    assert start or math.dist(come, plan.begin) < 80.0, "the survey begins near the boat"
+    elsewhere = planned(ROUND_AN_ISLAND, BOAT._replace(start=start), config.Zones(), (5000.0, 50.0))
+    assert plan.lines == elsewhere.lines or not start, "a boat that is far away has no way to be planned"
+
+
 def test_lines_are_apart_as_asked_and_as_long_as_their_strips() -> None:
     plan = survey(SQUARE, heading_deg=0.0)
     assert sorted(round(line[0][0], 6) for line in plan.lines) == [5.0 + 10.0 * number for number in range(10)]
@@ -236,3 +247,14 @@ def test_an_area_of_a_file_is_laid_into_the_plane_about_its_first_corner() -> No
     ground = laid([Shape(ring, [])])
     assert math.degrees(ground.at.latitude_rad) == pytest.approx(38.69)
     assert ground.area.area == pytest.approx(0.5 * 87.0 * 111.0, rel=0.01)
+
+
+def test_a_fast_boat_keeps_room_to_stop_before_a_hole() -> None:
+    settings = config.load(Path(__file__).parents[2] / "etc/delfimx.toml", ("control.speed.max_mps=4.0",))
+    for speed_mps in (1.5, 2.0, 2.5, 3.0, 4.0):
+        wanted = wanted_of(settings, spacing_m=15.0, speed_mps=speed_mps, heading_deg=90.0)
+        island = Polygon([(148.0, 98.0), (152.0, 98.0), (150.0, 104.0)])
+        ground = Ground(AT, MultiPolygon([box(0, 0, 300, 200).difference(island)]), MultiPolygon([island]))
+        plan = planned(ground, wanted, settings.fence)
+        check(mission(plan, "fast"), plan, settings)
+    assert wanted_of(settings, spacing_m=15.0).room_m == 12.0

@@ -21,6 +21,7 @@ import type { Background, Place } from "./wire";
 
 const LONG_PRESS_MS = 550;
 const MOVE_PX = 6;
+const ALONE = 80; // of the view, about one place
 const MINUTE = 1 / 60;
 const SECOND = 1 / 3600;
 const INTERVALS_DEG = [30, 10, 5, 2, 1, 30 * MINUTE, 10 * MINUTE, 5 * MINUTE, 2 * MINUTE, MINUTE, 30 * SECOND, 12 * SECOND, 6 * SECOND, 3 * SECOND, 1.2 * SECOND, 0.6 * SECOND];
@@ -152,12 +153,13 @@ export class Chart {
     this.view.padding = padding;
   }
 
-  /** Show all these places, and a margin around them. */
+  /** Show all these places, and a margin around them; of one place alone more, so that there is room to draw. */
   fit(places: Place[], duration = 0): void {
     const extent: Extent = places.length ? boundingExtent(places.map(point)) : this.chartExtent();
     if (isEmpty(extent)) return;
     this.view.cancelAnimations();
-    const margin = Math.max(20, 0.08 * Math.max(extent[2]! - extent[0]!, extent[3]! - extent[1]!));
+    const wide = Math.max(extent[2]! - extent[0]!, extent[3]! - extent[1]!);
+    const margin = wide ? Math.max(20, 0.08 * wide) : ALONE;
     this.view.fit(buffer(extent, margin), { duration, maxZoom: 21 });
   }
 

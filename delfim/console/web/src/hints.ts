@@ -1,4 +1,5 @@
 // The first voyage in five hints, each until it was done once, and the word that no boat is heard yet.
+import { linesOf } from "./area";
 import { make } from "./dom";
 import type { Popup } from "./popup";
 import { NOBODY } from "./state";
@@ -32,7 +33,7 @@ export class Hints {
       words: (boat) => (boat ? "Menu, “Mission”, “Send to the boat”: what is dashed is only on this screen" : "Menu, “Mission”, “Save”: a file on this computer. The first boat that is heard gets the plan, too"),
       done: (boat) => this.did.has(boat ? "upload" : "save"),
     },
-    { words: (boat) => (boat ? `“Play mission” in the boat’s menu${TOUCH ? "" : ", or Y,"} sails what is aboard` : ""), done: () => SAILS.some((each) => this.did.has(each)) },
+    { words: (boat) => (boat ? this.order(boat) : ""), done: () => SAILS.some((each) => this.did.has(each)) },
     { words: (boat) => (boat ? `The red corner${TOUCH ? "" : ", or Space,"} stops the boat at once` : ""), done: () => this.did.has("stop") },
   ];
 
@@ -62,6 +63,11 @@ export class Hints {
   used(): void {
     this.menuOpened = true;
     this.draw();
+  }
+
+  private order(boat: Boat): string {
+    const [title, key] = linesOf(this.state.plan(boat.id).mission).length ? ["Path following", "P"] : ["Play mission", "Y"];
+    return `“${title}” in the boat’s menu${TOUCH ? "" : `, or ${key},`} sails what is aboard`;
   }
 
   private end(): void {

@@ -151,7 +151,8 @@ export class Planning {
 
   private compared(boat: Boat): string {
     const words = { same: "the boat has this plan", differs: "the boat has another mission", unknown: "the boat’s mission is not known", none: "no mission aboard" };
-    return boat.id === NOBODY ? "" : words[this.state.compared(boat)];
+    const compared = this.state.compared(boat);
+    return boat.id === NOBODY ? "" : words[compared === "differs" && !boat.mission.count ? "none" : compared];
   }
 
   private copy(from: Boat, to: Boat): Item {

@@ -35,6 +35,7 @@ export class Survey {
   private isHole = false;
   private pointer: Place | null = null;
   private told: Told | null = null;
+  private isFitted = false; // the map, beside the form
   private asked = ""; // what was asked last, and its answer
   private answer: Answer | null = null;
   private wanted: Asked | null = null; // while an answer is waited for: what is asked next
@@ -88,7 +89,9 @@ export class Survey {
     };
     this.popup.form(ASIDE, title, [field], live, (ok) => {
       this.plans.preview(null);
-      if (ok) this.change(next);
+      if (!ok) return;
+      this.change(next);
+      if (this.hasLines) this.form();
     });
   }
 
@@ -123,7 +126,7 @@ export class Survey {
     const ring = corners.map(corner);
     this.giveUp();
     this.change(this.isHole ? withHole(this.mission, ring, corners[0]!) : withAreas(this.mission, [...areasOf(this.mission), [ring, []]]));
-    if (!this.isHole) this.form();
+    this.form(); // after a hole, too: lines that were made before would cross it
   }
 
   giveUp(): void {
@@ -184,18 +187,19 @@ export class Survey {
     const before = this.mission;
     const { values: kept = [], across = 0, areas = [] } = before.survey ?? {};
     const begin = kept.length === BEGIN.length ? kept : areas.length ? BEGIN : BEGIN.map(() => 0);
-    const { boat } = this.state;
-    const at = boat?.latitude_deg == null ? null : corner(boat as Place);
-    const ask = ([speed]: number[]) => ({ ...asked(before, begin.with(-1, speed!)), lines: linesOf(before), across, at });
+    const ask = ([speed]: number[]) => ({ ...asked(before, begin.with(-1, speed!)), lines: linesOf(before), across });
     this.shape("Fill the gaps", [speedField(begin.at(-1)!)], before, ask, (told) => ({ areas, values: kept, lines: told.known, across: told.known_across }));
   }
 
-  /** A form that shows its lines on the map; OK makes them the plan, of a survey that `kept` tells. */
+  /** A form that shows its lines on the map, from where the boat is; OK makes them the plan, of a survey that `kept` tells. */
   private shape(title: string, fields: Field[], before: Mission, ask: (values: number[]) => Asked, kept: (told: Told) => Mission["survey"]): void {
+    const { boat } = this.state;
+    const at = boat?.latitude_deg == null ? null : corner(boat as Place);
     const live = (values: number[]) => {
-      this.ask({ ...ask(values), boat: this.state.planning });
+      this.ask({ ...ask(values), at, boat: this.state.planning });
       return this.words(before);
     };
+    this.isFitted = false;
     this.plans.preview({ ...before, waypoints: [], path: [] });
     this.again = this.popup.form(ASIDE, title, fields, live, (ok) => {
       const { told } = this;
@@ -212,7 +216,6 @@ export class Survey {
   }
 
   take(told: Told): void {
-    if (!this.told) this.chart.fitBeside([...surveyed(this.mission), ...told.way.map(cornerPlace)], this.popup.covers, document.getElementById("strips")!.offsetWidth);
     this.told = told;
   }
 
@@ -233,7 +236,14 @@ export class Survey {
       if (wanted) this.ask(wanted);
       this.draw();
       this.again();
+      if (this.told && !this.isFitted) this.fit(this.told);
     });
+  }
+
+  /** Lines and areas beside the form, once it has its words and so its size. */
+  private fit(told: Told): void {
+    this.isFitted = true;
+    this.chart.fitBeside([...surveyed(this.mission), ...told.way.map(cornerPlace)], this.popup.covers, document.getElementById("strips")!.offsetWidth);
   }
 
   private words(before: Mission) {
