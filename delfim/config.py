@@ -4,6 +4,7 @@
 part (`parts.py`) that the file names has its keys beside these: `whole` adds them.
 """
 
+import hashlib
 import math
 from collections.abc import Iterator, Sequence
 from itertools import combinations, pairwise
@@ -1020,6 +1021,18 @@ class Vehicle(Table, frozen=True):
     def drivers(self) -> tuple[str, ...]:
         """The drivers of the thrusters, each once, in the order of the rows."""
         return tuple(dict.fromkeys(row.driver for row in self.thrusters))
+
+    @property
+    def sails_by(self) -> str:
+        """A digest of hull, motors, compass and gains: whether a boat sails by this file. Wiring and name are not in it, for a
+        simulated boat has its own."""
+        wiring = {"driver", "address", "reversed", "steer"}
+        hull = {key: value for key, value in msgspec.to_builtins(self.boat).items() if key not in ("id", "name")}
+        rows = [{key: value for key, value in msgspec.to_builtins(row).items() if key not in wiring} for row in self.thrusters]
+        stop = self.fence.reaction_s, self.fence.deceleration_mps2
+        found = {key: value for key, value in msgspec.to_builtins(self.adopted).items() if key != "proven"}
+        told = msgspec.json.encode([hull, rows, stop, found, self.control, self.compass])
+        return hashlib.sha256(told).hexdigest()[:8]
 
     @property
     def helmsmen(self) -> tuple[str, ...]:

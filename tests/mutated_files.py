@@ -81,10 +81,9 @@ def commissioned(here: Path) -> Said:
 def adopted(here: Path) -> Said:
     """The file to which what was found of the boat is written."""
     from delfim import config
-    from delfim.adoption.found import FoundKey
     from delfim.adoption.trial.concluding import conclude
     from delfim.adoption.trial.session import TrialProgress
-    from delfim.adoption.writing import with_keys
+    from delfim.adoption.writing import FoundKey, with_keys
     from delfim.base.input.untrusted import read_text
     from delfim.base.wholefile import replace_file
 

@@ -417,3 +417,15 @@ def test_a_line_that_hears_a_network_is_a_door(tmp_path: Path, device: str, send
 def test_a_line_that_this_computer_opens_is_no_door(tmp_path: Path) -> None:
     settings = load(tmp_path, BOAT + GNSS.format("tcp:10.0.0.7:10110"))
     assert not [door for door in doors(settings, ()) if "where it is" in door.may]
+
+
+def test_the_digest_of_what_a_boat_sails_by_is_of_hull_motors_and_gains_alone():
+    def digest(*overrides: str) -> str:
+        return config.load(Path(__file__).parents[1] / "etc/boats/otter.toml", overrides).sails_by
+
+    same = digest()
+    assert len(same) == 8
+    for override in ("boat.id=7", 'boat.name="other"', "adopted.proven=false", "failsafe.console_silent.after_s=9.0"):
+        assert digest(override) == same, override
+    for override in ("boat.mass_kg=61.0", "control.speed.cruise_mps=0.9", "compass.hard_ahead=0.1", 'adopted.on="2026-01-01"'):
+        assert digest(override) != same, override

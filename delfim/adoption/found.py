@@ -4,7 +4,7 @@ Mass and thrust are known up to one factor. The file's mass is kept: forces are 
 """
 
 import math
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -14,6 +14,7 @@ from delfim.adoption.figures import TOO_WINDY, Figure, calm, figures
 from delfim.adoption.fitting import Fit
 from delfim.adoption.foretold import motors_of
 from delfim.adoption.model import ModelMotion, said, values_of
+from delfim.adoption.writing import FoundKey
 from delfim.vehicle.control.hull import craft
 
 SPARE: Final = 1.1  # times the measured way to stop, that the fence reckons with
@@ -23,21 +24,6 @@ STRAIGHT: Final = 0.01  # m/s, of a speed that a boat goes
 SMOOTHED_DEG: Final = 3.0  # an estimator's headings tell of the compass no better than this
 COMPASS: Final = "hard_ahead", "hard_aside", "soft_along", "soft_across", "compass_offset"
 UNDOING: Final = "nmea0183", "nmea2000"  # sources whose magnetic headings come through [compass]
-
-Key = tuple[str, ...]  # of the file: ("boat", "inertia_kgm2"), ("thrusters", NAME, "dead")
-
-
-class FoundKey(NamedTuple):
-    """A value for the vehicle's file."""
-
-    key: Key
-    value: Any
-    spread: float | None  # standard deviation of it, or of the last of two; None: it is no measurement
-    told: Any  # the file's own value; None: it has none
-
-    @property
-    def name(self) -> str:
-        return ".".join(self.key)
 
 
 class BoatFindings(NamedTuple):

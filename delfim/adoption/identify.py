@@ -8,12 +8,12 @@ from typing import NamedTuple
 from delfim import config
 from delfim.adoption.fitting import Fit, fitted
 from delfim.adoption.foretold import motors_of, prior
-from delfim.adoption.found import BoatFindings, FoundKey, findings
+from delfim.adoption.found import BoatFindings, findings
 from delfim.adoption.record import BoatRecord, read_log
 from delfim.adoption.twin.gains import ChosenGains
 from delfim.adoption.twin.twintrack import TwinTrack, twin_track
 from delfim.adoption.windows import windows_of
-from delfim.adoption.writing import with_keys
+from delfim.adoption.writing import FoundKey, with_keys
 from delfim.base.errors import DelfimError
 from delfim.base.input.untrusted import parse_toml, read_text
 from delfim.base.wholefile import replace_file

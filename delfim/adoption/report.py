@@ -10,11 +10,12 @@ from matplotlib.figure import Figure as Picture
 
 from delfim.adoption.figures import COAST_S, PUSH_S, RUNS, STEP_S, STOPS
 from delfim.adoption.fitting import CHI2_MOST, Fit
-from delfim.adoption.found import BoatFindings, FoundKey
+from delfim.adoption.found import BoatFindings
 from delfim.adoption.model import NAMES, NUMBERS, Array, ModelMotion, plain, said, values_of
 from delfim.adoption.record import BoatRecord
 from delfim.adoption.twin.gains import FIGURES, LEAST_WORDS, ChosenGains, voyage_figures
 from delfim.adoption.twin.twintrack import TwinTrack
+from delfim.adoption.writing import FoundKey
 from delfim.desk.htmlpage import picture, table, whole
 
 SHOWN: Final = 6  # windows, over the whole record

@@ -5,9 +5,8 @@ The text is changed line by line, then read again: it must say what the old one 
 
 import re
 from collections.abc import Mapping, Sequence
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
-from delfim.adoption.found import FoundKey, Key
 from delfim.base.errors import DelfimError
 from delfim.base.input.untrusted import parse_toml
 from delfim.base.tables import inline
@@ -16,6 +15,22 @@ ROWS: Final = "thrusters"  # of which there are several: found by their names
 FOUND: Final = "# found "  # how the comment of a value that was found begins
 _HEAD: Final = re.compile(r"\s*(\[\[?)\s*([A-Za-z0-9_.-]+)\s*\]\]?\s*(#.*)?")
 _LINE: Final = re.compile(r"\s*([A-Za-z0-9_-]+)\s*=\s*(.*?)\s*")
+
+
+Key = tuple[str, ...]  # of the file: ("boat", "inertia_kgm2"), ("thrusters", NAME, "dead")
+
+
+class FoundKey(NamedTuple):
+    """A value for the vehicle's file."""
+
+    key: Key
+    value: Any
+    spread: float | None  # standard deviation of it, or of the last of two; None: it is no measurement
+    told: Any  # the file's own value; None: it has none
+
+    @property
+    def name(self) -> str:
+        return ".".join(self.key)
 
 
 def with_keys(text: str, keys: Sequence[FoundKey], words: str, file: str) -> str:

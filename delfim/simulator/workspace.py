@@ -77,6 +77,7 @@ class WorkspaceSettings(NamedTuple):
     overrides: list[str]
     boat_id: int
     page: str  # of the boat
+    world: list[str]  # what the nodes have instead, where the boat in the water is another one
     moved: list[
         str
     ]  # what the boat tells other instruments, and is told by its pilot, and where it is in place of the real ports
@@ -107,8 +108,11 @@ def workspace(folder: str | None) -> Iterator[Workspace]:
         yield Workspace(number, place)
 
 
-def settings_of(vehicle: config.Vehicle, its: Workspace, named: Collection[str]) -> WorkspaceSettings:
-    """The overrides with which a boat sails in simulation. `named` are the keys that the operator set."""
+def settings_of(
+    vehicle: config.Vehicle, its: Workspace, named: Collection[str], truth: config.Vehicle | None = None
+) -> WorkspaceSettings:
+    """The overrides with which a boat sails in simulation. `named` are the keys that the operator set, `truth` is the boat in
+    the water, of which its programs do not know. Raises DelfimError."""
     place, simulation = its.folder.resolve(), vehicle.of(Simulation)
 
     def free(key: str, wanted: str, *, udp: bool = False) -> str:
@@ -120,14 +124,12 @@ def settings_of(vehicle: config.Vehicle, its: Workspace, named: Collection[str])
     bus = simulation.interface if "simulation.interface" in named else its.interface(simulation.interface)
     is_loop = bus.startswith("canloop:")
     loop = bus if is_loop else its.interface(f"canloop:{device(bus)}")  # no motor of a real bus turns
-    motors = [name for name in vehicle.drivers if hasattr(vehicle.table(name), "interface")]
-    sensors = ["dronecan"] if "dronecan" in (*vehicle.navigation.sources, *vehicle.sensors.names) else []
     boat_id = vehicle.boat.id if "boat.id" in named else (vehicle.boat.id + its.number - 2) % 249 + 1
     page = free("simulation.httpd", simulation.httpd)
     texts = {
         "can.interface": bus,
         **({"nmea2000.interface": f"{bus}-nmea2000"} if is_loop else {}),
-        **{f"{name}.interface": f"{loop}-{name}" for name in (*motors, *sensors)},
+        **{f"{name}.interface": f"{loop}-{name}" for name in _on_buses(vehicle)},
         **{f"routing.buses.{name}.interface": f"{bus}-{name}" for name in (vehicle.of(Routing).buses if is_loop else ())},
         "console.socket": f"{place}/command",
         "log.directory": f"{place}/log",
@@ -153,19 +155,32 @@ def settings_of(vehicle: config.Vehicle, its: Workspace, named: Collection[str])
         "runtime.fifo_priority": "0",
         **({} if "handset.device" in named else {"handset.mandatory": "false"}),
         "simulation.faults": "true",
-        **({} if "adopted.proven" in named else {"adopted.proven": "true"}),  # its motors are those of the file
+        **({} if truth or "adopted.proven" in named else {"adopted.proven": "true"}),  # its motors are those of the file
     }
     given = tuple(f"{key}." for key in named)  # a table is given with all its keys
     texts = {key: text for key, text in texts.items() if not (key.startswith("nmea0183.") and f"{key}.".startswith(given))}
     if vehicle.driven("played", False):
         texts["pwm.chip"] = f"{place}/pwmchip0"
-        values |= {"pwm.arm_s": "0.5", "pwm.channel": "{}", "thrusters": tables.inline(_by_pulses(vehicle))}
+        values |= {"pwm.arm_s": "0.5", "pwm.channel": "{}", "thrusters": tables.inline(_by_pulses(vehicle, truth))}
     texts = {key: text for key, text in texts.items() if not (key in OWN_PLACES and key in named)}
     if own := sorted({*texts, *values}.intersection(named) - HEEDED):
         raise DelfimError(f"--set {own[0]}: each simulation has its own; --output DIRECTORY names its folder")
     overrides = [f"{key}={_quoted(text)}" for key, text in texts.items()] + [f"{key}={value}" for key, value in values.items()]
     moved = [f"{key} is {texts[key]}" for key in _beside(vehicle, its) if key in texts]
-    return WorkspaceSettings(overrides, boat_id, page, moved)
+    return WorkspaceSettings(overrides, boat_id, page, _world(truth), moved)
+
+
+def _world(truth: config.Vehicle | None) -> list[str]:
+    """What the nodes have instead, where this is the boat in the water."""
+    if truth is None or not truth.driven("played", False):
+        return []
+    return [f"thrusters={tables.inline(_by_pulses(truth))}"]
+
+
+def _on_buses(vehicle: config.Vehicle) -> list[str]:
+    """The tables of motors and sensors that have a bus of their own."""
+    motors = [name for name in vehicle.drivers if hasattr(vehicle.table(name), "interface")]
+    return motors + (["dronecan"] if "dronecan" in (*vehicle.navigation.sources, *vehicle.sensors.names) else [])
 
 
 def _instruments(vehicle: config.Vehicle, its: Workspace) -> dict[str, str]:
@@ -223,13 +238,24 @@ def _device(name: str, device: str, its: Workspace) -> str:
     return f"{kind}:{its.address(f'127.0.0.1:{address(place)[1]}', udp=kind == 'udp')}"
 
 
-def _by_pulses(vehicle: config.Vehicle) -> list[Any]:
-    """The rows, with motors whose devices are not simulated driven by pulses, which `parts/pwm/sim.py` reads. Raises
-    DelfimError for more of them than there are channels."""
+def _by_pulses(vehicle: config.Vehicle, truth: config.Vehicle | None = None) -> list[Any]:
+    """The rows, with motors whose devices are not simulated driven by pulses, which `parts/pwm/sim.py` reads. Each reaches the
+    motor of its driver and address in the truth, which may turn the other way. Raises DelfimError for more of them than there
+    are channels, and where the truth has no such motor."""
     channels, told = count(), list[Any]()
+    motors = (
+        {(row.driver, row.address): (row, one) for row, one in zip(truth.thrusters, _by_pulses(truth), strict=True)}
+        if truth
+        else {}
+    )
     for row in vehicle.thrusters:
         one = msgspec.to_builtins(row)
-        if not vehicle.drives(row).played:
+        if truth is not None and not vehicle.drives(row).played:
+            if (row.driver, row.address) not in motors:
+                raise DelfimError(f"the boat in the water has no motor of driver {row.driver}, address {row.address}")
+            motor, its = motors[row.driver, row.address]
+            one |= {key: its[key] for key in ("driver", "address", "steer")} | {"reversed": row.reversed != motor.reversed}
+        elif not vehicle.drives(row).played:
             one |= {"driver": "pwm", "address": next(channels), "reversed": False}
             one |= {"steer": one["steer"] | {"address": next(channels)}} if row.steer else {}
         told.append(one)

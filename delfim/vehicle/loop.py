@@ -183,7 +183,7 @@ class VehicleLoop:
     def report(self, **more: object) -> LocalReport:
         """The boat's report; `more`: the fields that its program alone knows."""
         now_s, paused = self.clock.monotonic_s(), self.helm.paused
-        more |= {"checks": tuple(self.helm.checks()), "latency": self.latency.facts()}
+        more |= {"checks": tuple(self.helm.checks()), "latency": self.latency.facts(), "sails_by": self.helm.sails_by}
         more["paused"] = paused.mode.name.lower() if paused else None
         for watch in self._watches:
             more |= watch.report(now_s)

@@ -272,6 +272,7 @@ class BoatReport(Facts, frozen=True):
     traffic: TrafficSeen | None = None  # null: nobody was ever heard
     energy: EnergyFacts | None = None  # null: the vehicle's file gives no capacity
     deadman: dict[str, Any] = {}
+    sails_by: str = ""  # a digest of hull, motors, compass and gains of the vehicle's file with which it was started
     clock: ClockStatus = ClockStatus()
 
 

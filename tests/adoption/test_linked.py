@@ -7,13 +7,15 @@ from typing import Any
 import pytest
 
 from delfim import config
-from delfim.adoption.trial import linked
 from delfim.adoption.trial.boats import SimulatedTrial
-from delfim.adoption.trial.hiddenhull import drawn
+from delfim.adoption.trial.hiddenhull import Hidden, drawn, rewired
 from delfim.adoption.trial.linked import BoatHeard, GatewayWire, tried
 from delfim.adoption.trial.manoeuvres import TrialEnded
 from delfim.base import geodesy
+from delfim.base.errors import DelfimError
 from delfim.base.modes import Mode
+from delfim.console.gateway import adopting
+from delfim.parts.mavlink.telemetry import TelemetryView, sensed
 from delfim.vehicle import console
 
 ROOT = Path(__file__).parents[2]
@@ -25,9 +27,11 @@ class Link(GatewayWire):
     """A gateway and a boat in lock step: a cycle for each word that is heard of it. Orders that are not answered take effect
     with the next word, as on a link."""
 
-    def __init__(self, settings: config.Vehicle, seed: int, ends_at: str = "", no: str = "") -> None:
-        self.hidden = drawn(settings, seed)
-        self.boat = SimulatedTrial(settings, self.hidden, seed, 60.0)
+    def __init__(
+        self, settings: config.Vehicle, seed: int, ends_at: str = "", no: str = "", hidden: Hidden | None = None
+    ) -> None:
+        self.hidden = hidden or drawn(settings, seed)
+        self.boat, self.digest = SimulatedTrial(settings, self.hidden, seed, 60.0), settings.sails_by
         self.said, self.ended, self._refused = list[dict[str, Any]](), "", ""
         self._ends_at, self._no, self._last = ends_at, no, {}
 
@@ -35,6 +39,10 @@ class Link(GatewayWire):
         self.said.append(words)
         if order := words.get("order"):
             self._refused = self.boat.run.command(console.Try(**order)) or ""
+        if steer := words.get("steer"):
+            command = console.KINDS[steer["command"]]
+            told = {key: value for key, value in steer.items() if key != "command"}
+            self._refused = self.boat.run.command(console.asked(command, **told)) or ""
         if mode := words.get("end"):
             self.boat.end(mode)
         if self._ends_at and words.get("step", {}).get("name") == self._ends_at:
@@ -50,9 +58,17 @@ class Link(GatewayWire):
         port, starboard = seen.told if self.boat.run.settings.thrusters[0].y_m < 0 else seen.told[::-1]
         heading_deg, turn_dps = math.degrees(seen.heading_rad), math.degrees(seen.turn_radps)
         moves = heading_deg, turn_dps, round(seen.north_mps, 2), round(seen.east_mps, 2)
-        return BoatHeard(
-            seen.at_s, *map(math.degrees, place), *moves, port, starboard, self.boat.run.state.mode.name.lower(), seen.reason
-        )
+        mode = self.boat.run.state.mode.name.lower()
+        told = seen.at_s, *map(math.degrees, place), *moves, port, starboard, mode, seen.reason
+        return BoatHeard(*told, self.sensed(), self.digest)
+
+    def sensed(self) -> dict[str, tuple[float, ...]] | None:
+        """What the sensors said, by the message that the link has of it."""
+        vehicle, now_s = self.boat.run.vehicle, self.boat.run.vehicle.clock.monotonic_s()
+        view = TelemetryView(vehicle, vehicle.helm.settings.mavlink, 0, lambda leg: 0, lambda kind: None, now_s)
+        said = next(iter(sensed(view)), None)
+        heard = adopting._sensed(said, now_s, now_s)
+        return None if heard is None else {kind: tuple(value) for kind, value in heard.items()}
 
     def forget(self) -> None:
         pass
@@ -89,6 +105,42 @@ def test_a_whole_trial_over_the_link_finds_the_motors_and_writes_what_is_agreed_
     assert link.of("circle")[0]["radius_m"] == 60.0
     assert (tmp_path / "otter.html").exists()
     assert (link.boat.run.state.mode, link.boat.run.state.actuation.run) == (Mode.IDLE, False)
+    with pytest.raises(DelfimError, match=r"sails by another file .* then the proof sail is next"):
+        tried(link, file, 60.0, tmp_path)
+    again = Link(config.load(file, NOISE), SEED, hidden=rewired(link.hidden, written.thrusters))
+    assert tried(again, file, 60.0, tmp_path) == 0, again.of("tell")
+    assert "Was her program" not in again.of("ask")[0], "she tells by which file she sails"
+    assert {each["command"] for each in again.of("steer")} == {"heading", "stop", "mode"}
+    assert again.boat.run.state.mode is Mode.HOLD
+    assert tried(again, file, 60.0, tmp_path) == 0
+    assert again.of("tell")[-1].startswith("Adopted already")
+
+
+def test_at_the_berth_each_motor_turns_by_itself_for_a_second(file: Path, tmp_path: Path) -> None:
+    link = Link(config.load(file, NOISE), SEED)
+    assert tried(link, file, 60.0, tmp_path, "berth") == 0
+    orders = link.of("order")
+    assert [order["pieces"] for order in orders] == [((1.0, (0.15, 0.0)),), ((1.0, (0.0, 0.15)),)]
+    assert [question.partition(":")[0] for question in link.of("ask")[1:]] == ["starboard", "port"]
+    assert link.boat.run.state.mode is Mode.IDLE
+    assert not (tmp_path / "otter.trial").exists()
+    no = Link(config.load(file, NOISE), SEED, no="starboard")
+    assert tried(no, file, 60.0, tmp_path, "berth") == 0
+    assert "power, arming, address" in no.of("tell")[-1]
+    assert len(no.of("order")) == 1
+
+
+def test_a_boat_that_estimates_tells_what_its_sensors_said(file: Path) -> None:
+    settings = config.load(ROOT / "etc/boats/blueboat.toml", NOISE)
+    assert settings.navigation.estimator
+    link = Link(settings, SEED)
+    last = link.boat.wait().measured or {}
+    told = link.sensed() or {}
+    assert told.keys() == {"heading", "rate", "velocity"}
+    for kind, (at_s, *value) in told.items():
+        assert at_s == pytest.approx(last[kind][0], abs=1e-5)
+        assert value == pytest.approx(last[kind][1:], abs=1e-6)
+    assert Link(config.load(file, NOISE), SEED).sensed() is None, "she has no estimator"
 
 
 def test_what_somebody_ended_gives_no_order_any_more_and_goes_on_later(file: Path, tmp_path: Path) -> None:
@@ -100,7 +152,7 @@ def test_what_somebody_ended_gives_no_order_any_more_and_goes_on_later(file: Pat
     assert "The trial ended: STOP." in link.of("tell")
     assert file.read_text() == before
     again = Link(config.load(file, NOISE), SEED)
-    with pytest.raises(linked.DelfimError, match="the circle is not free"):
+    with pytest.raises(DelfimError, match="the circle is not free"):
         tried(Link(config.load(file, NOISE), SEED, no="Otter"), file, 60.0, tmp_path)
     assert tried(again, file, 60.0, tmp_path) == 0
     assert "Goes on with" in again.of("tell")[0]

@@ -15,7 +15,9 @@ from typing import Any
 
 import pytest
 
+from delfim import config
 from delfim.__main__ import main
+from delfim.commands.simulation import sim as sim_command
 from delfim.logging.statelog import columns, read_state
 from delfim.vehicle.operator.link import Link
 
@@ -261,6 +263,23 @@ def test_with_a_console_a_stop_ends_nothing_and_the_address_is_told(tmp_path, ty
 def until_line(process: subprocess.Popen[str], words: str) -> str:
     assert process.stdout is not None
     return next(line for line in process.stdout if re.match(r"0:\d\d:\d\d ", line) and words in line)
+
+
+def test_what_is_found_of_a_simulated_boat_is_not_written_into_the_file_of_the_real_one(tmp_path):
+    """The console beside it has a copy, of the same boat and mission; a copy that is sailed is its own."""
+    file, beside = str(tmp_path / "boat.toml"), tmp_path / "console"
+    assert main(["new", file, "--yes"]) == 0
+    text = Path(file).read_text()
+    copy = sim_command._copied(file, beside, 3)
+    assert Path(copy).parent == beside
+    assert config.mission_place(copy, config.load(copy)) == tmp_path / "boat-mission.toml"
+    assert (config.load(copy).boat.id, config.load(copy).sails_by) == (3, config.load(file).sails_by)
+    assert sim_command._copied(copy, beside, 4) == copy
+    assert config.load(copy).boat.id == 3
+    assert Path(file).read_text() == text
+    inline = tmp_path / "inline.toml"
+    inline.write_text('boat = { name = "x", id = 9 }\n')
+    assert Path(sim_command._copied(str(inline), beside, 3)).read_text() == inline.read_text()
 
 
 @pytest.mark.long

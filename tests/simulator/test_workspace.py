@@ -3,6 +3,7 @@
 import socket
 from pathlib import Path
 
+import msgspec
 import pytest
 
 from delfim import config
@@ -147,3 +148,25 @@ def test_what_the_operator_sets_wins_or_is_refused():
         assert (settings.ftpd.root, settings.httpd.listen) == ("/srv", "127.0.0.1:8123")
         with pytest.raises(DelfimError, match=r"--set console\.socket: each simulation has its own; --output"):
             settings_of(VEHICLE, its, ("console.socket",))
+
+
+def test_the_boat_in_the_water_may_be_wired_in_another_way_than_her_file_says():
+    """A pod of the truth is reached by the driver and address that it has there, and turns as it does there."""
+    told = config.load(Path(__file__).parents[2] / "etc/boats/otter.toml", ["adopted.proven=false"])
+    starboard, port = told.thrusters
+    exchanged = (starboard, port.address, True), (port, starboard.address, False)
+    rows = tuple(msgspec.structs.replace(row, address=address, reversed=way) for row, address, way in exchanged)
+    truth = msgspec.structs.replace(told, thrusters=rows)
+    with workspace(None) as its:
+        simulated = settings_of(told, its, (), truth)
+        plain = settings_of(told, its, ())
+        other = config.load(Path(__file__).parents[2] / "etc/boats/wam-v.toml")
+        with pytest.raises(DelfimError, match="no motor of driver"):
+            settings_of(told, its, (), other)
+    assert "adopted.proven=true" in plain.overrides
+    assert "adopted.proven=true" not in simulated.overrides, "her motors are not those of her file"
+    file = Path(__file__).parents[2] / "etc/boats/otter.toml"
+    here, there = config.load(file, simulated.overrides), config.load(file, simulated.world)
+    motors = {row.address: row.name for row in there.thrusters}
+    assert [(motors[row.address], row.reversed) for row in here.thrusters] == [("port", False), ("starboard", True)]
+    assert plain.world == []

@@ -15,7 +15,9 @@ from delfim.parts.nmea0183.combining import Combined
 from delfim.parts.nmea0183.table import Nmea0183, Nmea0183Port
 from delfim.parts.nmea2000.combining import Nmea2000Source
 from delfim.parts.nmea2000.table import Nmea2000
+from delfim.simulator.lockstep import Lockstep
 from delfim.vehicle.navigation.iron import Iron, iron_of
+from delfim.vehicle.state import NoLog
 
 ROOT = Path(__file__).parents[2]
 BENT = CompassTable(hard_ahead=0.25, hard_aside=-0.2, soft_along=0.05, soft_across=-0.03, offset_deg=12.0)
@@ -74,3 +76,17 @@ def test_nmea_2000_undoes_it_before_the_variation_and_leaves_true_headings_alone
     assert found is not None
     assert found[0] == pytest.approx(magnetic + math.radians(5.0))
     assert source._true_heading(1, VesselHeading(1.0, None, None, NorthReference.TRUE), 1.0) == (1.0,)
+
+
+@pytest.mark.parametrize(("name", "variation"), [("blueboat", "nmea0183"), ("otter", "nmea2000")])
+def test_in_simulation_the_iron_of_the_file_is_about_the_compass(name: str, variation: str) -> None:
+    """Which the boat then undoes: a twin of a boat with a bent compass is not off by it."""
+    iron = [f"compass.{key}={getattr(BENT, key)}" for key in BENT.__struct_fields__]
+    still = "simulation.noise=false", f"{variation}.variation_deg=-3.0", "simulation.heading_deg=70.0"
+    run = Lockstep(config.load(ROOT / f"etc/boats/{name}.toml", [*iron, *still]), 1, lambda clock: NoLog())
+    for _ in run.cycles(8.0):
+        pass
+    assert math.degrees(run.state.motion.heading_rad - run.nodes.model.heading_rad) == pytest.approx(0.0, abs=1.0)
+    compass = run.nodes.compasses[0]
+    assert compass.bent is not None
+    assert abs(math.degrees(compass.bent(1.0)) - math.degrees(1.0)) > 3.0

@@ -111,6 +111,7 @@ class RunningTrial:
     ) -> None:
         """`middle`: of the circle of a trial that goes on, degrees."""
         self._link, self._is_ended, told = link, is_ended, link.ask("state")
+        self.sails_by = str(told.get("sails_by", ""))
         if told["latitude_deg"] is None or told["longitude_deg"] is None:
             raise DelfimError("the boat has no position yet")
         middle = middle or (told["latitude_deg"], told["longitude_deg"])

@@ -7,7 +7,6 @@ from typing import Any, Final
 
 from delfim import config
 from delfim.adoption import identify, magnet
-from delfim.adoption.found import Key
 from delfim.adoption.identify import Identified
 from delfim.adoption.record import scatter_m
 from delfim.adoption.trial.motors import corrected
@@ -15,7 +14,7 @@ from delfim.adoption.trial.session import TrialProgress, Written
 from delfim.adoption.trial.taped import record_of
 from delfim.adoption.twin import gains
 from delfim.adoption.twin.child import in_child
-from delfim.adoption.writing import changed
+from delfim.adoption.writing import Key, changed
 from delfim.base.errors import DelfimError
 from delfim.base.input.untrusted import parse_toml, read_text
 from delfim.base.tables import inline

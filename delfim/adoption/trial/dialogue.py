@@ -10,12 +10,11 @@ from typing import Any, Final, Protocol
 import msgspec
 
 from delfim import config
-from delfim.adoption.found import Key
 from delfim.adoption.trial.boats import RunningTrial, SimulatedTrial
 from delfim.adoption.trial.hiddenhull import drawn, rewired
 from delfim.adoption.trial.proof import ProofBoat, RunningProof, SimulatedProof, proved
 from delfim.adoption.trial.session import TrialProgress, keep
-from delfim.adoption.writing import changed, put_back
+from delfim.adoption.writing import Key, changed, put_back
 from delfim.base.errors import DelfimError
 from delfim.base.input.untrusted import read_text
 from delfim.base.wholefile import replace_file
@@ -23,13 +22,16 @@ from delfim.services.bench import keys, pressed
 from delfim.vehicle.operator.link import Link
 
 BEFORE: Final = (
-    "{name} will drive by herself for about 12 minutes, at times with full power, in a circle of {radius_m:g} m about here.\n"
-    "Begin upstream and upwind, away from piers. Space or Ctrl-C ends it, STOP on the page, too. Is the circle free?"
+    "{name} will drive by herself for about 12 minutes, at times with full power, in a circle of {radius_m:g} m.\n"
+    "Begin upstream and upwind, away from piers. {ends}. Is the circle free?"
 )
+ENDS: Final = "Space or Ctrl-C ends it, STOP on the page, too"
 AGAIN: Final = (
     "{file} has what was found. {name} will turn twice, stop and hold for a minute: the proof sail, within {radius_m:g} m.\n"
-    "Was her program started again since, and is the circle free?"
+    "{started}s the circle free?"
 )
+STARTED: Final = "Was her program started again since, and i"  # asked where she does not tell it
+OTHER: Final = "{name} sails by another file than {file}, as it is now: put it aboard, and start her program again"
 NOISE: Final = {"position_noise_m": "1.0", "speed_noise_mps": "0.05", "heading_noise_deg": "2.0"}  # of a drawn boat's sensors
 
 
@@ -41,6 +43,13 @@ class Person(Protocol):
 
     def ask(self, question: str) -> bool:
         """A question whose answer is yes or no."""
+
+
+class BerthBoat(Protocol):
+    """A boat at the berth."""
+
+    def turn_alone(self, name: str) -> str:
+        """Turn a motor for a second; what it did, in words. Raises DelfimError."""
 
 
 class Dialogue:
@@ -107,7 +116,27 @@ def running(
     return RunningTrial(link, radius_m, dialogue.is_ended, middle)
 
 
-def at_the_berth(boat: RunningTrial | SimulatedTrial, settings: config.Vehicle, dialogue: Dialogue) -> None:
+def other_file(settings: config.Vehicle, told: str, file: str | Path) -> str:
+    """That a boat which tells this digest sails by another file, in words; empty: by this one, or nobody knows."""
+    return OTHER.format(name=settings.boat.name, file=file) if told and told != settings.sails_by else ""
+
+
+def may_begin(settings: config.Vehicle, told: str, file: str | Path, person: Person) -> None:
+    """Ask where a boat sails by another file. Raises DelfimError where she is not to begin all the same."""
+    if (other := other_file(settings, told, file)) and not person.ask(f"{other}. Begin all the same?"):
+        raise DelfimError(other)
+
+
+def may_prove(settings: config.Vehicle, told: str, file: str | Path, radius_m: float, person: Person) -> None:
+    """Ask whether the proof sail may begin. Raises DelfimError where she has not what was found yet, or it may not."""
+    if other := other_file(settings, told, file):
+        raise DelfimError(f"{other}; then the proof sail is next")
+    started = "I" if told else STARTED
+    if not person.ask(AGAIN.format(file=file, name=settings.boat.name, radius_m=radius_m, started=started)):
+        raise DelfimError("the proof sail waits: the same again begins with it")
+
+
+def at_the_berth(boat: BerthBoat, settings: config.Vehicle, dialogue: Person) -> None:
     """Each motor for a second: a dead or unarmed one shows. Side and direction do not, for the lines hold the boat."""
     if not dialogue.ask("Lines on, bow out, nobody near the propellers?"):
         return
@@ -125,7 +154,7 @@ def interrupted(progress: TrialProgress, ended: str, place: Path, dialogue: Pers
 
     dialogue.tell(f"The trial ended: {ended}.")
     motors_told(progress, dialogue.tell)
-    dialogue.tell(f"It is kept in {place}: the same command goes on with it.")
+    dialogue.tell(f"It is kept in {place}: the same goes on with it.")
     return 1
 
 
@@ -136,9 +165,9 @@ def adopted(progress: TrialProgress, place: Path, file: str, on: str, dialogue: 
     refused = conclude(progress, Path(file), place.with_suffix(".html"), on, dialogue.ask, dialogue.tell)
     keep(place, progress)
     if refused:
-        dialogue.tell(f"The hull is not adopted: {refused}.")
+        dialogue.tell(f"The hull is not adopted: {refused}. Begin afresh (--afresh) where that is mended.")
     if progress.written is not None and progress.written.gains:
-        dialogue.tell(f"{file} is written. Start her program again with it; the same command then goes on with the proof sail.")
+        dialogue.tell(f"{file} is written. Start her program again with it; the same then goes on with the proof sail.")
     return 1 if refused else 0
 
 

@@ -12,7 +12,7 @@ from delfim import config
 from delfim.config import CompassTable, ThrusterTable
 from delfim.simulator.model import Hull, Model, hull_of
 from delfim.simulator.nodes import Nodes
-from delfim.simulator.nodes.measuring import Compass
+from delfim.simulator.nodes.measuring import Compass, felt
 from delfim.simulator.tables import Sea, Simulation
 
 STEP_S: Final = 0.05  # a late command comes within one
@@ -30,10 +30,7 @@ class HiddenSensors(NamedTuple):
 
     def said(self, heading_rad: float) -> float:
         """The heading that the compass tells, for the true one."""
-        iron, c, s = self.iron, math.cos(heading_rad), math.sin(heading_rad)
-        along = (1.0 + iron.soft_along) * c - iron.soft_across * s + iron.hard_ahead
-        across = iron.soft_across * c - (1.0 - iron.soft_along) * s + iron.hard_aside
-        return math.atan2(-across, along) + math.radians(iron.offset_deg)
+        return felt(self.iron, heading_rad)
 
     def put(self, nodes: Nodes) -> None:
         """Make the sensors of a simulated boat so."""

@@ -20,14 +20,18 @@ import msgspec
 
 from delfim import config
 from delfim.adoption.trial import dialogue, session
-from delfim.adoption.trial.boats import MODE, TrialCircle
+from delfim.adoption.trial.boats import BERTH_PART, BERTH_S, MODE, TrialCircle
 from delfim.adoption.trial.manoeuvres import MotionSeen, Parts, StepTold, TrialEnded
 from delfim.adoption.trial.motors import unfit
+from delfim.adoption.trial.proof import ProofSeen
 from delfim.base.errors import DelfimError, Refused, in_words
 from delfim.vehicle.propulsion.thrusters import sides
 
 SILENT_S: Final = 3.0  # without a word of the boat the trial ends; the boat itself ends it sooner
 ENTERS_S: Final = 3.0  # from the answer to an order until the boat says that it is in the mode
+TELLS_S: Final = 3.0  # until a boat has told by which file she sails
+BERTH_M: Final = 15.0  # of the circle in which she lies at her lines
+ENDS: Final = "STOP, and any other order to her, ends it"
 FOLDER: Final = "adopt"  # where trials are kept, as `delfim adopt` has it
 
 
@@ -45,10 +49,12 @@ class BoatHeard(msgspec.Struct, tag=True):
     starboard: float
     mode: str
     reason: str
+    measured: dict[str, tuple[float, ...]] | None = None  # behind an estimator: what each sensor said, its time first
+    sails_by: str = ""  # the digest of the file with which it was started; empty: it has not told it
 
 
 class OrderAnswered(msgspec.Struct, tag=True):
-    """The boat's answer to the last order that entered the mode; empty: it took it."""
+    """The boat's answer to the last order that enters a mode; empty: it took it."""
 
     refused: str
 
@@ -109,6 +115,13 @@ class GatewayWire:
             raise TrialEnded(self.ended or f"nothing is heard of the boat for {SILENT_S:g} s")
         return heard
 
+    def sails_by(self) -> str:
+        """The digest of the boat's file; empty: she does not tell it. Raises TrialEnded."""
+        heard = first = self.newest()
+        while not heard.sails_by and heard.at_s < first.at_s + TELLS_S:
+            heard = self.newest()
+        return heard.sails_by
+
     def forget(self) -> None:
         """What the boat told until now is old."""
         while not self._heard.empty():
@@ -155,7 +168,7 @@ class LinkedTrial:
         parts = (heard.port if row in self._port else heard.starboard for row in range(len(self._rows)))
         signs = (1.0 if abs(row.angle_deg) < 90.0 else -1.0 for row in self._rows)  # what is told is positive ahead
         told = tuple(part * sign for part, sign in zip(parts, signs, strict=True))
-        return MotionSeen(heard.at_s, *at, *moves, told, heard.mode == MODE, heard.reason)
+        return MotionSeen(heard.at_s, *at, *moves, told, heard.mode == MODE, heard.reason, heard.measured)
 
     def play(self, parts: Parts, for_s: float, name: str, *, begin: bool, comes_back: bool) -> None:
         if self._wire.ended:
@@ -164,13 +177,15 @@ class LinkedTrial:
         self._wire.say(order=order)
         if not begin:
             return
-        if why := self._wire.order_answered():
-            raise Refused(self._wire.ended or why)
-        until_s = time.monotonic() + ENTERS_S
-        while time.monotonic() < until_s:
-            if self._wire.newest().mode == MODE:
-                return
-        raise DelfimError("the boat took the order and does not enter the mode")
+        entered(self._wire, MODE)
+
+    def turn_alone(self, name: str) -> str:
+        """Turn a motor at the berth; returns that it was told to, in words."""
+        parts = tuple(BERTH_PART if row.name == name else 0.0 for row in self._rows)
+        self.play(parts, BERTH_S, "berth", begin=True, comes_back=False)
+        while self.wait().is_on:
+            pass
+        return f"{BERTH_PART:.0%} for {BERTH_S:g} s"
 
     def end(self, mode: str) -> None:
         if self._wire.ended or self._mode not in (MODE, "idle"):  # somebody, or a failsafe, has told the boat what to do
@@ -179,6 +194,36 @@ class LinkedTrial:
         until_s = time.monotonic() + ENTERS_S
         while self._wire.newest().mode == MODE and time.monotonic() < until_s:
             pass
+
+
+def entered(wire: GatewayWire, mode: str) -> None:
+    """Wait for the answer to an order, and until the boat says that it is in this mode. Raises DelfimError, Refused."""
+    if why := wire.order_answered():
+        raise Refused(wire.ended or why)
+    until_s = time.monotonic() + ENTERS_S
+    while time.monotonic() < until_s:
+        if wire.newest().mode == mode:
+            return
+    raise DelfimError(f"the boat took the order and does not enter mode {mode}")
+
+
+class LinkedProof:
+    """The boat of a proof sail over the gateway's link."""
+
+    def __init__(self, wire: GatewayWire, circle: TrialCircle) -> None:
+        self._wire, self._circle = wire, circle
+
+    def wait(self) -> ProofSeen:
+        heard = self._wire.newest()
+        at = self._circle.place(heard.latitude_deg, heard.longitude_deg)
+        moves = math.radians(heard.heading_deg), heard.north_mps, heard.east_mps
+        return ProofSeen(heard.at_s, *at, *moves, heard.mode, heard.reason)
+
+    def order(self, command: str, **words: Any) -> None:
+        if self._wire.ended:
+            raise TrialEnded(self._wire.ended)
+        self._wire.say(steer={"command": command} | words)
+        entered(self._wire, {"stop": "idle", "mode": words.get("mode", "")}.get(command, command))
 
 
 class PagePerson:
@@ -202,25 +247,49 @@ class PagePerson:
         self._wire.say(step=told._asdict())
 
 
-def tried(wire: GatewayWire, file: Path, radius_m: float, folder: Path, *, afresh: bool = False) -> int:
-    """A trial and what follows of it; the end of all is said. Raises DelfimError."""
+def tried(wire: GatewayWire, file: Path, radius_m: float, folder: Path, what: str = "") -> int:
+    """A trial and what follows of it; the end of all is said. `what`: "afresh", or "berth" for the motors alone. Raises
+    DelfimError."""
     settings, person = config.load(file), PagePerson(wire)
     if why := unfit(settings.thrusters):
         raise DelfimError(f"this boat cannot be adopted: {why}")
     place = folder / f"{file.stem}.trial"
-    if afresh:
-        place.unlink(missing_ok=True)
-    progress = session.kept(place, settings)
-    if progress.written is not None and progress.written.gains:
-        left = progress.written.proof or f"the proof sail is left: delfim adopt {file}, on the boat's computer"
-        person.tell(f"Adopted already, on {progress.written.on}: {left}.")
+    progress = session.TrialProgress(settings.thrusters) if what == "afresh" else session.kept(place, settings)
+    if what == "berth":
+        dialogue.at_the_berth(LinkedTrial(wire, settings.thrusters, BERTH_M), settings, person)
         return 0
-    if progress.is_proven:
-        person.tell(f"Goes on with {place}, behind: {', '.join(('motors', *dict.fromkeys(progress.done)))}.")
+    if progress.written is not None and progress.written.proof:
+        person.tell(f"Adopted already, on {progress.written.on}: {progress.written.proof}.")
+        return 0
     boat = LinkedTrial(wire, settings.thrusters, radius_m, progress.middle if progress.is_proven else None)
     latitude_deg, longitude_deg = boat.middle
     wire.say(circle={"latitude_deg": latitude_deg, "longitude_deg": longitude_deg, "radius_m": radius_m})
-    if not person.ask(dialogue.BEFORE.format(name=settings.boat.name, radius_m=radius_m)):
+    if progress.written is not None and progress.written.gains:
+        dialogue.may_prove(settings, wire.sails_by(), file, radius_m, person)
+        code = dialogue.proof(progress, place, str(file), LinkedProof(wire, boat.circle), radius_m, person)
+        wire.say(sailed=True)
+        return code
+    if not progress.is_whole and (ended := _sailed(wire, boat, settings, progress, (file, place), person)):
+        return dialogue.interrupted(progress, ended, place, person)
+    return dialogue.adopted(progress, place, str(file), f"{datetime.now(UTC):%Y-%m-%d}", person)
+
+
+def _sailed(
+    wire: GatewayWire,
+    boat: LinkedTrial,
+    settings: config.Vehicle,
+    progress: session.TrialProgress,
+    files: tuple[Path, Path],
+    person: PagePerson,
+) -> str:
+    """Sail the trial, or the rest of it. `files`: of the boat, and of the trial. Returns why it ended before its time, in
+    words. Raises DelfimError."""
+    file, place = files
+    if progress.is_proven:
+        person.tell(f"Goes on with {place}, behind: {', '.join(('motors', *dict.fromkeys(progress.done)))}.")
+    radius_m = boat.circle.radius_m
+    dialogue.may_begin(settings, wire.sails_by(), file, person)
+    if not person.ask(dialogue.BEFORE.format(name=settings.boat.name, radius_m=radius_m, ends=ENDS)):
         raise DelfimError("the circle is not free")
     trial = session.TrialSession(boat, settings, progress, place, radius_m, person.ask, lambda words: None)
     trial.trial.step = person.step
@@ -228,9 +297,7 @@ def tried(wire: GatewayWire, file: Path, radius_m: float, folder: Path, *, afres
     wire.say(sailed=True)
     for sentence in trial.differences():
         person.tell(sentence)
-    if ended:
-        return dialogue.interrupted(progress, ended, place, person)
-    return dialogue.adopted(progress, place, str(file), f"{datetime.now(UTC):%Y-%m-%d}", person)
+    return ended
 
 
 def main() -> int:
@@ -239,11 +306,12 @@ def main() -> int:
     parser.add_argument("file", type=Path)
     parser.add_argument("--radius", type=float, default=60.0)
     parser.add_argument("--output", type=Path, default=Path(FOLDER))
-    parser.add_argument("--afresh", action="store_true")
+    for what in ("afresh", "berth"):
+        parser.add_argument(f"--{what}", dest="what", action="store_const", const=what, default="")
     asked = parser.parse_args()
     wire = GatewayWire(sys.stdin.buffer, sys.stdout.buffer)
     try:
-        code, why = tried(wire, asked.file, asked.radius, asked.output, afresh=asked.afresh), ""
+        code, why = tried(wire, asked.file, asked.radius, asked.output, asked.what), ""
     except ModuleNotFoundError as error:
         code, why = 1, f"the fit needs {error.name}, which is not installed: pip install 'delfim[ground]'"
     except (DelfimError, OSError) as error:

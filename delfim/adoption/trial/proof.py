@@ -223,6 +223,7 @@ class RunningProof:
     def __init__(self, link: Link, middle: tuple[float, float] | None, radius_m: float, is_ended: Callable[[], bool]) -> None:
         """`middle`: of the circle, degrees; None: where she is."""
         self._link, self._is_ended, told = link, is_ended, link.ask("state")
+        self.sails_by = str(told.get("sails_by", ""))
         here = told["latitude_deg"], told["longitude_deg"]
         if None in here:
             raise DelfimError("the boat has no position yet")

@@ -11,9 +11,9 @@ from typing import Final, NamedTuple
 import msgspec
 
 from delfim import config
-from delfim.adoption.found import FoundKey, Key
 from delfim.adoption.twin.margins import Loop, Margins
 from delfim.adoption.twin.twinvoyage import TwinVoyage, sailed, twin_of
+from delfim.adoption.writing import FoundKey, Key
 from delfim.base.errors import DelfimError
 from delfim.base.input.untrusted import parse_toml
 from delfim.simulator.lockstep import Lockstep

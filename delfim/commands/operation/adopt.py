@@ -75,7 +75,9 @@ def _trial(asked: argparse.Namespace, settings: Any, progress: Any, place: Path,
         if asked.berth:
             dialogue.at_the_berth(boat, settings, person)
             return 0
-        if not person.ask(dialogue.BEFORE.format(name=settings.boat.name, radius_m=asked.radius)):
+        if asked.sim is None:
+            dialogue.may_begin(settings, boat.sails_by, asked.file, person)
+        if not person.ask(dialogue.BEFORE.format(name=settings.boat.name, radius_m=asked.radius, ends=dialogue.ENDS)):
             return 1
         try:
             ended = session.TrialSession(boat, settings, progress, place, asked.radius, person.ask, person.tell).run()
@@ -89,13 +91,11 @@ def _proof(asked: argparse.Namespace, file: str, settings: Any, progress: Any, p
     from delfim import config
     from delfim.adoption.trial import dialogue
 
-    words = dialogue.AGAIN.format(file=file, name=settings.boat.name, radius_m=asked.radius)
-    if asked.sim is None and not person.ask(words):
-        return 1
     with contextlib.ExitStack() as held:
         boat: Any
         if asked.sim is not None:
             boat = dialogue.simulated_proof(config.load(asked.file), file, asked.sim, asked.radius)
         else:
             boat = dialogue.running_proof(settings, asked.radius, progress, person, held)
+            dialogue.may_prove(settings, boat.sails_by, file, asked.radius, person)
         return dialogue.proof(progress, place, file, boat, asked.radius, person)

@@ -45,6 +45,7 @@ def options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--missions", default="missions", metavar="FOLDER", help="The operator's missions.")
     parser.add_argument("--charts", default="charts", metavar="FOLDER", help="The operator's charts.")
     parser.add_argument("--sessions", default="sessions", metavar="FOLDER", help="Record sessions here.")
+    parser.add_argument("--trials", default="adopt", metavar="FOLDER", help="Keep trials of boats here (docs/adopt.md).")
     parser.add_argument(
         "--replay",
         nargs="+",

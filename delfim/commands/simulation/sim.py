@@ -23,7 +23,9 @@ from typing import Any
 
 from delfim import config
 from delfim.base.errors import BusError, ConfigError, DelfimError
+from delfim.base.input.untrusted import read_text
 from delfim.base.modes import Mode
+from delfim.base.wholefile import replace_file
 from delfim.canproxy.opening import open_can
 from delfim.canproxy.socket import ANYTHING
 from delfim.commands import OWN_FILE, example_file, seconds, shipped
@@ -52,6 +54,8 @@ def options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--for", type=seconds, dest="for_s", metavar="SECONDS", help="End after this time, not with the mission."
     )
+    told = "The boat in the water is that of this file, of which hers knows nothing: to try `delfim adopt` (docs/adopt.md)."
+    parser.add_argument("--truth", metavar="FILE", type=shipped, help=told)
     parser.add_argument("--seed", type=int, default=1, help="Seed of noise and gusts.")
     parser.add_argument("--lockstep", action="store_true", help="Sail as fast as the machine can; same seed, same bytes.")
     parser.add_argument("--plain", action="store_true", help="Print one line a second instead of the live view.")
@@ -81,6 +85,8 @@ def run(asked: argparse.Namespace) -> int:
         return _scenario(asked)
     settings = config.load(asked.file, asked.set)
     mission = _mission(asked, settings)
+    if asked.truth and asked.lockstep:
+        raise DelfimError("--truth is for real time; in lock step `delfim adopt FILE --sim SEED` draws a boat")
     return _lockstep(asked, settings, mission) if asked.lockstep else _real_time(asked, settings, mission)
 
 
@@ -113,10 +119,11 @@ def _scenario(asked: argparse.Namespace) -> int:
 def _real_time(asked: argparse.Namespace, settings: config.Vehicle, mission: Mission) -> int:
     with workspace(asked.output) as its:
         named = {override.partition("=")[0].strip() for override in asked.set}
-        simulated = settings_of(settings, its, named)
+        truth = config.load(asked.truth, asked.set) if asked.truth else None
+        simulated = settings_of(settings, its, named, truth)
         overrides, console = [*asked.set, *simulated.overrides], list[str]()
         if asked.console:
-            console, heard, page_at = _console(asked, settings, its)
+            console, heard, page_at = _console(asked, settings, its, simulated.boat_id)
             overrides += [] if "httpd.console" in named else [f"httpd.console={json.dumps(f'http://{page_at}/')}"]
             peers = [heard, *(peer for peer in settings.of(Mavlink).peers if peer != BOATS)][:8]
             overrides += [] if "mavlink.peers" in named else [f"mavlink.peers={json.dumps(peers)}"]
@@ -131,7 +138,12 @@ def _real_time(asked: argparse.Namespace, settings: config.Vehicle, mission: Mis
             print(f"delfim: real ports are left alone: {each}", file=sys.stderr if asked.json else sys.stdout, flush=True)
         with contextlib.ExitStack() as running:
             try:
-                running.enter_context(_process("nodes", *arguments, "--seed", str(asked.seed)))
+                world = [
+                    asked.truth or asked.file,
+                    *arguments[1:],
+                    *(word for each in simulated.world for word in ("--set", each)),
+                ]
+                running.enter_context(_process("nodes", *world, "--seed", str(asked.seed)))
                 boat = running.enter_context(_process("supervise", *arguments))
                 if asked.console:
                     gateway = running.enter_context(_process("console", *console, stdout=subprocess.PIPE))
@@ -145,16 +157,36 @@ def _real_time(asked: argparse.Namespace, settings: config.Vehicle, mission: Mis
         return _code(voyage.end)
 
 
-def _console(asked: argparse.Namespace, settings: config.Vehicle, its: Workspace) -> tuple[list[str], str, str]:
+def _console(asked: argparse.Namespace, settings: config.Vehicle, its: Workspace, number: int) -> tuple[list[str], str, str]:
     """The arguments of the console, its address for boats, and that of its page. Its files lie beside the
     simulation's own. A boat that has a key obeys nobody without it."""
     place, boats = its.folder.resolve() / "console", asked.boats or its.address(BOATS, udp=True)
     page = asked.page or its.address(PAGE)
-    words = ["--vehicle", asked.file, "--boats", boats, "--page", page]
+    words = ["--vehicle", _copied(asked.file, place, number), "--boats", boats, "--page", page]
     words += ["--key", settings.of(Mavlink).key] if settings.of(Mavlink).key else []
     words += [] if asked.browser else ["--no-browser"]
-    kept = [word for name in ("missions", "charts", "sessions", "token") for word in (f"--{name}", str(place / name))]
+    kept = [word for name in ("missions", "charts", "sessions", "trials", "token") for word in (f"--{name}", str(place / name))]
     return [*words, *kept], boats, page
+
+
+def _copied(file: str, place: Path, number: int) -> str:
+    """Copy the vehicle's file beside the simulation's own, for what is found of a simulated boat must not come into that of
+    the real one. A copy is its own. `number` is the simulated boat's. Returns its name."""
+    from delfim.adoption.writing import Key, changed
+
+    copy = place / Path(file).name
+    if copy.resolve() != Path(file).resolve():
+        vehicle, its = config.load(file), dict[Key, tuple[object, str]]()
+        if mission := vehicle.of(Simulation).mission:
+            its["simulation", "mission"] = str(Path(file).resolve().parent / mission), "of a simulation"
+        if vehicle.boat.id != number:
+            its["boat", "id"] = number, "of a simulation"
+        place.mkdir(parents=True, exist_ok=True)
+        text = read_text(file)
+        with contextlib.suppress(DelfimError):  # its tables are written in another way: the copy is as it is
+            text = changed(text, its, file)
+        replace_file(copy, text)
+    return str(copy)
 
 
 def _announced(console: "subprocess.Popen[bytes]") -> str:

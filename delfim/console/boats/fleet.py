@@ -252,7 +252,7 @@ class Fleet:
         if not boat.profile:
             self._profiles.ask(boat.number)
         if not boat.is_named:
-            self._send(boat.number, mavlink.MAVLink_param_ext_request_read_message(*to, BOAT_NAME.encode(), -1))
+            self.ask_text(boat.number, BOAT_NAME)
         modes = mavlink.MAVLINK_MSG_ID_AVAILABLE_MODES, boat.has_told_modes
         for listed, is_known in (modes, (ownorders.EXTENSION, boat.has_told_orders)):
             if not is_known:
@@ -342,6 +342,10 @@ class Fleet:
         self._homes.add(self._boat(number).number)
         where = mavlink.MAVLINK_MSG_ID_HOME_POSITION, *(0.0,) * 6
         self._send(number, mavlink.MAVLink_command_long_message(number, AUTOPILOT, mavlink.MAV_CMD_REQUEST_MESSAGE, 0, *where))
+
+    def ask_text(self, number: int, name: str) -> None:
+        """Asks a boat for one of its texts."""
+        self._send(number, mavlink.MAVLink_param_ext_request_read_message(number, AUTOPILOT, name.encode(), -1))
 
     def often(self, number: int, kinds: Iterable[int], every_us: int) -> None:
         """Asks a boat to tell these messages so often; 0: as its profile has it."""

@@ -24,15 +24,16 @@ from delfim.base.errors import DelfimError, Refused
 from delfim.console.boats.boat import Boat
 from delfim.console.boats.fleet import Fleet
 from delfim.console.gateway import page_messages
-from delfim.console.link.mavlink import mavlink
+from delfim.console.link.mavlink import SAILS_BY, SENSED, SENSED_VALUES, mavlink
 
-FOLDER: Final = Path("adopt")  # where `delfim adopt` keeps its trials, too: each goes on with what the other one began
 STEPS: Final = 14  # manoeuvres of a whole trial, of those that follow each other
 LINES_MAX: Final = 300  # sentences that are kept for pages
 OFTEN_US: Final = 100_000  # between two words of the boat about its motion, meanwhile
 TOLD: Final = ("GLOBAL_POSITION_INT", "ATTITUDE", "SERVO_OUTPUT_RAW")
-NUMBERS_TOLD: Final = tuple(getattr(mavlink, f"MAVLINK_MSG_ID_{each}") for each in TOLD)
+ARRAY: Final = "DEBUG_FLOAT_ARRAY"  # of what the sensors behind an estimator said
+NUMBERS_TOLD: Final = tuple(getattr(mavlink, f"MAVLINK_MSG_ID_{each}") for each in (*TOLD, ARRAY))
 OLD_S: Final = 1.0  # an older place or thrust is none
+ASK_S: Final = 0.5  # between two questions by which file the boat sails
 BUSY: Final = "a trial is under way: end it first"
 ENDED: Final = "the page ended it"
 
@@ -42,20 +43,22 @@ Answer = Callable[[bool, str], None]
 class Adoption:
     """One trial at a time, of the boat whose file the console has. `tell` is given what pages are shown."""
 
-    def __init__(self, fleet: Fleet, vehicle: Path | None, tell: Callable[[dict[str, Any]], None]) -> None:
-        self._fleet, self._file, self._tell = fleet, vehicle, tell
+    def __init__(self, fleet: Fleet, vehicle: Path | None, folder: Path, tell: Callable[[dict[str, Any]], None]) -> None:
+        """`folder`: where trials are kept. Where `delfim adopt` has the same, each goes on with what the other one began."""
+        self._fleet, self._file, self._folder, self._tell = fleet, vehicle, folder, tell
         self.boat = config.load(vehicle).boat.id if vehicle is not None else None  # whose file it is; None: there is none
         self.shown: dict[str, Any] | None = None  # the trial as pages see it
         self._child: subprocess.Popen[bytes] | None = None
         self._is_sailing = self._is_over = False
         self._last: dict[str, tuple[Any, float]] = {}  # messages of the boat by their kind, and when they were heard
+        self._sails_by, self._asked_s = "", -math.inf  # the digest of the boat's file; empty: it has not told it
         fleet.heard = self._hear
 
     def ask(self, asked: page_messages.Adopt, answer: Answer) -> None:
         """Does what a page asks. Raises Refused."""
         match asked.do:
-            case "begin" | "afresh":
-                self._begin(asked.boat, asked.radius_m, is_afresh=asked.do == "afresh")
+            case "begin" | "afresh" | "berth":
+                self._begin(asked.boat, asked.radius_m, asked.do)
             case "yes" | "no":
                 if self.shown is None or not self.shown["question"]:
                     raise Refused("nothing is asked")
@@ -99,7 +102,7 @@ class Adoption:
             with suppress(DelfimError):
                 self._fleet.command(self.shown["boat"], "stop", {}, lambda well, why: None)
 
-    def _begin(self, number: int, radius_m: float, *, is_afresh: bool) -> None:
+    def _begin(self, number: int, radius_m: float, what: str) -> None:
         if self._child is not None:
             raise Refused(BUSY)
         if self._file is None or number != self.boat:
@@ -107,7 +110,8 @@ class Adoption:
         if number not in self._fleet.boats:
             raise Refused(f"no boat {number}")
         command = [sys.executable, "-m", "delfim.adoption.trial.linked", str(self._file), f"--radius={radius_m:g}"]
-        command += [f"--output={FOLDER}", *(["--afresh"] if is_afresh else [])]
+        command += [f"--output={self._folder}", *([] if what == "begin" else [f"--{what}"])]
+        self._sails_by, self._asked_s = "", -math.inf
         nothing = subprocess.DEVNULL
         self._is_sailing = self._is_over = False
         self._child = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=nothing)
@@ -146,7 +150,10 @@ class Adoption:
             return
         match said:
             case {"order": dict(order)}:
-                self._order(shown["boat"], order)
+                self._order(shown["boat"], "trial", order, is_answered=bool(order["begin"]))
+                return
+            case {"steer": dict(words)}:  # of the proof sail
+                self._order(shown["boat"], str(words.pop("command")), words, is_answered=True)
                 return
             case {"end": str(mode)}:
                 if self._is_sailing:
@@ -172,18 +179,16 @@ class Adoption:
                 shown["part"], shown["end"] = (1.0, "done") if well else (shown["part"], why)
         self._show()
 
-    def _order(self, number: int, order: dict[str, Any]) -> None:
-        begins = bool(order["begin"])
-
+    def _order(self, number: int, command: str, words: dict[str, Any], *, is_answered: bool) -> None:
         def answered(well: bool, why: str) -> None:
-            if begins:
+            if is_answered:
                 self._say("OrderAnswered", refused="" if well else why or "refused")
 
         if self._is_over:
             return answered(False, "the trial is over")
         self._is_sailing = True
         try:
-            self._fleet.command(number, "trial", order, answered)
+            self._fleet.command(number, command, words, answered)
         except DelfimError as error:
             answered(False, str(error))
         return None
@@ -191,9 +196,15 @@ class Adoption:
     def _hear(self, boat: Boat, message: Any, now_s: float) -> None:
         """A message of any boat; with each attitude the process hears of its own."""
         kind = message.get_type()
-        if self._child is None or self.shown is None or boat.number != self.shown["boat"] or kind not in TOLD:
+        if self._child is None or self.shown is None or boat.number != self.shown["boat"]:
             return
-        self._last[kind] = message, now_s
+        if kind == "PARAM_EXT_VALUE" and message.param_id == SAILS_BY:
+            self._sails_by = message.param_value
+        elif kind in TOLD or (kind == ARRAY and message.name.rstrip("\0") == SENSED):
+            self._last[kind] = message, now_s
+        if not self._sails_by and now_s - self._asked_s > ASK_S:
+            self._asked_s = now_s
+            self._fleet.ask_text(boat.number, SAILS_BY)
         if kind != "ATTITUDE" or any(now_s - self._last.get(each, (None, -math.inf))[1] > OLD_S for each in TOLD):
             return
         place, servos = self._last["GLOBAL_POSITION_INT"][0], self._last["SERVO_OUTPUT_RAW"][0]
@@ -212,6 +223,8 @@ class Adoption:
             starboard=(servos.servo3_raw - 1500) / 500.0,
             mode=boat.mode,
             reason=boat.reason.partition(": ")[2] if boat.reason.startswith(f"{boat.mode}: ") else boat.reason,
+            measured=_sensed(*self._last.get(ARRAY, (None, -math.inf)), now_s),
+            sails_by=self._sails_by,
         )
 
     def _say(self, kind: str, **words: Any) -> None:
@@ -232,7 +245,7 @@ class Adoption:
 
     @property
     def report(self) -> Path | None:
-        return None if self._file is None else FOLDER / f"{self._file.stem}.html"
+        return None if self._file is None else self._folder / f"{self._file.stem}.html"
 
     async def serve_report(self, request: web.Request) -> web.StreamResponse:
         """The report of the last trial, to look at."""
@@ -246,3 +259,15 @@ class Adoption:
             raise web.HTTPNotFound(text="the console has no file of a boat: --vehicle FILE\n")
         named = {"Content-Disposition": f'attachment; filename="{self._file.name}"'}
         return web.FileResponse(self._file, headers=named)
+
+
+def _sensed(array: Any, heard_s: float, now_s: float) -> dict[str, list[float]] | None:
+    """What each sensor behind the estimator said last, its time on the boat's clock first; None: there is no estimator."""
+    if array is None or now_s - heard_s > OLD_S:
+        return None
+    told, numbers = dict[str, list[float]](), iter(array.data)
+    for name, count in SENSED_VALUES.items():
+        age_s, *value = (next(numbers) for _ in range(1 + count))
+        if math.isfinite(age_s) and all(map(math.isfinite, value)):
+            told[name] = [array.time_usec / 1e6 - age_s, *value]
+    return told

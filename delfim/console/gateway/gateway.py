@@ -98,6 +98,7 @@ class Gateway:
         sessions: Path | None = None,
         tapes: Sequence[Tape] = (),
         number: int | None = None,
+        trials: Path = Path("adopt"),
     ) -> None:
         self.udp = Udp(self._receive)
         self.radios = {each.device: each for each in (radio(words, self._receive) for words in radios)}
@@ -123,7 +124,7 @@ class Gateway:
                 for heard in self.soundings.read():
                     self.fleet.depths.add(*heard[1:])
                 self.fleet.sounded = self.soundings.put
-        self.adoption = Adoption(self.fleet, vehicle, self.tell) if isinstance(self.fleet, Fleet) else None
+        self.adoption = Adoption(self.fleet, vehicle, trials, self.tell) if isinstance(self.fleet, Fleet) else None
         self.broker: BrokerLine | None = None
         self._complaints: dict[str, str] = {}  # the last complaint about each link and file, to say it once
         self.heard_on: list[str] = [*self.radios]  # addresses and radios, for the page

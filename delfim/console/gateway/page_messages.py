@@ -158,11 +158,11 @@ class Depths(Said, frozen=True):
 
 
 class Adopt(Said, frozen=True):
-    """A trial of a boat's motors and hull (docs/adopt.md): begins it, or begins it afresh, answers its question, ends it, or
-    takes it off the pages. Any other order to that boat ends it, too."""
+    """A trial of a boat's motors and hull (docs/adopt.md), or of its motors at the berth: begins it, or begins it afresh,
+    answers its question, ends it, or takes it off the pages. Any other order to that boat ends it, too."""
 
     boat: Number
-    do: Literal["begin", "afresh", "yes", "no", "end", "close"]
+    do: Literal["begin", "afresh", "berth", "yes", "no", "end", "close"]
     radius_m: Annotated[float, msgspec.Meta(ge=15.0, le=160.0)] = 60.0  # of its circle
 
 

@@ -100,6 +100,7 @@ def run(asked: argparse.Namespace) -> int:
         sessions=Path(asked.sessions),
         tapes=tapes,
         number=asked.number,
+        trials=Path(asked.trials),
     )
 
     if asked.broker and not tapes:

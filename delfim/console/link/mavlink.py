@@ -15,7 +15,7 @@ from delfim.parts.mavlink.codec import ownorders, plans, wire
 from delfim.parts.mavlink.codec.aisvessel import GUARD, GUARDED, NUMBERS, ORDERED, facts_of, number_of, position_of
 from delfim.parts.mavlink.codec.ardupilot import WaterDepth
 from delfim.parts.mavlink.codec.ownorders import Offer, own_offers
-from delfim.parts.mavlink.codec.params import BOAT_NAME, BOAT_RUN, ENERGY, LINE, TROUBLES
+from delfim.parts.mavlink.codec.params import BOAT_NAME, BOAT_RUN, ENERGY, LINE, SAILS_BY, SENSED, SENSED_VALUES, TROUBLES
 from delfim.parts.mavlink.codec.plans import FENCE, ITEMS, MISSION, RALLY, Item
 from delfim.parts.mavlink.codec.signing import FrameVerdict, Signing, read_stamps, write_stamps
 
@@ -32,6 +32,9 @@ __all__ = [  # what the console needs of the link's other end, beside what is be
     "NUMBERS",
     "ORDERED",
     "RALLY",
+    "SAILS_BY",
+    "SENSED",
+    "SENSED_VALUES",
     "TROUBLES",
     "Item",
     "Offer",

@@ -66,6 +66,11 @@ class Voyage:
     def _load(self, operator: Link) -> None:
         try:
             operator.ask("mission", text=canonical(self._mission))
+            if not self._settings.adopted.proven:
+                print(
+                    "delfim: her motors are not proven, so nothing is played: *Adopt…* on the page, or delfim adopt", flush=True
+                )
+                self._played_s = time.monotonic()
         except Refused as refused:
             if not self._asked.console:
                 raise
@@ -97,7 +102,7 @@ class Voyage:
 
     def _ended(self, state: dict[str, Any]) -> str:
         """How the mission ended, in words. Where there is a console, its operator goes on."""
-        if self._asked.console or state["operator"] != "local":
+        if self._asked.console or state["operator"] != "local" or not self._settings.adopted.proven:
             return ""
         if state["reason"].startswith("play done"):
             return f"mission done in {time.monotonic() - self._began_s:.0f} s"

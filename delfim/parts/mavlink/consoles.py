@@ -163,7 +163,8 @@ class Consoles:
 
     def texts(self) -> dict[str, str]:
         """The parameters that are texts."""
-        return {params.BOAT_NAME: self.boat.helm.settings.boat.name, params.BOAT_RUN: self._run}
+        helm = self.boat.helm
+        return {params.BOAT_NAME: helm.settings.boat.name, params.BOAT_RUN: self._run, params.SAILS_BY: helm.sails_by}
 
     def view(self) -> TelemetryView:
         return TelemetryView(

@@ -13,7 +13,7 @@ from delfim.base.modes import PAYLOADS, Mode
 from delfim.canproxy.dsor.messages import BatteriesStatus, Node
 from delfim.parts.mavlink.codec.aisvessel import guard, ordered, vessels
 from delfim.parts.mavlink.codec.ardupilot import WaterDepth, Wind
-from delfim.parts.mavlink.codec.params import ENERGY, LINE, TROUBLES
+from delfim.parts.mavlink.codec.params import ENERGY, LINE, SENSED, SENSED_VALUES, TROUBLES
 from delfim.parts.mavlink.codec.plans import ALL
 from delfim.parts.mavlink.codec.wire import Message, dialect
 from delfim.parts.mavlink.table import Mavlink
@@ -25,6 +25,7 @@ from delfim.vehicle.loop import VehicleLoop
 from delfim.vehicle.propulsion import thrusters
 
 ARRAY: Final = 58  # numbers of a DEBUG_FLOAT_ARRAY
+SELDOM: Final = 30  # arrays of a trial to one of the energy
 Profile = Literal["lean", "radio", "wifi"]
 PROFILES: Final[tuple[Profile, ...]] = ("lean", "radio", "wifi")
 COMPONENT: Final = 1
@@ -278,8 +279,30 @@ def energy(view: TelemetryView) -> Iterator[Message]:
         return
     told = [math.nan if each is None else each for each in (now.left_wh, now.home_wh, now.plan_wh, now.reserve_wh)]
     numbers = [*told, *now.range_m][:ARRAY]
-    name, filled = ENERGY.encode(), numbers + [0.0] * (ARRAY - len(numbers))
-    yield dialect.MAVLink_debug_float_array_message(_boot_us(view), name, 0, filled)
+    yield _array(view, ENERGY, numbers)
+
+
+def sensed(view: TelemetryView) -> Iterator[Message]:
+    """DEBUG_FLOAT_ARRAY of the name SENSED, with the time unabridged: see SENSED_VALUES. NaN: not heard."""
+    state = view.boat.state
+    said = {each.name: (view.now_s - each.heard_s, *each.value) for each in state.inputs.get(state.source, ()) if each.heard}
+    numbers = [value for name, count in SENSED_VALUES.items() for value in said.get(name, (math.nan,) * (1 + count))]
+    if said:
+        yield _array(view, SENSED, numbers)
+
+
+def arrays(view: TelemetryView) -> Iterator[Message]:
+    """The energy; in a trial, which asks for it often, what the sensors said, and the energy now and then."""
+    is_trial = view.boat.state.mode is Mode.TRIAL
+    if is_trial:
+        yield from sensed(view)
+    if not is_trial or view.turn % SELDOM == 0:
+        yield from energy(view)
+
+
+def _array(view: TelemetryView, name: str, numbers: list[float]) -> Message:
+    filled = numbers + [0.0] * (ARRAY - len(numbers))
+    return dialect.MAVLink_debug_float_array_message(int(view.now_s * 1e6), name.encode(), 0, filled)
 
 
 def others(view: TelemetryView) -> Iterator[Message]:
@@ -357,7 +380,7 @@ ROWS: Final = (
     TelemetryRow(Wind.id, NEVER_S, 5.0, 1.0, wind, _blown),
     TelemetryRow(dialect.MAVLINK_MSG_ID_AIS_VESSEL, NEVER_S, 1.0, 0.25, others),
     TelemetryRow(dialect.MAVLINK_MSG_ID_BATTERY_STATUS, NEVER_S, 5.0, 1.0, batteries),
-    TelemetryRow(dialect.MAVLINK_MSG_ID_DEBUG_FLOAT_ARRAY, NEVER_S, 15.0, 3.0, energy),
+    TelemetryRow(dialect.MAVLINK_MSG_ID_DEBUG_FLOAT_ARRAY, NEVER_S, 15.0, 3.0, arrays),
 )
 
 

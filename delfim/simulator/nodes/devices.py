@@ -21,7 +21,7 @@ from delfim.canproxy.nmea2000.pgns import (
 )
 from delfim.canproxy.socket import CanAddress
 from delfim.simulator.model import Model
-from delfim.simulator.nodes.measuring import AntennaMotion, Compass, GnssReceiver, Turn
+from delfim.simulator.nodes.measuring import AntennaMotion, Compass, GnssReceiver, Turn, bent_by
 from delfim.simulator.nodes.navigation import HDOP
 from delfim.simulator.nodes.period import Period
 from delfim.simulator.tables import Simulation
@@ -43,6 +43,7 @@ class Devices:
         self.compass = Compass(model, settings.of(Simulation), seed)
         self.has_gyro = settings.of(Simulation).gyro
         self._variation_rad = math.radians(settings.table("nmea2000").variation_deg)
+        self.compass.bent = bent_by(settings.compass, self._variation_rad)
         self._quality, self._number = Period(QUALITY_S), 0
 
     @property

@@ -10,6 +10,7 @@ from random import Random
 from typing import Final, NamedTuple
 
 from delfim.base.geodesy import from_plane
+from delfim.config import CompassTable
 from delfim.simulator.model import Model
 from delfim.simulator.nodes.navigation import POSITION_ERROR_S, SATELLITES, YAW_RATE_NOISE_RADPS
 from delfim.simulator.nodes.period import Period
@@ -44,6 +45,21 @@ class ApparentWind(NamedTuple):
 
     angle_rad: float
     speed_mps: float
+
+
+def felt(iron: CompassTable, heading_rad: float) -> float:
+    """The heading that a compass beside this iron says for a true one, or for both magnetic."""
+    c, s = math.cos(heading_rad), math.sin(heading_rad)
+    along = (1.0 + iron.soft_along) * c - iron.soft_across * s + iron.hard_ahead
+    across = iron.soft_across * c - (1.0 - iron.soft_along) * s + iron.hard_aside
+    return math.atan2(-across, along) + math.radians(iron.offset_deg)
+
+
+def bent_by(iron: CompassTable, variation_rad: float) -> Callable[[float], float] | None:
+    """How the iron of the vehicle's file bends true headings, which the boat then undoes; None where there is none."""
+    if iron == CompassTable():
+        return None
+    return lambda heading_rad: felt(iron, heading_rad - variation_rad) + variation_rad
 
 
 class GnssReceiver:

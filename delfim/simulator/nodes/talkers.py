@@ -26,6 +26,7 @@ from delfim.simulator.nodes.measuring import (
     Sounder,
     Turn,
     Vane,
+    bent_by,
 )
 from delfim.simulator.nodes.navigation import FIX, HDOP
 from delfim.simulator.nodes.period import Period
@@ -81,6 +82,7 @@ class SimulatedInstruments:
         self._corrected = settings.failsafe.gnss_poor.corrections_s > 0.0  # a boat that asks for corrections gets them
         self._variation_rad = math.radians(settings.table("nmea0183").variation_deg)
         self.receivers, self.compasses = list[GnssReceiver](), list[Compass]()
+        self._bent = bent_by(settings.compass, self._variation_rad)
         self._all = [one for each in placed(settings) for one in self._made(*each.split(":"))]
         if BOARD in settings.navigation.sources:
             self._all += self._board(settings)
@@ -116,6 +118,7 @@ class SimulatedInstruments:
             yield Instrument(port, receiver, lambda moved, utc_ns: _position(receiver, moved, utc_ns))
         elif kind == "compass" and here.compass_hz:
             self.compasses.append(Compass(model, here, seed, f"compass {port}"))
+            self.compasses[-1].bent = self._bent
             yield Instrument(port, self.compasses[-1], self._heading)
         elif kind == "gyro" and here.compass_hz and here.gyro:
             yield Instrument(port, Compass(model, here, seed, f"gyro {port}"), _rate)

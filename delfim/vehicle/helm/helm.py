@@ -58,7 +58,7 @@ class Helm:
         troubles: tuple[PartTrigger, ...] = (),
     ) -> None:
         """`troubles`: of the parts aboard."""
-        self.settings, self.state = filled(settings), state
+        self.settings, self.sails_by, self.state = filled(settings), settings.sails_by, state
         self._clock, self.propulsion, self._log, self.note = clock, propulsion, log, log.note
         self.limits, self.shapes = settings_of(settings), dict[str, Shape]()  # by who changes the steps of the mode now
         self.memory = begin(Mode.IDLE, state.motion, state.setpoint, self.limits)

@@ -19,6 +19,7 @@ type Trial = Extract<Heard, { t: "adoption" }>;
 type Deed = Extract<Said, { t: "adopt" }>["do"];
 
 const RADIUS_M = 60;
+const AGAIN = /^(Adopted already|The hull is not adopted)/; // what a trial that is begun afresh may change
 
 export class Adopt {
   private trial: Trial | null = null;
@@ -36,10 +37,14 @@ export class Adopt {
     state.on(["theme"], () => this.draw());
   }
 
-  /** The entry of a boat's menu. */
-  item(boat: Boat, at: Pixel): Item {
+  /** The entries of a boat's menu. */
+  items(boat: Boat, at: Pixel): Item[] {
     const other = this.state.hello?.adopts !== boat.id && "start delfim console with --vehicle FILE, the file of this boat";
-    return { title: "Adopt…", note: "a trial of her motors and hull, on the water", refuse: other || (this.trial?.is_running && "a trial is under way"), do: () => this.form(boat, at) };
+    const refuse = other || (this.trial?.is_running && "a trial is under way");
+    return [
+      { title: "Motors at the berth…", note: "with lines on, each turns for a second", refuse, do: () => this.do(boat.id, "berth") },
+      { title: "Adopt…", note: "a trial of her motors and hull, on the water", refuse, do: () => this.form(boat, at) },
+    ];
   }
 
   private form(boat: Boat, at: Pixel): void {
@@ -81,13 +86,14 @@ export class Adopt {
     this.box.replaceChildren(
       make("header", make("b", `Adopt ${this.state.byId(boat!)?.name ?? ""}`), make("span", this.now(trial))),
       bar,
-      make("ol", ...trial.steps.filter(({ name, state }) => name !== "back" || state !== "done").map(row)),
+      make("ol", ...trial.steps.filter(({ name, state }) => state !== "done" || (trial.is_running && name !== "back")).map(row)),
       ...(trial.lines.length ? [lines] : []),
       ...(trial.end && trial.end !== "done" ? [make("p.bad", `The end: ${trial.end}`)] : []),
       ...(trial.is_written ? [make("p", `Written into ${trial.file} on the console’s computer. A boat with a computer of her own needs it there: download it, put it aboard, and start her program again.`)] : []),
       this.choice(trial),
     );
     lines.scrollTop = lines.scrollHeight;
+    this.box.scrollTop = this.box.scrollHeight; // what is asked, or the end
   }
 
   private now({ is_running, question, steps }: Trial): string {
@@ -104,7 +110,8 @@ export class Adopt {
     };
     const link = (title: string, href: string) => Object.assign(make("a", title), { href, target: "_blank" });
     const files = trial.is_running ? [] : [trial.report && link("Report", "adoption.html"), trial.is_written && link("Download her file", "adopted.toml")];
-    const buttons = !trial.is_running ? [button("Close", "close")] : trial.question ? [button("No", "no"), button("Yes", "yes", "main")] : [button("End the trial", "end")];
+    const again = trial.lines.some((each) => AGAIN.test(each)) ? [button("Begin afresh", "afresh")] : [];
+    const buttons = !trial.is_running ? [...again, button("Close", "close")] : trial.question ? [button("No", "no"), button("Yes", "yes", "main")] : [button("End the trial", "end")];
     return make("footer", trial.question && make("p.question", trial.question), ...files, make("div.choice", ...buttons));
   }
 

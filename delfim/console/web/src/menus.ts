@@ -161,7 +161,7 @@ export class Menus {
       "line",
       boat.armed ? command("Disarm", "stop") : command("Arm", "arm", !boat.ready && (boat.reason || "not ready")),
       ...(boat.orders ?? []).filter(({ title, name }) => title || name).map((order) => this.offered(boat, at, order)),
-      this.adopt.item(boat, at),
+      ...this.adopt.items(boat, at),
       command("Take control", "take", boat.owner && "this console is in control"),
       { title: "Forget it", note: "off all pages, until it is heard again", refuse: freshness(age_s(this.state, boat)) !== "lost" && "it is heard", do: () => void this.actions.forget(boat.id) },
       "line",
