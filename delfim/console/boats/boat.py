@@ -1,6 +1,7 @@
 """The console's knowledge of a boat, with the age of each part. Messages in, one JSON-ready dictionary out."""
 
 import math
+import re
 from collections import deque
 from collections.abc import Callable
 from typing import Any, Final, NamedTuple
@@ -13,6 +14,7 @@ from delfim.console.boats.wayhome import HeardTrack
 from delfim.console.link.mavlink import BOAT_NAME, ENERGY, GUARDED, LINE, ORDERED, Offer, mavlink, own_offers
 from delfim.console.link.reception import Reception
 from delfim.console.link.statustext import Words
+from delfim.vehicle.plans.mission import ROWS
 
 COLOURS: Final = ("#d1495b", "#2e86ab", "#e8b04a", "#5b9a68", "#8e5ea2", "#d97b29", "#3a7d7c", "#b0567f", "#6b705c", "#1b4965")
 SILENT_S: Final = 3.5
@@ -23,6 +25,7 @@ UNKNOWN_HEADING: Final = 65535
 DIRECTIONS: Final = 36  # of a boat's range, from north clockwise
 ENERGY_S: Final = 60.0  # an older word of its energy is none
 MEASURED_MAX: Final = 32  # values of sensors, by name
+STATION: Final = re.compile(r"station: waypoint (\d{1,4}): (.*)")  # what a boat says of a sample, by its log
 
 
 class Measured(NamedTuple):
@@ -58,6 +61,7 @@ class Boat:
         self.measured: dict[str, Measured] = {}
         self.reference: dict[str, Any] = {}
         self.lines_done: list[int] = []  # of the survey aboard, that were sailed to their ends while it was heard
+        self.stations: dict[int, dict[str, str]] = {}  # of the mission aboard, by waypoints from 1
         self.energy: dict[str, Any] = {}  # empty: it reckons none
         self.others = VesselsTold()
         self.reason, self.words = "", Words()  # its last text
@@ -138,6 +142,14 @@ class Boat:
             self.lines_done.append(was)
         self.reference["line"] = line
 
+    def take_station(self, text: str) -> None:
+        """Takes what it says of a sample: it is asked for, taken, or given up."""
+        if (told := STATION.fullmatch(text)) is not None and (number := int(told[1])) <= ROWS:
+            words = told[2]
+            state = "waiting" if " is asked for" in words else "failed" if words.startswith("no sample") else "sampled"
+            if state != "sampled" or " has sample " in words:  # why a try failed: the next one is asked for at once
+                self.stations[number] = {"state": state, "words": words}
+
     def age_s(self, kind: str, now_s: float) -> float | None:
         """Time since a message of this kind; None if there was none."""
         return None if kind not in self.at_s else round(now_s - self.at_s[kind], 2)
@@ -191,6 +203,7 @@ class Boat:
             "thrust_pct": [v.get("port_pct"), v.get("starboard_pct")],
             "reference": {key: self.reference.get(key) for key in _REFERENCE},
             "lines_done": self.lines_done,
+            "stations": self.stations,
             "order": self.others.order(now_s),
             "guard": self.others.guard(now_s),
             "energy": self.energy if (self.age_s("DEBUG_FLOAT_ARRAY", now_s) or 0.0) < ENERGY_S and self.energy else None,
@@ -381,8 +394,8 @@ def _printable(text: str) -> str:
 def _checksum(boat: Boat, m: Any) -> None:
     if m.mission_type == mavlink.MAV_MISSION_TYPE_ALL:
         boat.read_due_s = boat.read_due_s if m.checksum == boat.checksum else -math.inf
-        if m.checksum != boat.checksum:  # other plans have other lines
-            boat.lines_done = []
+        if m.checksum != boat.checksum:  # other plans have other lines and stations
+            boat.lines_done, boat.stations = [], {}
         boat.checksum = m.checksum
 
 

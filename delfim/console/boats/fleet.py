@@ -174,6 +174,7 @@ class Fleet:
         if boat.failsafe.partition(" for ")[0] == text.partition(" for ")[0]:  # the same trouble, as long as it is now
             boat.failsafe = text
         self._texts[boat.number] = now_s, text
+        boat.take_station(text)
         if text.partition(": ")[0] in boat.modes.values():
             boat.forced = text if message.severity <= mavlink.MAV_SEVERITY_ALERT else ""
         text = text.replace(f"console {self.me} commands", "this console commands")

@@ -29,6 +29,7 @@ class News:
         self._told: dict[tuple[str, str], tuple[str, float]] = {}  # by trouble and action: the last text, and when it was told
         self._leg_now: tuple[int, int] = 0, 0  # the number of the plan, and its leg
         self._announced = self._line = 0
+        self._station = ""
         self._ordered: tuple[str, float, float] | None = None
 
     def tell(self, commander: Speaker | None) -> None:
@@ -36,6 +37,7 @@ class News:
         self._tell_reached()
         self._tell_actions()
         self._tell_line()
+        self._tell_station()
         self._tell_order()
         state, say = self._boat.state, self._peers.say
         troubles = tuple((notice.name, notice.action) for notice in state.notices)
@@ -89,6 +91,13 @@ class News:
         was, self._line = self._line, self._boat.state.reference.line
         if was != self._line:
             self._peers.hurry(dialect.MAVLINK_MSG_ID_NAMED_VALUE_INT)
+
+    def _tell_station(self) -> None:
+        """A sample that is asked for, taken, or given up."""
+        was, self._station = self._station, self._boat.state.station
+        if was != self._station:
+            is_none = ": no sample: " in self._station
+            self._peers.say(dialect.MAV_SEVERITY_WARNING if is_none else dialect.MAV_SEVERITY_INFO, self._station)
 
     def _tell_reached(self) -> None:
         """The boat reached a waypoint of the mission: tell its item to everybody."""

@@ -55,18 +55,22 @@ class Stations:
     def _ask(self, leg: int, attempt: int, here: Waypoint, now_s: float) -> None:
         self._asked, self._since_s = self._asked + 1, now_s
         self._state.sample = SampleAsked(number=self._asked, leg=leg, attempt=attempt, tries=here.tries)
-        self._log.note(f"station: waypoint {leg + 1}: sample {self._asked} is asked for, try {attempt} of {here.tries}")
+        self._note(leg, f"sample {self._asked} is asked for, try {attempt} of {here.tries}")
 
     def _again(self, why: str, now_s: float) -> None:
         now, plan = self._state.sample, self._state.setpoint.plan
         assert plan is not None
         if now.attempt < now.tries:
-            self._log.note(f"station: waypoint {now.leg + 1}: {why}")
+            self._note(now.leg, why)
             self._ask(now.leg, now.attempt + 1, plan.waypoints[now.leg], now_s)
         else:
             self._end(f"no sample: {why}")
 
     def _end(self, words: str) -> None:
         state = self._state
-        self._log.note(f"station: waypoint {state.sample.leg + 1}: {words}")
+        self._note(state.sample.leg, words)
         state.setpoint, state.sample = state.setpoint._replace(sampled=state.sample.leg + 1), NOBODY
+
+    def _note(self, leg: int, words: str) -> None:
+        self._state.station = f"station: waypoint {leg + 1}: {words}"
+        self._log.note(self._state.station)

@@ -232,6 +232,14 @@ def test_a_mission_with_camera_servo_and_the_way_home(sea):
     assert len(sea.state.announced) == 4
 
 
+def test_each_console_is_told_of_samples_in_words(sea):
+    assert newest(upload(sea.console, [Item(16, 1.0, 40.0, 0.0, 2.0, **HERE)]), "MISSION_ACK").type == OK
+    sea.console.command(300)
+    heard = sail(sea, 6.0)
+    ends = "sample 1 is asked for, try 1 of 2", "sample 2 is asked for, try 2 of 2", "no sample: no answer for 1 s"
+    assert " ".join(f"station: waypoint 1: {end}" for end in ends) in texts(heard)
+
+
 def test_a_leg_that_goes_on_announces_nothing_again_and_one_begun_anew_does(sea):
     upload(sea.console, [CAMERA, Item(16, **THERE)])
     sea.console.command(300)

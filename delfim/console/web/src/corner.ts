@@ -49,6 +49,7 @@ const LINES: readonly (readonly [string, string])[] = [
   ["band", "its path, for path following"],
   ["survey", "an area to survey, and its lines while they are planned"],
   ["done", "a line of a survey that was sailed"],
+  ["station", "a station: purple while it waits for its sample, green once it is taken, red without one"],
   ["steering", "where the boat is steering"],
   ["home", "its way home, while its menu is open or it goes there"],
   ["course", "its course, a minute ahead"],

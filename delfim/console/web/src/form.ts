@@ -155,7 +155,7 @@ export class FormView implements Open {
     const { unit, zero, step, show } = this.fields[index]!;
     const value = this.values[index]!;
     const [short, typed] = [value.toFixed(step < 1 ? 1 : 0), String(Number(value.toFixed(3)))];
-    this.inputs[index]!.value = value === 0 && zero ? zero : show ? show(value) : `${Number(short) === Number(typed) ? short : typed} ${unit}`;
+    this.inputs[index]!.value = value === 0 && zero ? zero : show ? show(value) : `${Number(short) === Number(typed) ? short : typed} ${unit}`.trim();
   }
 
   /** What is said of the numbers, anew. */

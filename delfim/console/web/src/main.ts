@@ -332,6 +332,7 @@ Object.assign(window, {
     frames: ofLastSecond,
     numbers: () => plans.numbers,
     lines: () => plans.progress,
+    stations: () => plans.stations,
     depths: () => depths.counts,
     areas: () => surveyed(state.plan(state.planning).mission).length,
     survey: () => survey.lines,

@@ -29,7 +29,7 @@ export function same(a: Mission, b: Mission): boolean {
   const words = (mission: Mission) =>
     JSON.stringify([
       mission.name,
-      mission.waypoints.map((each) => [at(each), each.speed_mps, each.acceptance_m, each.hold_s, each.turn && [at(each.turn), each.turn.clockwise]]),
+      mission.waypoints.map((each) => [at(each), each.speed_mps, each.acceptance_m, each.hold_s, each.tries ?? 0, each.actions ?? [], each.turn && [at(each.turn), each.turn.clockwise]]),
       mission.fence.map((each) => at(cornerPlace(each))),
       mission.obstacles.map((each) => [at(each), each.radius_m]),
       mission.home && at(mission.home),
@@ -52,7 +52,7 @@ function figures({ waypoints, fence, obstacles, home, path: pieces = [], zones =
   const size = (many: unknown[]) => many.length * 1000;
   return [
     size(waypoints),
-    ...waypoints.flatMap((each) => [...at(each), each.speed_mps * 100, each.acceptance_m * 10, each.hold_s * 10]),
+    ...waypoints.flatMap((each) => [...at(each), each.speed_mps * 100, each.acceptance_m * 10, each.hold_s * 10, (each.tries ?? 0) * 1000, ...actionFigures(each)]),
     size(pieces),
     ...pieces.flatMap((each) => [...at(each), (each.turn_deg ?? 0) * 10, (each.radius_m ?? 0) * 10, (each.speed_mps ?? 0) * 100]),
     size(fence),
@@ -64,6 +64,9 @@ function figures({ waypoints, fence, obstacles, home, path: pieces = [], zones =
     ...(home ? at(home) : []),
   ];
 }
+
+const actionFigures = ({ actions = [] }: Waypoint): number[] =>
+  [actions.length * 1000, ...actions.flatMap(({ command, params }) => [command * 1000, ...params.map((each) => (each === "nan" ? -1e6 : each * 1000))])];
 
 /** A mission and what it was before each change. */
 export class Plan {

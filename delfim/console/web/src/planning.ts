@@ -279,6 +279,7 @@ export class Planning {
     const note = before ? `${bearing(bearing_deg(before, its))}  ${metres(distance_m(before, its))}` : position(its);
     this.popup.menu(at, { title: `Waypoint ${index + 1}`, colour: boat.colour, note }, [
       { title: "Speed, acceptance, stay…", note: waypointWords(its), do: () => this.waypointForm(boat, index) },
+      { title: "Sample, action…", note: stationWords(its, boat.stations?.[index + 1]?.words), do: () => this.stationForm(boat, index) },
       this.position(boat, `Waypoint ${index + 1}`, its, (each, to) => M.moveWaypoint(each, index, to)),
       ...(A.areasOf(mission).length && mission.survey!.values.length ? [{ title: "Change the survey…", note: "its lines anew", do: () => this.survey.form() }] : []),
       ...(this.survey.hasLines ? [this.survey.filling()] : []),
@@ -328,6 +329,20 @@ export class Planning {
     const fields = [speedField(its.speed_mps), acceptanceField(its.acceptance_m), stayField(its.hold_s)];
     this.shape(boat, `Waypoint ${index + 1}`, fields, (mission, [speed, acceptance, stay]) =>
       M.setWaypoint(mission, index, { speed_mps: enteredSpeed_mps(speed!), acceptance_m: acceptance!, hold_s: stay! }),
+    );
+  }
+
+  /** A station: play waits there for a payload program's answer. */
+  private stationForm(boat: Boat, index: number): void {
+    const { hold_s, tries = 0, actions: [action, ...more] = [] } = this.state.plan(boat.id).mission.waypoints[index]!;
+    const fields: Field[] = [
+      { title: "Sample tries", unit: "", value: tries, step: 1, least: 0, most: 9, zero: "none" },
+      { title: "Each waits", unit: "s", value: tries ? hold_s : hold_s || 60, step: 10, least: 1, most: 86400 },
+      { title: "Then action", unit: "", value: action?.command ?? 0, step: 1, least: 0, most: 65535, zero: "none", show: actionWords },
+      ...[0, 1, 2, 3].map((i): Field => ({ title: `number ${i + 1}`, unit: "", value: Number(action?.params[i] ?? 0) || 0, step: 1, least: -1e6, most: 1e6 })),
+    ];
+    this.shape(boat, `Waypoint ${index + 1}`, fields, (mission, [tries, wait, command, ...params]) =>
+      M.setWaypoint(mission, index, { tries: tries!, hold_s: tries ? wait! : hold_s, actions: command ? [{ ...action, command, params }, ...more] : more }),
     );
   }
 
@@ -394,6 +409,14 @@ const stayField = (value: number): Field => ({ title: "Stay", unit: "s", value, 
 function waypointWords({ speed_mps, acceptance_m, hold_s }: Waypoint): string {
   const words = [speed_mps && speedWords(speed_mps), acceptance_m && `within ${metres(acceptance_m)}`, hold_s && `stay ${duration(hold_s)}`];
   return words.filter(Boolean).join(" · ") || "as the boat’s file says";
+}
+
+const ACTIONS: Record<number, string> = { 181: "relay", 183: "servo", 203: "picture", 206: "pictures, each m", 211: "gripper", 42600: "winch" };
+const actionWords = (command: number): string => (ACTIONS[command] ? `${command} ${ACTIONS[command]}` : String(command));
+
+function stationWords({ tries, hold_s, actions: [action] = [] }: Waypoint, told?: string): string {
+  const words = [tries && `${tries} ${tries > 1 ? "tries" : "try"} of ${duration(hold_s)}`, action && `action ${actionWords(action.command)}`, told];
+  return words.filter(Boolean).join(" · ") || "none";
 }
 
 function reversed(waypoints: Waypoint[]): Waypoint[] {

@@ -15,7 +15,7 @@ import { alike, cornerPlace, insertCorner, insertWaypoint, leg, moveCorner, move
 import { cased, inked, palette } from "./palette";
 import { drawnAreas } from "./survey";
 import type { State } from "./state";
-import type { Boat, Mission, Place, Waypoint } from "./wire";
+import type { Boat, Mission, Place, Station, Waypoint } from "./wire";
 
 const REACH_PX = 14;
 const REACH_TOUCH_PX = 26;
@@ -23,6 +23,7 @@ const LEG_FOR_MIDDLE_PX = 80;
 const NUMBER_PX = 24; // between two discs with numbers
 const ASIDE_PX = 25; // between two discs that stand side by side
 const DRAFT = [8, 6];
+const STATES: Record<Station["state"], "steer" | "done" | "danger"> = { waiting: "steer", sampled: "done", failed: "danger" }; // colours of a station's frame
 
 export interface Handle {
   kind: "waypoint" | "middle" | "corner" | "edge" | "obstacle" | "home" | "area" | "side";
@@ -63,7 +64,7 @@ export class Plans {
     state.on(["dryrun", "theme"], () => this.drawOver());
     let current = "";
     state.on(["boats"], () => {
-      const now = state.boats.map(({ id, mode, mission, reference, lines_done }) => `${id}:${mode}:${mission.current}:${mission.state}:${reference?.line}:${lines_done?.length}`).join();
+      const now = state.boats.map(({ id, mode, mission, reference, lines_done, stations }) => `${id}:${mode}:${mission.current}:${mission.state}:${reference?.line}:${lines_done?.length}:${JSON.stringify(stations)}`).join();
       if (now !== current) this.draw();
       current = now;
     });
@@ -74,6 +75,11 @@ export class Plans {
   /** What is drawn of the lines of a survey: which is done, and which is sailed now. */
   get progress(): string[] {
     return this.legs.getFeatures().flatMap((each) => (each.get("line") as string | undefined) ?? []);
+  }
+
+  /** What is drawn of the stations. */
+  get stations(): string[] {
+    return this.marks.getFeatures().flatMap((each) => (each.get("station") as string) || []);
   }
 
   /** How many numbers of waypoints are drawn. */
@@ -191,8 +197,8 @@ export class Plans {
     const aside = besideTheFirst(this.chart, mission.waypoints);
     const hasLines = isSurvey(mission);
     mission.waypoints.forEach((each, i) => {
-      if (hasLines && i && i < last && i !== current) this.marks.addFeature(drawnCorner(each, look.colour, 3));
-      else if (drawn.has(i)) this.marks.addFeature(drawnWaypoint(each, i, i === current, look, aside && i === last ? ASIDE_PX : 0));
+      if (hasLines && i && i < last && i !== current && !each.tries) this.marks.addFeature(drawnCorner(each, look.colour, 3));
+      else if (drawn.has(i) || each.tries) this.marks.addFeature(drawnWaypoint(each, i, i === current, look, aside && i === last ? ASIDE_PX : 0, look.lineDash ? undefined : boat?.stations?.[i + 1]));
     });
   }
 
@@ -325,16 +331,18 @@ function ribbon({ colour, lineDash }: Look): Style {
   return new Style({ stroke: new Stroke({ color: `${colour}55`, width: 9, lineCap: "butt", ...(lineDash ? { lineDash: [14, 8] } : {}) }) });
 }
 
-function drawnWaypoint(place: Place, index: number, current: boolean, { colour, small }: Look, aside_px: number): Feature {
+function drawnWaypoint(place: Waypoint, index: number, current: boolean, { colour, small }: Look, aside_px: number, station?: Station): Feature {
   const feature = new Feature(new Point(point(place)));
+  const its = {
+    radius: small ? 10 : 12,
+    fill: new Fill({ color: current ? colour : palette.handle }),
+    stroke: new Stroke({ color: station ? palette[STATES[station.state]] : colour, width: station ? 4 : small ? 1.4 : 2.2 }),
+    displacement: [aside_px, 0],
+  };
+  feature.set("station", place.tries ? (station?.state ?? "ahead") : "");
   feature.setStyle(
     new Style({
-      image: new Disc({
-        radius: small ? 10 : 12,
-        fill: new Fill({ color: current ? colour : palette.handle }),
-        stroke: new Stroke({ color: colour, width: small ? 1.4 : 2.2 }),
-        displacement: [aside_px, 0],
-      }),
+      image: place.tries ? new RegularShape({ ...its, points: 4, angle: Math.PI / 4, radius: 1.35 * its.radius }) : new Disc(its),
       text: new Text({
         text: String(index + 1),
         font: "650 12px system-ui, sans-serif",

@@ -10,7 +10,21 @@ export interface Waypoint extends Place {
   acceptance_m: number; // 0: as the vehicle's file says
   hold_s: number;
   line?: number; // of a survey, that the leg to it sails; 0: none
+  tries?: number; // of a sample that is taken there, each for hold_s; 0: none is
+  actions?: Action[]; // for payloads, once it is behind the boat
   turn: (Place & { clockwise: boolean }) | null; // centre of the arc that leads to this waypoint
+}
+
+/** An item of MAVLink that the boat carries for payloads: its number, and four of its own. */
+export interface Action {
+  command: number;
+  params: (number | "nan")[];
+}
+
+/** What a boat said of a sample last. */
+export interface Station {
+  state: "waiting" | "sampled" | "failed";
+  words: string;
 }
 
 export interface Obstacle extends Place {
@@ -122,6 +136,7 @@ export interface Boat {
   };
   mission: { name: string; count: number; current: number | null; state: "same" | "differs" | "unknown" | "none"; digest: string | null };
   lines_done?: number[]; // of the survey aboard
+  stations?: Record<number, Station>; // of the mission aboard, by waypoints from 1
   home: Place | null;
   fence: [number, number][];
   obstacles: Obstacle[];
