@@ -58,7 +58,6 @@ async def ended_by_stop(you: Visit, boat: Boat) -> None:
     await stop(you)
     await boat.until(lambda state: state["mode"] == "idle" and not any(each["thrust"] for each in state["thrusters"].values()))
     await says(page, "The trial ended: STOP")
-    await you.picture("adopt-ended")
     assert (await boat.sails_on(5))["mode"] == "idle"
     async with asyncio.timeout(PATIENCE_S):  # until its log has it
         while "stop" not in (told := [each["command"] for each in boat.told()[count:] if not each["refused"]]):

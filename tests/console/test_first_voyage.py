@@ -3,7 +3,6 @@ that is drawn, sent, sailed and stopped. With a folder on its command line it ke
 """
 
 import asyncio
-import base64
 import contextlib
 import signal
 import sys
@@ -16,6 +15,7 @@ import pytest
 from delfim.base.errors import Refused
 from delfim.vehicle.operator.link import Link
 from tests.console.chain import Boat, Gateway, Radio, afloat
+from tests.kit.pictures import keeper
 from tests.services.browser import Page, shrink, tab
 
 ROOT = Path(__file__).parents[2]
@@ -214,13 +214,8 @@ def test_who_has_read_nothing_draws_sends_sails_and_stops_a_mission(tmp_path: Pa
 
 
 def main(folder: Path) -> None:
-    for size, name in ((DESK, "voyage"), (PHONE, "voyage-phone")):
-
-        async def picture(page: Page, step: str, name: str = name) -> None:
-            await page.value("new Promise(done => setTimeout(done, 900))")
-            taken = await page.call("Page.captureScreenshot", format="png")
-            (folder / f"{name}-{step}.png").write_bytes(base64.b64decode(taken["data"]))
-
+    its = keeper(folder, "voyage-phone", "first", "menu", "asked", "sailed")
+    for size, picture in ((DESK, keeper(folder, "voyage")), (PHONE, its)):
         with tempfile.TemporaryDirectory(prefix="voyage-", ignore_cleanup_errors=True) as place:
             asyncio.run(voyage(Path(place), size, picture))
     shrink(folder.glob("voyage-*.png"))

@@ -134,9 +134,9 @@ def test_an_area_is_drawn_its_lines_are_seen_while_the_form_changes_and_the_boat
 
 
 def main(folder: Path) -> None:
-    for size, name in ((DESK, "console"), (PHONE, "console-phone")):
+    for size, keep in ((DESK, keeper(folder, "console")), (PHONE, keeper(folder, "console-phone", "survey-form"))):
         with tempfile.TemporaryDirectory(prefix="survey-", ignore_cleanup_errors=True) as place:
-            asyncio.run(surveyed(Path(place), size, keeper(folder, name)))
+            asyncio.run(surveyed(Path(place), size, keep))
     shrink(folder.glob("console*-survey-*.png"))
 
 
