@@ -5,7 +5,7 @@ A union of polygons is made on a grid and then looked at part by part: without b
 
 import math
 from collections.abc import Iterable, Iterator, Sequence
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import shapely
 from shapely.geometry import MultiPolygon, Point, Polygon, box
@@ -123,7 +123,13 @@ def simplified(hole: Polygon, corners: int) -> Polygon:
     return found
 
 
-def swaths(lines: Iterable[Segment], wide_m: float) -> BaseGeometry:
-    """What lines cover, to both sides."""
-    strips: list[Any] = [shapely.LineString(line).buffer(wide_m / 2.0, cap_style="flat") for line in lines]
+def swaths(lines: Iterable[Segment], wide_m: float, side: int = 0) -> BaseGeometry:
+    """What lines cover, to both sides together, or to one: 1 starboard, -1 port."""
+    strips = [_swath(shapely.LineString(line), wide_m, side) for line in lines]
     return union([each for strip in strips for each in polygons(strip)])
+
+
+def _swath(line: BaseGeometry, wide_m: float, side: int) -> BaseGeometry:
+    if side:
+        return line.buffer(-side * wide_m, cap_style="flat", single_sided=True)
+    return line.buffer(wide_m / 2.0, cap_style="flat")

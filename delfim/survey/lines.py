@@ -36,6 +36,7 @@ class Cut(NamedTuple):
     wide_m: float  # what a line covers
     edges: bool  # lines go as far as their strip; False: as far as they are in the area
     joined_m: float  # lines in one are joined over a gap that is no longer, because a turn is
+    side: int = 0  # of the line that its sensor looks to: 1 starboard, -1 port, 0 both
 
 
 class Strip(NamedTuple):
@@ -44,6 +45,15 @@ class Strip(NamedTuple):
     number: int  # of the strip
     is_middle: bool  # or of a part beside it
     line: Segment
+    sense: int = 0  # 1, -1: sailed as it is written, which is along the heading or against it; 0: either way
+
+
+class LaidLine(NamedTuple):
+    """A line in its strip."""
+
+    sense: int  # as that of the strip
+    y: float  # the middle of what it covers
+    span: Span
 
 
 class AlongLines:
@@ -69,22 +79,32 @@ def strips(area: BaseGeometry, water: BaseGeometry, heading_deg: float, cut: Cut
     shapely.prepare(free)
     west, south, east, north = land.bounds
     half_m, found = cut.wide_m / 2.0, list[Strip]()
-    for number, y in enumerate(rows(south, north, cut)):
-        inside = [*polygons(land.intersection(box(west - 1.0, y - half_m, east + 1.0, y + half_m)))]
+    for number, middle_y in enumerate(rows(south, north, cut)):
+        inside = [*polygons(land.intersection(box(west - 1.0, middle_y - half_m, east + 1.0, middle_y + half_m)))]
+        sense = cut.side if number % 2 else -cut.side  # the first one looks inwards from the edge
+        at = min(max(middle_y + _aside_m(sense, cut), south), north)  # the outermost lines of one side lie on the edge
+        y = at - _aside_m(sense, cut)
         if cut.edges:
-            spans = [each for part in inside for each in _reach(free, y, part.bounds[0], part.bounds[2])]
+            spans = [each for part in inside for each in _reach(free, at, part.bounds[0], part.bounds[2])]
         else:
-            spans = [each for span in _reach(land, y, west - 1.0, east + 1.0) for each in _reach(free, y, *span)]
-        middle = [_long(free, y, span) for span in _joined(spans, free, y, cut.joined_m)]
-        beside = list(_beside(inside, middle, free, y, cut)) if cut.edges else []
-        for is_middle, at, (begin, end) in [*((True, y, span) for span in middle), *((False, *each) for each in beside)]:
+            spans = [each for span in _reach(land, y, west - 1.0, east + 1.0) for each in _reach(free, at, *span)]
+        middle = [_long(free, at, span) for span in _joined(spans, free, at, cut.joined_m)]
+        laid = [LaidLine(sense, y, span) for span in middle]
+        beside = list(_beside(inside, laid, free, cut)) if cut.edges else []
+        for is_middle, (its, level, (begin, end)) in [*((True, each) for each in laid), *((False, each) for each in beside)]:
             if end - begin >= LEAST_M / 2.0:
-                found.append(Strip(number, is_middle, (turned.back(begin, at), turned.back(end, at))))
+                ends = turned.back(begin, level + _aside_m(its, cut)), turned.back(end, level + _aside_m(its, cut))
+                found.append(Strip(number, is_middle, ends if its >= 0 else ends[::-1], its))
         if len(found) > STRIPS:
             raise DelfimError(
                 f"more than {STRIPS} lines, and each is two of the {ROWS} places of a mission: take the area in parts"
             )
     return found
+
+
+def _aside_m(sense: int, cut: Cut) -> float:
+    """How far beside the middle of what it covers a line lies that is sailed along the heading, or against it (-1)."""
+    return sense * cut.side * cut.wide_m / 2.0
 
 
 def rows(south: float, north: float, cut: Cut) -> list[float]:
@@ -130,12 +150,10 @@ def _long(free: BaseGeometry, y: float, span: Span) -> Span:
     return next((each for each in around if each[0] <= middle <= each[1]), span)
 
 
-def _beside(
-    inside: Sequence[Polygon], middle: Sequence[Span], free: BaseGeometry, y: float, cut: Cut
-) -> Iterator[tuple[float, Span]]:
-    """Lines for the parts of a strip along which its middle is no water."""
+def _beside(inside: Sequence[Polygon], middle: Sequence[LaidLine], free: BaseGeometry, cut: Cut) -> Iterator[LaidLine]:
+    """Lines for the parts of a strip along which its middle is no water, or where a line that looks to one side is none."""
     half_m, left = cut.wide_m / 2.0, [*inside]
-    taken = [box(begin, y - half_m, end, y + half_m) for begin, end in middle]
+    taken = [box(begin, y - half_m, end, y + half_m) for _, y, (begin, end) in middle]
     for _ in range(ROUNDS):
         for each in taken:
             left = [part for whole in left for part in polygons(whole.difference(each))]
@@ -144,13 +162,20 @@ def _beside(
         for part in left:
             west, south, east, north = part.bounds
             levels = [south + (north - south) * (look + 0.5) / LOOKS for look in range(LOOKS)]
-            reaches = [(at, _joined(_reach(free, at, west, east), free, at, cut.joined_m)) for at in levels]
-            at, spans = max(reaches, key=lambda reach: sum(end - begin for begin, end in reach[1]))
+            ways = [(sense, y) for sense in ((1, -1) if cut.side else (0,)) for y in levels]
+            reaches = [(way, _through(free, *way, (west, east), cut)) for way in ways]
+            (sense, y), spans = max(reaches, key=lambda reach: sum(end - begin for begin, end in reach[1]))
             for span in spans:
-                taken.append(box(span[0], at - half_m, span[1], at + half_m))
-                yield at, _long(free, at, span)
+                taken.append(box(span[0], y - half_m, span[1], y + half_m))
+                yield LaidLine(sense, y, _long(free, y + _aside_m(sense, cut), span))
         if not taken:
             return
+
+
+def _through(free: BaseGeometry, sense: int, y: float, span: Span, cut: Cut) -> list[Span]:
+    """The water of the line that covers a level."""
+    at = y + _aside_m(sense, cut)
+    return _joined(_reach(free, at, *span), free, at, cut.joined_m)
 
 
 def headings(area: BaseGeometry, spacing_m: float) -> list[float]:

@@ -16,7 +16,6 @@ from delfim.survey.picture import draw
 from delfim.survey.planning import LinesWanted, SurveyPlan
 from delfim.survey.progress import Announced, KeptSurvey, SurveyWishes
 from delfim.survey.sharing import BoatShare, shared
-from delfim.survey.trialsail import sailed
 from delfim.vehicle.plans.estimate import in_hours
 from delfim.vehicle.plans.mission import PayloadItem, save_mission
 
@@ -58,7 +57,7 @@ def go_on(survey: KeptSurvey, logs: Sequence[str]) -> Place | None:
     for log in logs:
         places = [in_plane(ground.at, *place) for place in good_places(log)]
         last = places[-1] if places else last
-        found = progress.sailed(lines, places, survey.asked.spacing_m)
+        found = progress.sailed(lines, places, survey.asked.spacing_m, bool(survey.asked.side))
         survey.done = [progress.merged(*both) for both in zip(survey.done, found, strict=True)]
     return last
 
@@ -94,6 +93,8 @@ def _item(told: Announced) -> PayloadItem:
 
 def _foretold(boat: SurveyBoat, plan: SurveyPlan) -> str:
     """The time and the energy of a plan, as the simulated boat takes them for four lines."""
+    from delfim.survey.trialsail import sailed  # the simulator, which nobody waits for who asks only for what is left
+
     energy = ""
     try:
         told = sailed(boat.settings, plan.wanted)

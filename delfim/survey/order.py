@@ -20,7 +20,8 @@ LESS_M: Final = 1e-6  # what is not shorter by so much is not shorter
 
 
 class Cell(NamedTuple):
-    """Lines to and fro, from each of its four corners: those of 0 and 1 are each other's reverse, and those of 2 and 3."""
+    """Lines to and fro, from each of its four corners: those of 0 and 1 are each other's reverse, and those of 2 and 3. Lines
+    that are sailed one way alone have two: 0 and 2 begin with the first strip, 1 and 3 with the last one."""
 
     ways: tuple[list[Segment], list[Segment], list[Segment], list[Segment]]
 
@@ -47,15 +48,15 @@ def _between_m(lines: Sequence[Segment], start: Place | None) -> float:
     return come_m + sum(math.dist(before[1], after[0]) for before, after in pairwise(lines))
 
 
-def _beside(strips: Sequence[Strip]) -> list[list[Segment]]:
+def _beside(strips: Sequence[Strip]) -> list[list[Strip]]:
     """Lines that hang together one to one, strip by strip."""
-    by_strip = dict[int, list[list[Segment]]]()
-    found = list[list[Segment]]()
+    by_strip = dict[int, list[list[Strip]]]()
+    found = list[list[Strip]]()
     for number in sorted({strip.number for strip in strips}):
-        here = [strip.line for strip in strips if strip.number == number and strip.is_middle]
+        here = [strip for strip in strips if strip.number == number and strip.is_middle]
         before = by_strip.get(number - 1, [])
-        nexts = [[line for line in here if _overlap(cell[-1], line)] for cell in before]
-        cells = list[list[Segment]]()
+        nexts = [[line for line in here if _overlap(cell[-1].line, line.line)] for cell in before]
+        cells = list[list[Strip]]()
         for line in here:
             mine = [cell for cell, its in zip(before, nexts, strict=True) if line in its]
             if len(mine) == 1 and sum(line in its for its in nexts) == 1 and len(nexts[before.index(mine[0])]) == 1:
@@ -65,7 +66,7 @@ def _beside(strips: Sequence[Strip]) -> list[list[Segment]]:
                 cells.append([line])
                 found.append(cells[-1])
         by_strip[number] = cells
-        found += [[strip.line] for strip in strips if strip.number == number and not strip.is_middle]
+        found += [[strip] for strip in strips if strip.number == number and not strip.is_middle]
     return found
 
 
@@ -76,10 +77,33 @@ def _overlap(line: Segment, other: Segment) -> bool:
     return low < long2 and high > 0.0
 
 
-def _cell(lines: list[Segment], apart: int) -> Cell:
-    taken = [lines[number] for number in alternating(len(lines), apart)]
+def _cell(strips: list[Strip], apart: int) -> Cell:
+    if strips[0].sense:
+        there, back = ([its[number].line for number in _by_turns(its, apart)] for its in (strips, strips[::-1]))
+        return Cell((there, back, there, back))
+    taken = [strips[number].line for number in alternating(len(strips), apart)]
     one, other = ([line[::-1] if number % 2 == first else line for number, line in enumerate(taken)] for first in (1, 0))
     return Cell((one, _reversed(one), other, _reversed(other)))
+
+
+def _by_turns(strips: Sequence[Strip], apart: int) -> list[int]:
+    """The numbers of lines that are sailed one way alone in an order in which the next one is sailed the other way, and lies so
+    many strips away, as far as there is such a one."""
+    left, order = list(range(len(strips))), list[int]()
+    while left:
+        here = strips[order[-1]] if order else None
+        order.append(
+            min(
+                left,
+                key=lambda number: (
+                    here is not None and strips[number].sense == here.sense,
+                    here is not None and apart > 1 and abs(strips[number].number - here.number) < apart,
+                    number,
+                ),
+            )
+        )
+        left.remove(order[-1])
+    return order
 
 
 def _reversed(lines: list[Segment]) -> list[Segment]:
@@ -118,6 +142,7 @@ def _nearest(cells: Sequence[Cell], start: Place | None, first: int) -> Order:
 def _improved(cells: Sequence[Cell], order: Order, start: Place | None) -> Order:
     """Turn parts round, move parts elsewhere, and begin cells at other corners, as long as a way becomes shorter."""
     looks, better, dist = 0, True, math.dist
+    one_way = any(cell.ways[0] is cell.ways[2] for cell in cells)
     begins, ends = ([[cell.ends(way)[end] for way in range(4)] for cell in cells] for end in (0, 1))
 
     def gap(before: tuple[int, int] | None, after: tuple[int, int] | None) -> float:
@@ -134,10 +159,11 @@ def _improved(cells: Sequence[Cell], order: Order, start: Place | None) -> Order
         return [(number, way ^ 1) for number, way in reversed(part)]
 
     def elsewhere(i: int, long: int) -> Order | None:
-        """The order with a part moved to where the way is shorter, either way round; None: nowhere."""
+        """The order with a part moved to where the way is shorter, either way round; None: nowhere. Lines that are sailed one
+        way alone are not turned round together: the ways between them would be others."""
         part, rest = order[i : i + long], order[:i] + order[i + long :]
         saved = gap(at(i - 1), part[0]) + gap(part[-1], at(i + long)) - gap(at(i - 1), at(i + long)) - LESS_M
-        both = part, turned(part)
+        both = (part,) if one_way and long > 1 else (part, turned(part))
         for k in range(len(rest) + 1):
             before, after = rest[k - 1] if k else None, rest[k] if k < len(rest) else None
             for moved in both:
@@ -152,7 +178,7 @@ def _improved(cells: Sequence[Cell], order: Order, start: Place | None) -> Order
                 now, other = order[i], (order[i][0], way)
                 if gap(at(i - 1), other) + gap(other, at(i + 1)) < gap(at(i - 1), now) + gap(now, at(i + 1)) - LESS_M:
                     order[i], better = other, True
-            for j in range(i, len(order)):
+            for j in range(i, i + 1 if one_way else len(order)):
                 first, last = order[i], order[j]
                 old_m = gap(at(i - 1), first) + gap(last, at(j + 1))
                 if gap(at(i - 1), (last[0], last[1] ^ 1)) + gap((first[0], first[1] ^ 1), at(j + 1)) < old_m - LESS_M:

@@ -36,6 +36,7 @@ CROSS: Final = 3.0  # spacings: a cross line is no shorter
 DRAWN_RAD: Final = 0.2  # of an arc, from place to place
 STEPS: Final = 16  # places of an arc, where its chords are no water
 PARTS: Final = 1.0, 0.75, 0.5, 0.25, 0.0  # of a run-in, the longest for which there is water
+SIDES: Final = {"": 0, "port": -1, "starboard": 1}
 CORNERS: Final = {"sw": (0, 1), "se": (2, 1), "nw": (0, 3), "ne": (2, 3)}  # of the area's box: where in its bounds they stand
 
 
@@ -53,10 +54,13 @@ class LinesWanted(NamedTuple):
     turn_s: float = 0.0  # what a turn takes beyond its length
     cross_m: float = 0.0  # spacing of the cross lines; 0: none
     start: str = ""  # corner of the area to begin near
+    side: str = ""  # that the sensor looks to, port or starboard; empty: both
 
     @property
     def cut(self) -> Cut:
-        return Cut(self.spacing_m, self.swath_m or self.spacing_m, self.edges, 2.0 * self.run_in_m + ACCEPTED_M)
+        return Cut(
+            self.spacing_m, self.swath_m or self.spacing_m, self.edges, 2.0 * self.run_in_m + ACCEPTED_M, SIDES[self.side]
+        )
 
 
 def wanted_of(settings: config.Vehicle, **asked: Any) -> LinesWanted:
@@ -128,7 +132,8 @@ class SurveyPlan(NamedTuple):
 
     def covered(self) -> tuple[float, float]:
         """The parts that the lines along cover: of what may be sailed, and of the whole area."""
-        done = swaths(self.lines[: len(self.lines) - self.across], self.wanted.cut.wide_m)
+        cut = self.wanted.cut
+        done = swaths(self.lines[: len(self.lines) - self.across], cut.wide_m, cut.side)
         area = self.ground.area
         return done.intersection(self.free).area / self.free.area, done.intersection(area).area / area.area
 
@@ -151,7 +156,7 @@ def planned(ground: Ground, wanted: LinesWanted, fence: config.Zones, come: Plac
     heading_deg, lines = min(tried, key=lambda each: _straight_s(each[1], wanted.speed_mps, turn_s))
     across = list[Segment]()
     if wanted.cross_m:
-        cut = wanted.cut._replace(spacing_m=wanted.cross_m, wide_m=wanted.cross_m, edges=False)
+        cut = wanted.cut._replace(spacing_m=wanted.cross_m, wide_m=wanted.cross_m, edges=False, side=0)
         found = [each for each in strips(free, open_water, heading_deg + 90.0, cut) if _is_long(each.line, wanted)]
         across = ordered(found, max(1, math.ceil(2.0 * wanted.radius_m / wanted.cross_m)), lines[-1][1] if lines else None)
     if not lines:
@@ -177,7 +182,7 @@ def plan_of(
     around_m = AROUND_M + 2.0 * (wanted.run_in_m + wanted.radius_m) + wanted.spacing_m
     open_water = water(ground, fence, wanted.room_m, around_m)
     near = start or _corner(ground.area, wanted.start)
-    lines = _again(main, heading_deg, wanted.spacing_m, wanted.radius_m, near)
+    lines = _again(main, heading_deg, wanted.spacing_m, wanted.radius_m, near, wanted.cut)
     there, cross_m = lines[-1][1] if lines else near, wanted.cross_m or wanted.spacing_m
     crossed = _again(across, heading_deg + 90.0, cross_m, wanted.radius_m, there)
     if not lines and not crossed:
@@ -189,14 +194,25 @@ def plan_of(
 
 
 def _again(
-    lines: Sequence[Segment], heading_deg: float, spacing_m: float, radius_m: float, start: Place | None
+    lines: Sequence[Segment],
+    heading_deg: float,
+    spacing_m: float,
+    radius_m: float,
+    start: Place | None,
+    cut: Cut | None = None,
 ) -> list[Segment]:
-    """Lines in an order: all are turned one way first, as strips are."""
+    """Lines in an order: all are turned one way first, as strips are. Those of a sensor that looks to one side, as `cut` has
+    it, keep their way."""
     s, c = math.sin(math.radians(heading_deg)), math.cos(math.radians(heading_deg))
-    turned = [(a, b) if (b[0] - a[0]) * s + (b[1] - a[1]) * c > 0.0 else (b, a) for a, b in lines]
-    across = [(a[0] + b[0]) / 2.0 * c - (a[1] + b[1]) / 2.0 * s for a, b in turned]
-    numbers = [round((each - min(across)) / spacing_m) for each in across]
-    found = [Strip(number, True, line) for number, line in sorted(zip(numbers, turned, strict=True))]
+    senses = [1 if (b[0] - a[0]) * s + (b[1] - a[1]) * c > 0.0 else -1 for a, b in lines]
+    half_m = cut.side * cut.wide_m / 2.0 if cut is not None else 0.0
+    middles = ((a[0] + b[0]) / 2.0 * c - (a[1] + b[1]) / 2.0 * s for a, b in lines)
+    across = [middle + sense * half_m for middle, sense in zip(middles, senses, strict=True)]
+    found = list[Strip]()
+    for line, sense, middle in zip(lines, senses, across, strict=True):
+        number = round((middle - min(across)) / spacing_m)
+        found.append(Strip(number, True, line, sense) if half_m else Strip(number, True, line if sense > 0 else line[::-1]))
+    found.sort(key=lambda strip: strip[::2])
     return ordered(found, max(1, math.ceil(2.0 * radius_m / spacing_m - 1e-9)), start)
 
 

@@ -7,7 +7,7 @@ answered by a `PreviewTold`; both by `{"refused": WORDS}` where there is none. I
 
 import sys
 from collections.abc import Iterable, Sequence
-from typing import Any, Final, NamedTuple
+from typing import Any, Final, Literal, NamedTuple
 
 import msgspec
 
@@ -32,6 +32,7 @@ class PreviewAsked(msgspec.Struct, forbid_unknown_fields=True):
     cross_m: float = 0.0
     start: str = ""
     inside: bool = False
+    side: Literal["", "port", "starboard"] = ""  # that the sensor looks to; empty: both
     run_in_m: float = 0.0
     speed_mps: float = 0.0
     fence: Ring = []  # of the mission, to stay in
@@ -85,6 +86,7 @@ def told(asked: PreviewAsked, settings: config.Vehicle) -> dict[str, Any]:
         edges=not asked.inside,
         cross_m=asked.cross_m,
         start=asked.start,
+        side=asked.side,
         run_in_m=asked.run_in_m or None,
         speed_mps=asked.speed_mps or None,
     )
@@ -143,7 +145,7 @@ def _rest(asked: PreviewAsked, settings: config.Vehicle) -> dict[str, Any]:
     if plan is None:
         raise DelfimError(f"nothing is left: {counts}")
     done = [part for each in zip(lines, survey.done, strict=True) for part in progress.parts(*each)]
-    both = swaths([*done, *plan.lines], plan.wanted.cut.wide_m)
+    both = swaths([*done, *plan.lines], plan.wanted.cut.wide_m, plan.wanted.cut.side)
     its = _as_told(plan, asked.name, settings)._replace(
         covered=(both.intersection(plan.free).area / plan.free.area, both.intersection(ground.area).area / ground.area.area),
         done=_ends(ground.at, done),
@@ -165,6 +167,7 @@ def _known(asked: PreviewAsked) -> Any:
         spacing_m=asked.spacing_m or asked.swath_m * (1.0 - asked.overlap_pct / 100.0),
         swath_m=asked.swath_m,
         cross_m=asked.cross_m,
+        side=asked.side,
         run_in_m=asked.run_in_m or None,
         speed_mps=asked.speed_mps or None,
     )

@@ -59,6 +59,7 @@ class SurveyWishes(msgspec.Struct, forbid_unknown_fields=True):
     start: Literal["", "nw", "ne", "sw", "se"] = ""
     run_in_m: Wish | None = None
     room_m: Wish | None = None
+    side: Literal["", "port", "starboard"] = ""
     radius_m: Wish | None = None
     speed_mps: Annotated[float, msgspec.Meta(gt=0.0, le=50.0)] | None = None
 
@@ -146,9 +147,10 @@ def write_survey(survey: KeptSurvey, path: Path) -> None:
     replace_file(path, msgspec.json.encode(survey))
 
 
-def sailed(lines: Sequence[Segment], places: Iterable[Place], spacing_m: float) -> list[list[Span]]:
+def sailed(lines: Sequence[Segment], places: Iterable[Place], spacing_m: float, one_way: bool = False) -> list[list[Span]]:
     """Of each line the parts that have a good sounding each few metres, no farther off than a quarter of the spacing. `places`:
-    of soundings, in any order; where a boat has no sounder, of the boat. Parts shorter than a spacing are of who crossed it."""
+    of soundings, in any order; where a boat has no sounder, of the boat. Parts shorter than a spacing are of who crossed it.
+    `one_way`: places are in the order of time, and count for a line where the boat sailed it as it is written."""
     its = np.array([*places], float).reshape(-1, 2)
     limit_m, apart_m = LIMIT * spacing_m, max(LEAST_M, min(APART_M, spacing_m / 2.0))
     found = list[list[Span]]()
@@ -160,7 +162,10 @@ def sailed(lines: Sequence[Segment], places: Iterable[Place], spacing_m: float) 
         ux, uy = (to_x - x) / long_m, (to_y - y) / long_m
         off = its - (x, y)
         along, aside = off[:, 0] * ux + off[:, 1] * uy, off[:, 0] * uy - off[:, 1] * ux
-        on = np.sort(along[(np.abs(aside) <= limit_m) & (along > -apart_m) & (along < long_m + apart_m)])
+        is_on = (np.abs(aside) <= limit_m) & (along > -apart_m) & (along < long_m + apart_m)
+        if one_way and len(along) > 1:
+            is_on &= np.gradient(along) > 0.0
+        on = np.sort(along[is_on])
         ends = np.flatnonzero(np.diff(on) > apart_m)
         begins = np.concatenate([[0], ends + 1]).astype(int)
         spans = zip(on[begins], on[np.append(ends, len(on) - 1)], strict=True) if len(on) else ()

@@ -137,7 +137,7 @@ def area() -> dict[str, Any]:
         list(place(*corner))
         for corner in ((0.0, -5.0), (LONG_M, -5.0), (LONG_M, SPACING_M * LINES - 5.0), (0.0, SPACING_M * LINES - 5.0))
     ]
-    values = [SPACING_M, 0, 20, 0, 0, 0, 0, 0, 0]
+    values = [SPACING_M, 0, 20, 0, 0, 0, 0, 0, 0, 0]
     return {
         "name": "Bay",
         "waypoints": [],

@@ -16,7 +16,7 @@ from delfim.base.errors import DelfimError
 from delfim.survey.ground import Ground, laid, simplified, swaths, union, water
 from delfim.survey.lines import Cut, strips
 from delfim.survey.order import alternating, ordered
-from delfim.survey.planning import LinesWanted, SurveyPlan, check, mission, planned, stops, wanted_of
+from delfim.survey.planning import LinesWanted, SurveyPlan, check, mission, plan_of, planned, stops, wanted_of
 from delfim.survey.turns import turn
 from delfim.survey.ways import OpenWater
 from tests.survey.drawn import AT, drawn
@@ -47,6 +47,31 @@ def test_a_drawn_area_is_covered_and_nothing_crosses_a_hole(seed: int) -> None:
     assert in_holes(plan) == 0
     done = sorted(each.line for each in plan.way if each.line is not None)
     assert done == list(range(len(plan.lines))), "each line once"
+
+
+@pytest.mark.parametrize("side", ["port", "starboard"])
+@pytest.mark.parametrize("seed", range(12))
+def test_a_sensor_that_looks_to_one_side_covers_an_area_from_lines_that_are_sailed_the_right_way(seed: int, side: str) -> None:
+    ground, spacing_m = drawn(seed)
+    asked = {"spacing_m": spacing_m, "swath_m": 1.25 * spacing_m, "side": side, "radius_m": 6.0 * (seed % 2)}
+    plan = survey(ground, **asked)
+    assert plan.covered()[0] > 0.995
+    assert in_holes(plan) == 0
+    ends = [(each.bend.to, plan.lines[each.line][1]) for each in plan.way if each.line is not None]
+    assert all(math.dist(*both) < 0.01 for both in ends), "each is sailed as it is written"
+    assert plan.way_m < 1.5 * survey(ground, **asked | {"side": "", "swath_m": 0.0}).way_m
+    again = plan_of(ground, plan.wanted, config.Zones(), plan.heading_deg, plan.lines, [], None)
+    assert sorted(again.lines) == sorted(plan.lines)
+    assert again.way_m < 1.3 * plan.way_m
+
+
+def test_a_square_of_one_sided_lines_is_covered_from_its_edges_inwards() -> None:
+    plan = survey(SQUARE, spacing_m=25.0, heading_deg=0.0, side="starboard")
+    lines = sorted((round(line[0][0], 6), line[1][1] > line[0][1]) for line in plan.lines)
+    assert lines == [(0.0, True), (50.0, False), (50.0, True), (100.0, False)], "east, and whether it is sailed to the north"
+    assert plan.covered()[0] > 0.9999
+    port = survey(SQUARE, spacing_m=25.0, heading_deg=0.0, side="port")
+    assert sorted(line[::-1] for line in port.lines) == sorted(plan.lines)
 
 
 @pytest.mark.long

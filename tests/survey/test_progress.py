@@ -104,6 +104,13 @@ def test_what_is_done_is_kept_by_line_and_only_along_it() -> None:
     assert merged([(5.0, 9.0), (0.0, 2.0)], [(1.0, 5.0)]) == [(0.0, 9.0)]
 
 
+def test_a_line_of_a_sensor_that_looks_to_one_side_is_done_only_where_it_was_sailed_that_way() -> None:
+    there: Segment = ((0.0, 0.0), (0.0, 100.0))
+    along = [(0.1, float(y)) for y in range(-5, 106, 2)]
+    assert sailed([there, there[::-1]], along, 10.0, one_way=True) == [[(0.0, 100.0)], []]
+    assert sailed([there, there[::-1]], along, 10.0) == [[(0.0, 100.0)], [(0.0, 100.0)]]
+
+
 def test_boats_are_done_at_the_same_time_and_share_anew_when_one_goes_home() -> None:
     ground, _ = drawn(6)
     slow, fast = LinesWanted(10.0, 1.0), LinesWanted(10.0, 2.0, cross_m=60.0)

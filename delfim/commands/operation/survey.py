@@ -44,6 +44,8 @@ def _lines_options(lines: argparse.ArgumentParser) -> None:
     lines.add_argument(
         "--start", choices=("nw", "ne", "sw", "se"), help="Begin near this corner of the area (default: anywhere)."
     )
+    told = "That the sensor looks to, from the line as far as the swath, or the spacing (default: both)."
+    lines.add_argument("--side", choices=("port", "starboard"), help=told)
     lines.add_argument(
         "--run-in", type=metres, metavar="M", help="Straight before and behind each line (default: 12, or more)."
     )
@@ -178,6 +180,7 @@ def _lines(asked: argparse.Namespace) -> int:
         edges=not asked.inside,
         cross_m=asked.cross or 0.0,
         start=asked.start or "",
+        side=asked.side or "",
         run_in_m=asked.run_in,
         room_m=asked.room,
         radius_m=asked.turn_radius,

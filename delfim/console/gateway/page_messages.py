@@ -144,6 +144,7 @@ class Survey(Said, frozen=True):
     cross_m: Length = 0.0  # spacing of cross lines; 0: none
     start: Literal["", "nw", "ne", "sw", "se"] = ""  # the corner to begin near
     inside: bool = False  # lines end where they leave the area
+    side: Literal["", "port", "starboard"] = ""  # that the sensor looks to; empty: both
     run_in_m: Length = 0.0  # 0: the boat's own
     speed_mps: Length = 0.0  # 0: the boat's own
     fence: Annotated[list[Corner], msgspec.Meta(max_length=1000)] = []  # of the plan

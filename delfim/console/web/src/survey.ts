@@ -24,7 +24,8 @@ type Asked = Extract<Said, { t: "survey" }>;
 
 const ASIDE: Pixel = [Infinity, 60]; // the form must not cover the area
 const STARTS = ["", "nw", "ne", "se", "sw"] as const;
-const BEGIN = [10, 0, 20, 0, 0, 0, 0, 0, 0]; // of the form: spacing, swath, overlap, heading, cross lines, start, edges, run-in, speed
+const SIDES = ["", "port", "starboard"] as const;
+const BEGIN = [10, 0, 20, 0, 0, 0, 0, 0, 0, 0]; // of the form: spacing, swath, overlap, heading, cross lines, start, edges, side, run-in, speed
 const HOLE = /^hole \d+$/; // a zone that a survey made
 const CLOSE_PX = 14;
 const ENDINGS = ".geojson,.json,.kml,.gpx,.shp,.plan";
@@ -283,13 +284,13 @@ function planned(before: Mission, told: Told, survey: Mission["survey"]): Missio
   return { ...rest, waypoints: made.waypoints, path: made.path ?? [], zones, ...(survey && { survey }) };
 }
 
-function asked(mission: Mission, [spacing, swath, overlap, heading, cross, start, edges, run_in, speed]: number[]): Asked {
+function asked(mission: Mission, [spacing, swath, overlap, heading, cross, start, edges, side, run_in, speed]: number[]): Asked {
   return {
     t: "survey",
     boat: 0,
     areas: areasOf(mission),
     ...{ spacing_m: spacing!, swath_m: swath!, overlap_pct: overlap!, heading_deg: heading || null, cross_m: cross!, start: STARTS[start!]! },
-    ...{ inside: edges === 1, run_in_m: run_in!, speed_mps: enteredSpeed_mps(speed!) },
+    ...{ inside: edges === 1, side: SIDES[side!]!, run_in_m: run_in!, speed_mps: enteredSpeed_mps(speed!) },
     fence: mission.fence,
     obstacles: mission.obstacles,
     closed: (mission.zones ?? []).filter(({ kind, name, polygon }) => kind === "keep_out" && polygon.length && !HOLE.test(name)).map(({ polygon }) => polygon),
@@ -297,7 +298,7 @@ function asked(mission: Mission, [spacing, swath, overlap, heading, cross, start
   };
 }
 
-function formFields([spacing, swath, overlap, heading, cross, start, edges, run_in, speed]: number[]): Field[] {
+function formFields([spacing, swath, overlap, heading, cross, start, edges, side, run_in, speed]: number[]): Field[] {
   const m = (title: string, value: number, step: number, zero: string): Field => ({ title, unit: "m", value, step, least: 0, most: 1000, zero });
   const corners = ["anywhere", ...STARTS.slice(1).map((each) => each.toUpperCase())];
   const cornerIn = (words: string) => corners.findIndex((each) => each.toLowerCase() === words.trim().toLowerCase());
@@ -309,6 +310,7 @@ function formFields([spacing, swath, overlap, heading, cross, start, edges, run_
     m("Cross lines", cross!, 5, "none"),
     { title: "Begin", unit: "", value: start!, step: 1, least: 0, most: 4, show: (value) => corners[value]!, read: (words) => (cornerIn(words) < 0 ? null : cornerIn(words)), zero: corners[0]! },
     { title: "Cover", unit: "", value: edges!, step: 1, least: 0, most: 1, zero: "to the edge", show: () => "inside" },
+    { title: "Looks", unit: "", value: side!, step: 1, least: 0, most: 2, zero: "to both sides", show: (value) => `to ${SIDES[value]}`, read: (words) => Math.max(0, SIDES.findIndex((each) => each && words.includes(each))) },
     m("Run-in", run_in!, 1, "its own"),
     speedField(speed!),
   ];

@@ -275,7 +275,7 @@ export type Said =
   | { t: "command"; boat: number | "all"; command: string; [key: string]: Values[string] }
   | { t: "mission"; boat: number; do: MissionDeed; mission?: Mission; name?: string }
   | { t: "profile"; boat: number; profile: string }
-  | { t: "survey"; boat: number; areas: Area[]; heading_deg: number | null; start: string; inside: boolean; fence: Ring; obstacles: Obstacle[]; closed: Ring[]; name: string; lines?: Line[]; across?: number; at?: Ring[0] | null; [key: `${string}_m` | `${string}_mps` | `${string}_pct`]: number }
+  | { t: "survey"; boat: number; areas: Area[]; heading_deg: number | null; start: string; side: string; inside: boolean; fence: Ring; obstacles: Obstacle[]; closed: Ring[]; name: string; lines?: Line[]; across?: number; at?: Ring[0] | null; [key: `${string}_m` | `${string}_mps` | `${string}_pct`]: number }
   | { t: "depths"; do: "forget" }
   | { t: "adopt"; boat: number; do: "begin" | "afresh" | "berth" | "yes" | "no" | "end" | "close"; radius_m?: number }
   | { t: "forget"; boat: number }
