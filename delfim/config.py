@@ -190,6 +190,8 @@ class TrafficGuard(Table, frozen=True):
     stand_on: Literal["never", "small", "always"] = "small"  # for vessels that must give way: none, those below 20 m, all
     away_m: Annotated[float, msgspec.Meta(ge=10.0, le=100_000.0)] = 1000.0  # so far from leg or place others may move the boat
     away_s: Annotated[float, msgspec.Meta(ge=10.0, le=86_400.0)] = 1800.0  # and for so long; then on_failure, for as long again
+    thing_clear_m: Annotated[float, msgspec.Meta(ge=1.0, le=200.0)] = 10.0  # from what stands to the boat's side or end
+    person_clear_m: Annotated[float, msgspec.Meta(ge=5.0, le=500.0)] = 30.0  # the same of a swimmer; twice as near, half speed
     on_failure: Literal["warn", "slow", "hold"] = "warn"  # where the guard cannot work: go on, at half speed, or hold
 
 
@@ -202,6 +204,7 @@ class TrafficTable(Table, frozen=True):
     lost_b_s: Seconds = 180.0  # the same of class B, above 2 kn
     lost_rest_s: Seconds = 1080.0  # of class A at anchor, moored or aground, and of class B below 2 kn
     lost_near_s: Seconds = 15.0  # of boats of the fleet and what a payload sees
+    kept_thing_s: Annotated[float, msgspec.Meta(ge=1.0, le=86_400.0)] = 600.0  # a thing out of view is kept so long at most
     guard: TrafficGuard = TrafficGuard()
 
 

@@ -1,4 +1,5 @@
-"""Other vessels as they report themselves, whichever way the report came. SI units; what is not reported is None."""
+"""Other vessels as they report themselves, whichever way the report came, and things that programs aboard see. SI units; what
+is not reported is None."""
 
 from typing import Final, NamedTuple
 
@@ -37,6 +38,17 @@ class VesselFacts(NamedTuple):
     is_own: bool = False  # by the boat's own transponder, about itself
 
 
+class ThingSeen(NamedTuple):
+    """What a program aboard sees in the water that is no vessel under way."""
+
+    latitude_rad: float  # of its middle
+    longitude_rad: float
+    radius_m: float
+    kind: str = "thing"  # stands; or "person", a swimmer
+    confidence: float = 1.0  # 0 to 1; 0 takes back what was told of there
+
+
+THINGS: Final = ("thing", "person")
 Report = VesselPosition | VesselFacts
 
 

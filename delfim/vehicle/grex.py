@@ -9,13 +9,13 @@ import asyncio
 import hmac
 import math
 from collections.abc import Callable
-from typing import Annotated, cast
+from typing import Annotated, Literal, cast
 
 import msgspec
 
 from delfim.base.clock import Clock
 from delfim.base.input.untrusted import UNREADABLE
-from delfim.base.vessels import VesselFacts, VesselPosition
+from delfim.base.vessels import ThingSeen, VesselFacts, VesselPosition
 from delfim.vehicle.state import Setpoint, State
 
 LINE_BYTES = 1024  # longer input is not a set point
@@ -31,7 +31,8 @@ class HeadingReference(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class SeenVessel(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A vessel that a payload sees by radar, camera or lidar: degrees, m/s, m. Unknown values are left out."""
+    """A vessel, a thing or a person that a payload sees by radar, camera or lidar: degrees, m/s, m. Unknown values are left
+    out."""
 
     id: Annotated[str, msgspec.Meta(pattern="^[ -~]{1,24}$")]  # the same as long as it is the same one
     latitude_deg: Annotated[float, msgspec.Meta(ge=-90.0, le=90.0)]
@@ -41,6 +42,9 @@ class SeenVessel(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     heading_deg: Annotated[float, msgspec.Meta(ge=0.0, le=360.0)] | None = None
     length_m: Annotated[float, msgspec.Meta(gt=0.0, le=500.0)] | None = None
     beam_m: Annotated[float, msgspec.Meta(gt=0.0, le=100.0)] | None = None
+    kind: Literal["vessel", "thing", "person"] = "vessel"
+    radius_m: Annotated[float, msgspec.Meta(ge=0.0, le=50.0)] = 0.5  # of a thing or a person
+    confidence: Annotated[float, msgspec.Meta(ge=0.0, le=1.0)] = 1.0  # of a thing or a person; 0: it is not there
 
 
 class _Seen(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -141,9 +145,13 @@ def sighted(line: bytes, state: State, now_s: float) -> bool:
 
 
 def seen(vessel: SeenVessel, by: str, state: State, now_s: float) -> None:
-    """Another vessel, into the state."""
-    course_rad, heading_rad = (None if each is None else math.radians(each) for each in (vessel.course_deg, vessel.heading_deg))
+    """Another vessel or a thing, into the state. `by`: "guest", or "payload " and the program's name."""
     place = math.radians(vessel.latitude_deg), math.radians(vessel.longitude_deg)
+    if vessel.kind != "vessel":
+        name = f"{by.removeprefix('payload ')} {vessel.id}"
+        state.hear(ThingSeen(*place, vessel.radius_m, vessel.kind, vessel.confidence), by, now_s, name)
+        return
+    course_rad, heading_rad = (None if each is None else math.radians(each) for each in (vessel.course_deg, vessel.heading_deg))
     key = f"payload {vessel.id}"
     state.hear(VesselPosition(0, *place, course_rad, vessel.speed_mps, heading_rad, None, "payload"), by, now_s, key)
     state.hear(VesselFacts(0, vessel.id, None, None, vessel.length_m, vessel.beam_m, None, None), by, now_s, key)

@@ -6,7 +6,7 @@ from typing import NamedTuple, Protocol
 
 from delfim.base.geodesy import Origin
 from delfim.base.modes import Mode
-from delfim.base.vessels import Report
+from delfim.base.vessels import Report, ThingSeen
 from delfim.canproxy.dsor.messages import Navigation, SystemStatus
 from delfim.vehicle.inputhealth import InputHealth
 from delfim.vehicle.report import Announced, ClockStatus, EnergyFacts, HandsetReport, PartHealth, SampleAsked
@@ -61,7 +61,7 @@ class Motion(NamedTuple):
 class Sighting(NamedTuple):
     """A report of another vessel that came in."""
 
-    told: Report | str  # or why it could not be read, in words
+    told: Report | ThingSeen | str  # or why it could not be read, in words
     by: str  # the way: "nmea2000", a port's name, "console 255"
     at_s: float  # monotonic time
     key: str = ""  # of the vessel, where it is not its number of AIS
@@ -311,13 +311,13 @@ class State:
             if ping.offset_m is not None:
                 self.measured["depth_offset_m"] = ping.offset_m, ping.heard_s
 
-    def hear(self, told: Report | str, by: str, now_s: float, key: str = "") -> None:
+    def hear(self, told: Report | ThingSeen | str, by: str, now_s: float, key: str = "") -> None:
         """A report of another vessel, for the next look. Costs next to nothing, and is bounded: where many wait, of each vessel
         the newest alone, so that nobody who speaks often keeps the others out."""
         waiting: dict[object, Sighting] = self.heard
         name: object = object()
         if len(waiting) >= HEARD_MANY:
-            name = told if isinstance(told, str) else (type(told), key or told.mmsi)
+            name = told if isinstance(told, str) else (type(told), key or (0 if isinstance(told, ThingSeen) else told.mmsi))
             if name in waiting or len(waiting) >= HEARD_MAX:
                 self.count("traffic_dropped")
             if name not in waiting and len(waiting) >= HEARD_MAX:

@@ -26,7 +26,7 @@ class Target(NamedTuple):
     margin_m: float  # how far it may be from there: grows with its age
     age_s: float  # of its last position
     is_lost: bool  # silent past the limit of its kind: kept on the map
-    kind: str  # "A" and "B", the classes of AIS, "fleet", "payload", "distress" (970, 972, 974)
+    kind: str  # "A" and "B", the classes of AIS, "fleet", "payload", "distress" (970, 972, 974), "thing", "person"
     status: int  # navigational status of ITU-R M.1371: 0 under way, 1 at anchor, 5 moored, ...; 15: not known
 
 
@@ -72,3 +72,8 @@ class Traffic(NamedTuple):
     unjudged: str = ""  # why the guard cannot heed all of them, in words
     beside: tuple[str, ...] = ()  # keys of those that moved as the boat did, also before a restart
     told: tuple[msgspec.Raw, ...] = ()  # the vessels in words, each as JSON, of this look or the one before
+
+    @property
+    def is_empty(self) -> bool:
+        """Whether nobody was ever heard, and nothing is seen."""
+        return self.heard_s == self.own_s == NEVER_S and not self.targets

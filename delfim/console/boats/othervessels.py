@@ -10,9 +10,9 @@ from typing import Any, Final, NamedTuple, Protocol
 
 from delfim.base.cooperative import Sliced
 from delfim.base.geodesy import Origin, from_plane, origin
-from delfim.base.vessels import VesselFacts, VesselPosition
+from delfim.base.vessels import THINGS, VesselFacts, VesselPosition
 from delfim.config import TrafficNear, TrafficTable
-from delfim.console.link.mavlink import GUARD, NUMBERS, facts_of, number_of, position_of
+from delfim.console.link.mavlink import GUARD, NUMBERS, facts_of, kind_of, number_of, position_of
 from delfim.console.link.statustext import Words
 from delfim.parts.traffic.alarm import Alarms, Guarded, dangers
 from delfim.parts.traffic.beside import Company, company, danger_beside
@@ -78,6 +78,8 @@ class VesselsTold:
         name = facts.name if facts is not None and facts.name else ""
         if number < NUMBERS:  # of a boat of the fleet, of what a payload sees, or of a second vessel with one number
             told = told._replace(kind="fleet" if name.startswith("boat ") else "payload")
+        elif kind := kind_of(number):
+            told = told._replace(kind=kind)
         elif f"{number:09d}".startswith(DISTRESS):
             told = told._replace(kind="distress")
         self._keep(number, begun(told, "", now_s - message.tslc), facts, now_s)
@@ -143,7 +145,8 @@ class VesselsTold:
         """Drops those that were silent for too long."""
         known = [(number, Known(track, self.untold_s(number, now_s))) for number, track in self.tracks.items()]
         for number, each in known:
-            if each.silent_s(now_s) > each.limit_s + kept_s(each.track):
+            is_untold = each.track.kind in THINGS and now_s - self._told_s[number] > len(known) * TURN_S + NEWS_S
+            if is_untold or each.silent_s(now_s) > each.limit_s + kept_s(each.track):
                 self._drop(number)
 
 

@@ -5,16 +5,18 @@ from collections.abc import Mapping, Sequence
 from typing import Final, Literal, NamedTuple
 
 from delfim.base.cooperative import Work
+from delfim.base.vessels import THINGS
 from delfim.config import TrafficNear
-from delfim.parts.traffic.cpa import approach, closest, passing_by
+from delfim.parts.traffic.cpa import Approach, approach, closest, passing_by
 from delfim.parts.traffic.encounter import AT_REST_MPS, Own
 from delfim.parts.traffic.keepclear import PassedBy, measured, plausible
-from delfim.parts.traffic.trialways import Caution, RouteAhead, route_legs
+from delfim.parts.traffic.trialways import Caution, RouteAhead, clear_m, core, route_legs
 from delfim.vehicle.target import Danger, Target
 
 OVER: Final = 1.5  # a danger is over when every measure was beyond so many times its limit ...
 OVER_S: Final = 10.0  # ... for so long
 NEAR: Final = 2.0  # domains, of a vessel that closes
+ENTERS_S: Final = 30.0  # so soon, a thing in the way is a danger
 JUDGED: Final = 6  # comparisons that the danger of one vessel costs
 
 _new = tuple.__new__  # a third of the time of Danger(...)
@@ -70,6 +72,8 @@ def dangers(
             far_m / limits.zone_m if limits.zone_m else math.inf,
             0.0 if target.kind == "distress" else math.inf,
         )
+        if target.kind in THINGS:
+            close, near = _of_thing(caution, own, route.speed_mps, target, guarded, to_come)
         alarm = _alarm(before.get(target.key), close, near, now_s)
         words = ""
         if alarm is not None:
@@ -77,6 +81,21 @@ def dangers(
             words = _words(target, alarm.level, far_m, cpa_m, tcpa_s)
         found.append(_new(Danger, (target.key, cpa_m, tcpa_s, nearness, _level(alarm), words)))
     return tuple(found), after
+
+
+def _of_thing(
+    caution: Caution, own: Own, speed_mps: float, thing: Target, guarded: Guarded, to_come: Approach
+) -> tuple[float, float]:
+    """Its `close` and `near`, for `_alarm`: half as far off as the boat keeps is a danger, and so is a thing in the way that
+    nobody keeps clear of. A boat that lies has none."""
+    if own.speed_mps < AT_REST_MPS:
+        return math.inf, math.inf
+    away_m = math.hypot(thing.north_m - own.north_m, thing.east_m - own.east_m)
+    core_m, keeps_m = core(caution, thing), clear_m(caution, thing.kind)
+    close, near = away_m / (core_m + keeps_m / NEAR), math.inf
+    if guarded == "no":
+        close, near = min(close, to_come.nearness if to_come.at_s < ENTERS_S else math.inf), to_come.nearness
+    return close, away_m / (core_m + NEAR * keeps_m) if thing.kind == "person" else near
 
 
 def _alarm(was: Alarm | None, close: float, near: float, now_s: float) -> Alarm | None:

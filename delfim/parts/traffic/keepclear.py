@@ -19,10 +19,11 @@ from typing import Final, NamedTuple
 
 from delfim.base.cooperative import Sliced, Work
 from delfim.base.geodesy import wrap
+from delfim.base.vessels import THINGS
 from delfim.parts.traffic.cpa import Approach, Domain, Leg, approach, domain, passing_by
 from delfim.parts.traffic.encounter import PRIVILEGED, Duty, Own, duty, passing, stands_on, words
 from delfim.parts.traffic.shoreline import Shoreline
-from delfim.parts.traffic.trialways import LOOK_MAX_S, Caution, RouteAhead, route_legs, trial_legs
+from delfim.parts.traffic.trialways import LOOK_MAX_S, Caution, RouteAhead, clear_m, core, route_legs, trial_legs
 from delfim.vehicle.plans.fence import Fence
 from delfim.vehicle.target import CourseOrder, Target
 
@@ -47,6 +48,7 @@ FROM_STARBOARD: Final = ("head-on", "give-way")  # vessels for which the boat do
 AGAINST_RULE, TO_PORT = 60.0, 40.0
 STARBOARD, PORT, SLOWER = 10.0, 13.0, 12.0  # a right angle to either side; a stop
 INSIDE, DEEP, NEAR = 100.0, 900.0, 15.0  # entering the domain, its middle, and the edge of what is soft
+THINGS_MOST, THING_S = 12, 60.0  # things that trials are judged by, and for how long ahead
 HALF, STRUCK = 0.5, 3000.0  # nearer than so, each domain costs so much more: two domains entered are better than one collision
 ASHORE: Final = 1e6  # no vessel is a reason to cross the fence, nor are MOST of them together
 FARTHEST: Final = 2.5  # domains: beyond, a vessel costs nothing
@@ -108,6 +110,9 @@ class Seen(NamedTuple):
     rule: str  # what is penalised: "ahead", "port", "starboard"; empty: nothing
 
 
+BEHIND: Final = Approach(math.inf, math.inf, 0.0, 0.0)  # of a thing if the boat goes on along its route
+
+
 class Scene(NamedTuple):
     """The data that all trials are judged by."""
 
@@ -124,9 +129,17 @@ def decide(
 
 
 def deciding(
-    limits: Caution, memory: Memory, own: Own, route: RouteAhead, targets: Sequence[Target], around: Fence | None, now_s: float
+    limits: Caution,
+    memory: Memory,
+    own: Own,
+    route: RouteAhead,
+    targets: Sequence[Target],
+    around: Fence | None,
+    now_s: float,
+    things: Sequence[Target] = (),
 ) -> Work[Decision]:
-    """Make one decision, once a second. Never raises; input that is not finite counts as not there."""
+    """Make one decision, once a second. Never raises; input that is not finite counts as not there. `things`: that stand, the
+    nearest first. The route leads past them already; other courses must, too."""
     if not (plausible(*own, *chain.from_iterable(route.points)) and 0.0 <= route.speed_mps < PLAUSIBLE_MPS):
         return Decision(Memory(), None, ())
     on = route_legs(own, route)
@@ -145,6 +158,8 @@ def deciding(
     if _cost(judged, on, 0.0, 1.0, 2.0 if is_away else 1.0, math.inf, is_route=True) <= (0.0 if is_away else LEAVE):
         return Decision(Memory(duties=duties), None, _passes(seen, on, on))
     left_s = memory.left_s or now_s
+    if things and seen:
+        seen = [*seen, *_standing(limits, own, max(route.speed_mps, own.speed_mps), things)]
     scene = Scene(seen, shore, 1.0 + max(now_s - left_s, 0.0) / limits.look_s)
     best = was if now_s - memory.since_s < HELD_S else None
     if best is None or _leads_in(scene, _tried(limits, own, best, route)):
@@ -198,12 +213,25 @@ def _in_question(
     return seen
 
 
+def _standing(limits: Caution, own: Own, speed_mps: float, things: Sequence[Target]) -> list[Seen]:
+    """The things that the boat can reach within THING_S, for trials; a route was made for them."""
+    found, reach_m = list[Seen](), THING_S * speed_mps
+    for each in things[:THINGS_MOST]:
+        around, _, late_s, _ = measured(limits, own, speed_mps, each)
+        if math.hypot(each.north_m - own.north_m, each.east_m - own.east_m) < reach_m + 1.0 / math.hypot(*around[4:6]):
+            found.append(_new(Seen, (each, around, THING_S, late_s, BEHIND, None, "")))
+    return found
+
+
 def measured(limits: Caution, own: Own, speed_mps: float, target: Target) -> WideBerth:
     """The domain of a vessel, and how long it matters."""
     length_m, margin_m, least_s = target.length_m, target.margin_m, limits.look_s
     more_m = (margin_m if 0.0 < margin_m < PLAUSIBLE_M else 0.0) + limits.length_m / 2.0
     ahead_m = max(AHEAD_LENGTHS * length_m, AHEAD_MIN_M) + more_m
     abeam_m = max(ABEAM_LENGTHS * length_m, ABEAM_MIN_M) + more_m
+    if target.kind in THINGS:
+        ahead_m = abeam_m = core(limits, target) + clear_m(limits, target.kind)
+        least_s = 0.0
     out_s = abeam_m / max(speed_mps, SLOWEST_MPS)
     far_m = math.hypot(target.north_m - own.north_m, target.east_m - own.east_m) - 1.5 * ahead_m
     look_s = min(max(AMPLE * out_s, least_s), max(LOOK_MAX_S, least_s))

@@ -1,13 +1,16 @@
 """The look-out: files some reports into the tracker ten times a second, and once a second all vessels into the vehicle's state,
 a slice of them at a time."""
 
+import math
 from itertools import islice
 from typing import Final
 
 from delfim.base.cooperative import Sliced, Work
-from delfim.base.vessels import VesselFacts, VesselPosition
+from delfim.base.geodesy import Origin, from_plane
+from delfim.base.vessels import ThingSeen, VesselFacts, VesselPosition
 from delfim.config import TrafficTable
 from delfim.parts.traffic.targets import MOST, Tracker
+from delfim.parts.traffic.things import Things
 from delfim.vehicle.state import Sighting, State
 from delfim.vehicle.target import NEVER_S, Target
 
@@ -19,7 +22,8 @@ SLICE: Final = 200  # comparisons of one step
 
 class TrafficLookout:
     def __init__(self, settings: TrafficTable) -> None:
-        self.tracker = Tracker(settings)
+        self.tracker, self.things = Tracker(settings), Things(settings)
+        self._had_things = False  # the last look found some
         self._looked_s = self._flooded_s = NEVER_S
         self._dropped = 0
         self._look: Sliced[tuple[Target, ...]] | None = None
@@ -35,13 +39,14 @@ class TrafficLookout:
         """Do a slice of work; call it after `hear` where nothing else has one to do. Never raises."""
         tracker = self.tracker
         if self._look is None:
-            if now_s - self._looked_s < LOOK_S or tracker.heard_s == tracker.own_s == NEVER_S:
+            has_nobody = tracker.heard_s == tracker.own_s == NEVER_S and not (self.things or self._had_things)
+            if now_s - self._looked_s < LOOK_S or has_nobody:
                 return
             self._looked_s, own = now_s, state.motion
             here = (own.north_m, own.east_m) if "position" in own.has else (0.0, 0.0)
             origin = state.origin
             self._look = Sliced(
-                _nobody() if origin is None else tracker.looked(now_s, origin, *here, own.north_mps, own.east_mps)
+                _nobody() if origin is None else self._looked(now_s, origin, *here, own.north_mps, own.east_mps)
             )
         if self._look.step(SLICE):
             targets, self._look = self._look.result, None
@@ -50,9 +55,23 @@ class TrafficLookout:
                 at_s=self._looked_s,
                 heard_s=tracker.heard_s,
                 own_s=tracker.own_s,
-                refused=tuple(tracker.refused.items()),
+                refused=self._refused(),
                 unclear=self._unclear(state),
             )
+
+    def _looked(self, now_s: float, origin: Origin, north_m: float, east_m: float, *mps: float) -> Work[tuple[Target, ...]]:
+        """All vessels and things now, the nearest first."""
+        found = yield from self.tracker.looked(now_s, origin, north_m, east_m, *mps)
+        self._had_things = bool(self.things)
+        if not self.things:
+            return found
+        things = yield from self.things.looked(now_s, origin, *from_plane(origin, north_m, east_m))
+        return tuple(sorted((*found, *things), key=lambda each: math.hypot(each.north_m - north_m, each.east_m - east_m)))
+
+    def _refused(self) -> tuple[tuple[str, int], ...]:
+        """Reports and sightings that were not taken, by reason, and how many."""
+        refused = tuple(self.tracker.refused.items())
+        return (*refused, ("things without a place, or without room", self.things.refused)) if self.things.refused else refused
 
     def _unclear(self, state: State) -> str:
         """The reason, in words, why the vessels that are known may not be all; empty: there is none."""
@@ -71,6 +90,8 @@ class TrafficLookout:
             self.tracker.hear(told, by, at_s, key)
         elif isinstance(told, VesselFacts):
             self.tracker.facts(told, at_s, key)
+        elif isinstance(told, ThingSeen):
+            self.things.hear(told, key, at_s)
         else:
             self.tracker.refuse(told)
 

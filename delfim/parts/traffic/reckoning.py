@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from delfim.base.geodesy import Origin, compass, to_plane, wrap
-from delfim.base.vessels import VesselFacts, VesselPosition
+from delfim.base.vessels import THINGS, VesselFacts, VesselPosition
 from delfim.vehicle.target import NEVER_S, Target
 
 KNOT: Final = 1852.0 / 3600.0
@@ -24,6 +24,7 @@ TURN_RADPS: Final = math.radians(0.1), math.radians(12.0)  # a slower turn is no
 BASE_S: Final = 10.0  # between two positions that make a velocity, at least
 BOW_MPS: Final = 1.0  # from this speed on the course stands for a heading that is not known
 MARGIN_M, MARGIN_MPS = 10.0, 0.15  # of a vessel whose velocity is known, and by what it grows
+THING_M: Final = 2.0  # of a thing, as a boat tells it to a console
 DRIFT_MPS: Final = 2.5  # by what it grows if that is not known
 MARGIN_MAX_M: Final = 500.0
 SAME_RAD: Final = 5e-8  # 0.3 m: the ways round a position differently
@@ -33,7 +34,9 @@ OFF_M, OFF_S, OFF_MPS = 30.0, 2.0, 3.0
 OFF_MPS2: Final = 2.0  # ... and what it can have done since
 DOUBT_S: Final = 60.0  # a place told for a vessel that is believed elsewhere is minded for so long
 LENGTH_M, BEAM_M = (1.0, 500.0), (0.3, 100.0)  # that a vessel can have
-SIZES: Final = {"A": (50.0, 10.0), "B": (15.0, 5.0), "fleet": (5.0, 2.5), "payload": (15.0, 5.0), "distress": (15.0, 5.0)}
+SIZES: Final = {"A": (50.0, 10.0), "B": (15.0, 5.0), "fleet": (5.0, 2.5), "payload": (15.0, 5.0), "distress": (15.0, 5.0)} | (
+    dict.fromkeys(THINGS, (1.0, 1.0))
+)
 
 
 @dataclass(slots=True)
@@ -163,7 +166,9 @@ class VesselTrack:
         north_m, east_m = to_plane(origin, self.latitude_rad, self.longitude_rad)
         heading_rad, speed_mps = self.heading_rad, self.speed_mps or 0.0
         course_rad, margin_m = self.course_rad if self.course_rad is not None else heading_rad, MARGIN_M + MARGIN_MPS * age_s
-        if age_s + self.at_s - self.doubt_s < DOUBT_S:
+        if self.kind in THINGS:
+            margin_m = THING_M
+        elif age_s + self.at_s - self.doubt_s < DOUBT_S:
             margin_m += self.doubt_m
         if self._lies:
             speed_mps = 0.0

@@ -60,7 +60,8 @@ def route_ahead(mode: Mode, memory: Memory, setpoint: Setpoint, motion: Motion, 
     if points and override_mps is not None:
         speed_mps = override_mps
     if points and speed_mps >= LIES_MPS:
-        return RouteAhead(tuple(points), min(speed_mps, max(speeds.max_mps, own.speed_mps)), has_end)
+        speed_mps = min(speed_mps, max(speeds.max_mps, own.speed_mps))
+        return RouteAhead(tuple(points), speed_mps, has_end, is_line=mode is Mode.PATH)
     is_away = mode is not Mode.IDLE and math.dist(here, (own.north_m, own.east_m)) > 2.0 * settings.control.hold.radius_m
     place = None if points else here
     return RouteAhead((here,) if is_away and not points else (), setpoints.speed(None, speeds), has_end=False, place=place)

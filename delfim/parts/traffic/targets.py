@@ -11,7 +11,7 @@ from typing import Final
 
 from delfim.base.cooperative import Sliced, Work
 from delfim.base.geodesy import Origin
-from delfim.base.vessels import VesselFacts, VesselPosition
+from delfim.base.vessels import THINGS, VesselFacts, VesselPosition
 from delfim.config import TrafficTable
 from delfim.parts.traffic.reckoning import VesselTrack, begun
 from delfim.vehicle.target import NEVER_S, Target
@@ -245,6 +245,8 @@ def silence_s(limits: TrafficTable, track: VesselTrack) -> float:
     """The silence after which a vessel is lost: some of the intervals in which its kind reports."""
     if track.kind in MOST_OF:
         return limits.lost_near_s
+    if track.kind in THINGS:
+        return limits.kept_thing_s
     if track.is_resting:
         return limits.lost_rest_s
     return limits.lost_b_s if track.kind == "B" else limits.lost_a_s * track.haste
@@ -252,7 +254,7 @@ def silence_s(limits: TrafficTable, track: VesselTrack) -> float:
 
 def kept_s(track: VesselTrack) -> float:
     """How long a lost vessel stays on the map."""
-    return KEPT_NEAR_S if track.kind in MOST_OF else KEPT_S
+    return KEPT_NEAR_S if track.kind in MOST_OF or track.kind in THINGS else KEPT_S
 
 
 def _keys(key: str) -> tuple[str, ...]:

@@ -7,6 +7,7 @@ from delfim.base.geodesy import wrap
 from delfim.parts.traffic.cpa import Leg
 from delfim.parts.traffic.encounter import Own
 from delfim.vehicle.plans.zones import Point
+from delfim.vehicle.target import Target
 
 LOOK_MAX_S: Final = 900.0
 
@@ -19,6 +20,8 @@ class Caution(NamedTuple):
     ramp_mps2: float  # how fast it changes its speed
     look_s: float = 180.0  # a vessel that is met later does not matter yet, unless leaving its domain takes long
     stand_on: str = "small"  # to which vessels that must give way: "never", "small" (below 20 m), "always"
+    thing_clear_m: float = 10.0  # from its side to what stands
+    person_clear_m: float = 30.0  # and to a swimmer
 
 
 class RouteAhead(NamedTuple):
@@ -28,6 +31,17 @@ class RouteAhead(NamedTuple):
     speed_mps: float  # asked for; of a boat that stays, what it may use
     has_end: bool = True  # False: a course, which a fence ends and does not bend
     place: Point | None = None  # where a boat stays that does not go on
+    is_line: bool = False  # a line to be followed, which the boat takes again as soon as it can
+
+
+def clear_m(limits: Caution, kind: str) -> float:
+    """How far the boat's side keeps from a thing of this kind, m."""
+    return limits.person_clear_m if kind == "person" else limits.thing_clear_m
+
+
+def core(limits: Caution, thing: Target) -> float:
+    """Where the middle of the boat cannot be: this near to the middle of a thing, m."""
+    return thing.length_m / 2.0 + thing.margin_m + limits.length_m / 2.0
 
 
 def route_legs(own: Own, route: RouteAhead) -> list[Leg]:

@@ -27,7 +27,7 @@ def making(traffic: Traffic, origin: Origin | None) -> Work[tuple[msgspec.Raw, .
 
 def traffic_told(traffic: Traffic, now_s: float, awaits: bool = False) -> TrafficSeen | None:
     """The words for all vessels as made last, encoded; None where nobody was ever heard, unless the boat `awaits` somebody."""
-    if traffic.heard_s == traffic.own_s == NEVER_S and not awaits:
+    if traffic.is_empty and not awaits:
         return None
     return TrafficSeen(
         heard_s=_age(now_s, traffic.heard_s),

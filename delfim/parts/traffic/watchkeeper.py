@@ -7,6 +7,7 @@ vessels it takes a second or two.
 """
 
 import math
+from collections.abc import Sequence
 from typing import Final
 
 from delfim import config
@@ -14,12 +15,15 @@ from delfim.base.clock import Clock
 from delfim.base.cooperative import Sliced, Work
 from delfim.base.geodesy import wrap
 from delfim.base.modes import Mode
+from delfim.base.vessels import THINGS
 from delfim.parts.traffic import alarm, keepclear
 from delfim.parts.traffic.beside import Company, company, danger_beside
 from delfim.parts.traffic.cpa import into
+from delfim.parts.traffic.encounter import Own
 from delfim.parts.traffic.judged import judged
 from delfim.parts.traffic.keepclear import PassedBy, deciding
 from delfim.parts.traffic.leash import Leash, paid_out
+from delfim.parts.traffic.pastthings import Passage, past, swimmer_near
 from delfim.parts.traffic.routeahead import own_of, route_ahead
 from delfim.parts.traffic.trialways import Caution, RouteAhead
 from delfim.parts.traffic.vesselwords import making, traffic_told
@@ -32,6 +36,7 @@ from delfim.vehicle.failsafe.failsafe import Action
 from delfim.vehicle.failsafe.troubles import Trigger
 from delfim.vehicle.helm import setpoints
 from delfim.vehicle.helm.helm import Helm
+from delfim.vehicle.plans.fence import Fence
 from delfim.vehicle.report import TrafficSeen
 from delfim.vehicle.state import Reference, Setpoint, State, StateLog
 from delfim.vehicle.target import NEVER_S, CourseOrder, Target
@@ -59,7 +64,8 @@ def caution(settings: config.Vehicle, limits: Settings) -> Caution:
         stops_s = settings.fence.reaction_s + speed.cruise_mps / (2.0 * settings.fence.deceleration_mps2)
         ramp_mps2 = min(ramp_mps2, 0.5 * speed.cruise_mps / stops_s)  # that way, with a constant deceleration
     turn_radps = min(max(turn_radps, TURN_MIN_RADPS), TURN_MAX_RADPS)
-    return Caution(boat.length_m, turn_radps, ramp_mps2, guard.look_s, guard.stand_on)
+    clear = guard.thing_clear_m, guard.person_clear_m
+    return Caution(boat.length_m, turn_radps, ramp_mps2, guard.look_s, guard.stand_on, *clear)
 
 
 def _rate(moment_nm: float, slow: float, square: float) -> float:
@@ -83,6 +89,8 @@ class Watchkeeper:
         self._alarms: alarm.Alarms
         self._memory, self._alarms = keepclear.Memory(), {}
         self._company, self._leash = Company(), Leash()
+        self._passage: Passage | None = None
+        self._swimmer, self._speed_mps = "", 0.0  # near, for which the boat goes slowly; speed that is asked for
         self._passes, self._route = tuple[PassedBy, ...](), RouteAhead((), 0.0)
         self._looked_s = NEVER_S  # `Traffic.at_s` of the present round
         self._round: Sliced[None] | None = None
@@ -124,25 +132,32 @@ class Watchkeeper:
         if not missing:
             self._route = route_ahead(state.mode, helm.memory, state.setpoint, state.motion, helm.limits)
             self._accompany(helm.settings.boat.length_m, now_s)
+        route, was = self._route, self._passage
+        self._passage, self._swimmer = None, ""
         if state.mode not in self._modes:
             self._memory, failing = keepclear.Memory(), ""
         elif failing and not missing:
             self._memory = keepclear.Memory()
         elif not missing:
             own, boat, fence = own_of(state.motion), caution(helm.settings, helm.limits), helm.plans.fence
+            things = self._things()
             try:
+                if things:
+                    yield from self._bend(boat, own, things, fence, was)
                 watched, unjudged = yield from judged(boat, own, self._route, self._memory.choice, self._watched())
-                found = yield from deciding(boat, self._memory, own, self._route, watched, fence, now_s)
+                found = yield from deciding(boat, self._memory, own, self._route, watched, fence, now_s, things)
                 if state.mode is not mode:
                     return  # another one since: decided for with the next look
                 self._memory, order, self._passes = found
+                if order is None and self._passage is not None:
+                    order = self._passage.order(own, self._speed_mps, now_s)
                 order = None if order is None else order._replace(at_s=self._clock.monotonic_s())
             except (ValueError, ArithmeticError) as error:  # the mission goes on as the vehicle's file says
                 self._memory, failing = keepclear.Memory(), f"the guard failed: {error}"
         if not missing:
             to = state.setpoint
             task = mode, to.target, to.heading_rad, to.plan
-            self._leash = paid_out(self._leash, self._guard, task, self._route, own_of(state.motion), order, now_s)
+            self._leash = paid_out(self._leash, self._guard, task, route, own_of(state.motion), order, now_s)
         if order is None and state.traffic.order is not None:
             self._resume(helm)
         self._note(order)
@@ -151,12 +166,22 @@ class Watchkeeper:
         state.traffic = state.traffic._replace(order=order, guard=words, unjudged=unjudged)
         self._act(helm, order, failing if state.traffic.targets else "", now_s)
 
+    def _bend(self, boat: Caution, own: Own, things: Sequence[Target], fence: Fence | None, was: Passage | None) -> Work[None]:
+        """Lead the route past what stands in the way, and slowly by a swimmer: ships are judged along that."""
+        swimmer = swimmer_near(boat, own, things)
+        if swimmer is not None:
+            self._swimmer, self._route = swimmer.name, self._route._replace(speed_mps=SLOW * self._route.speed_mps)
+        self._speed_mps = self._route.speed_mps
+        self._passage = yield from past(boat, own, self._route, things, fence, was)
+        if self._passage is not None:
+            self._route = self._passage.route(self._route)
+
     def _end_trial(self, helm: Helm) -> None:
         """A trial stops for a vessel on its way into the circle, whether or not the guard is on: it turns for nobody."""
         trial, look_s = self._state.setpoint.trial, self._guard.look_s
         if self._state.mode is not Mode.TRIAL or trial is None:
             return
-        for each in self._watched():
+        for each in (*self._watched(), *self._things()):
             if (at_s := into(trial.north_m, trial.east_m, FAR * trial.radius_m, each, look_s)) is not None:
                 when = f"will come into the circle, in {at_s:.0f} s" if at_s else "is in the circle"
                 helm.stop(f"trial ended: {each.name} {when}")
@@ -183,7 +208,12 @@ class Watchkeeper:
     def _watched(self) -> list[Target]:
         """All vessels but those that were silent for long, and those that come along wherever the boat goes."""
         targets, beside = self._state.traffic.targets, self._company
-        return [each for each in targets if (not each.is_lost or each.age_s < SILENT_S) and not beside.has(each.key)]
+        vessels = [each for each in targets if each.kind not in THINGS]
+        return [each for each in vessels if (not each.is_lost or each.age_s < SILENT_S) and not beside.has(each.key)]
+
+    def _things(self) -> list[Target]:
+        """What stands, and swimmers."""
+        return [each for each in self._state.traffic.targets if each.kind in THINGS]
 
     def _act(self, helm: Helm, order: CourseOrder | None, failing: str, now_s: float) -> None:
         """From now on the steps of the mode are shaped so."""
@@ -192,7 +222,7 @@ class Watchkeeper:
         helm.shapes.pop(NAME, None)
         if order is not None:
             helm.shapes[NAME] = self._kept_clear
-        elif does == "slow":
+        elif does == "slow" or self._swimmer:
             helm.shapes[NAME] = self._slowly
         if is_new:
             self._log.note(f"traffic: cannot avoid: {failing}: {does}")
@@ -231,7 +261,7 @@ class Watchkeeper:
         elif (
             was is None
             or (was.key, was.speed_part) != (order.key, order.speed_part)
-            or abs(wrap(was.course_rad - order.course_rad)) > 0.1
+            or (abs(wrap(was.course_rad - order.course_rad)) > 0.1 and (self._passage is None or was.words != order.words))
         ):
             self._log.note(f"traffic: {order.words}")
 
@@ -244,7 +274,7 @@ class Watchkeeper:
             return
         guarded: alarm.Guarded = "no" if state.traffic.guard != "on" else "away" if state.traffic.order else "on its way"
         near, boat, own = settings.failsafe.traffic, caution(settings, helm.limits), own_of(state.motion)
-        watched, passes = self._watched(), self._passes
+        watched, passes = [*self._watched(), *self._things()], self._passes
         told = yield from alarm.dangers(near, boat, own, self._route, watched, passes, guarded, self._alarms, now_s)
         found, self._alarms = told
         nearness = min((each.nearness for each in found), default=math.nan)

@@ -112,7 +112,15 @@ class Boat(NoLog):
 def test_a_boat_turns_as_its_autopilot_can(p_nm: float, d_nm: float, damping_nm: float, turn_radps: float) -> None:
     gains = LIMITS.gains._replace(p_limit_nm=p_nm, d_nm_per_radps=d_nm)
     found = caution(SETTINGS, LIMITS._replace(gains=gains, hull=LIMITS.hull._replace(damping_nm_per_radps=damping_nm)))
-    assert tuple(found) == (SETTINGS.boat.length_m, pytest.approx(turn_radps), LIMITS.control.speed.ramp_mps2, 180.0, "small")
+    assert tuple(found) == (
+        SETTINGS.boat.length_m,
+        pytest.approx(turn_radps),
+        LIMITS.control.speed.ramp_mps2,
+        180.0,
+        "small",
+        10.0,
+        30.0,
+    )
 
 
 @pytest.mark.parametrize(
@@ -183,7 +191,7 @@ def test_the_decision_is_given_what_there_is_and_its_order_is_carried_out(monkey
     boat.unjudged = "too many"
     boat.look(MARIA, order=EAST)
     own, route = (40.0, -30.0, 0.0, 1.5), RouteAhead(((2000.0, -30.0),), 1.5)
-    assert boat.asked == [(keepclear.Memory(), own, route, [MARIA], None, 101.0)]
+    assert boat.asked == [(keepclear.Memory(), own, route, [MARIA], None, 101.0, [])]
     order = EAST._replace(at_s=101.0)
     assert boat.state.traffic[6:11] == (order, (Danger("maria", 9.0, 9.0, 1.0, "near"),), "on", 1.0, "too many")
     assert boat.helm.shapes == {"traffic": boat.keeper._kept_clear}

@@ -144,7 +144,7 @@ def test_a_course_leads_far(mode: Mode, asked_rad: float | None, speed_mps: floa
     course_rad = math.atan2(0.9, 1.2) if asked_rad is None else asked_rad
     (point,), *rest = ahead(mode, **setpoint)
     assert point == pytest.approx((40.0 + 20_000.0 * math.cos(course_rad), -30.0 + 20_000.0 * math.sin(course_rad)))
-    assert rest == [speed_mps, False, None]
+    assert rest == [speed_mps, False, None, False]
 
 
 def test_no_faster_than_the_file_allows_or_than_it_goes_and_one_that_is_hardly_asked_to_go_lies() -> None:

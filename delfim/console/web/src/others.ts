@@ -174,7 +174,8 @@ export function tcpaWords(tcpa_s: number | null): string {
   return tcpa_s < 0 ? "past" : `in ${secondsWords(tcpa_s)}`;
 }
 
-export const KINDS: Record<string, string> = { A: "AIS class A", B: "AIS class B", fleet: "of the fleet", payload: "seen by a payload", distress: "distress" };
+export const KINDS: Record<string, string> = { A: "AIS class A", B: "AIS class B", fleet: "of the fleet", payload: "seen by a payload", distress: "distress", thing: "stands", person: "a swimmer" };
+const isThing = ({ kind }: Vessel): boolean => kind === "thing" || kind === "person";
 const STATUS: Record<number, string> = { 1: "at anchor", 2: "not under command", 3: "restricted", 4: "constrained by draught", 5: "moored", 6: "aground", 7: "fishing", 8: "sailing" };
 
 /** All that is known of a vessel, a line each. */
@@ -182,6 +183,8 @@ export function vesselLines(vessel: Vessel, name: (boat: number) => string): str
   const course = vessel.course_deg === null ? "lies still" : `${Math.round(vessel.course_deg)}° at ${speedWords(vessel.speed_mps)}`;
   const size = vessel.size_known ? `${vessel.length_m.toFixed(0)} × ${vessel.beam_m.toFixed(0)} m` : `size unknown, taken as ${vessel.length_m.toFixed(0)} × ${vessel.beam_m.toFixed(0)} m`;
   const sort = [KINDS[vessel.kind] ?? vessel.kind, STATUS[vessel.status]].filter(Boolean).join(", ");
+  const seen = secondsWords(vessel.age_s);
+  if (isThing(vessel)) return [`${sort}, seen by ${vessel.name}`, `radius ${(vessel.length_m / 2).toFixed(0)} m, ± ${vessel.margin_m.toFixed(0)} m`, `last seen ${seen} ago`];
   const near = vessel.boats.map(({ boat, cpa_m, tcpa_s }) => `${name(boat)}: CPA ${cpa_m === null ? "–" : `${cpa_m.toFixed(0)} m`} ${tcpaWords(tcpa_s)}`);
   return [sort, course, size, `${vessel.lost ? "LOST: last" : "last"} report ${secondsWords(vessel.age_s)} ago, ± ${vessel.margin_m.toFixed(0)} m`, ...near];
 }
@@ -189,9 +192,9 @@ export function vesselLines(vessel: Vessel, name: (boat: number) => string): str
 const symbols = new Map<string, HTMLCanvasElement>();
 
 /** A triangle with its heading line, twice as large as it is shown; red and bold: dangerous; dashed: lost; a circle with a
- * cross: distress; a square: the heading is not known. */
+ * cross: distress; a square: the heading is not known; a dot: it stands; a head above the water: a swimmer. */
 function symbol(vessel: Vessel, grave: boolean, turned: boolean): HTMLCanvasElement {
-  const kind = vessel.kind === "distress" ? "distress" : turned ? "vessel" : "still";
+  const kind = vessel.kind === "distress" || isThing(vessel) ? vessel.kind : turned ? "vessel" : "still";
   const key = [kind, grave, vessel.lost, vessel.heading_deg !== null, theme].join("|");
   const known = symbols.get(key);
   if (known) return known;
@@ -225,7 +228,7 @@ function symbol(vessel: Vessel, grave: boolean, turned: boolean): HTMLCanvasElem
   };
   stroke(palette.halo, grave ? 12 : 9);
   if (!vessel.lost) {
-    pen.fillStyle = palette.handle;
+    pen.fillStyle = kind === "thing" ? ink : palette.handle;
     pen.fill(shape);
   }
   stroke(ink, grave ? 7 : 4);
@@ -236,7 +239,13 @@ function symbol(vessel: Vessel, grave: boolean, turned: boolean): HTMLCanvasElem
 function outline(kind: string): Path2D {
   const shape = new Path2D();
   if (kind === "distress") shape.arc(0, 0, 19, 0, 2 * Math.PI);
-  else if (kind === "still") shape.rect(-11, -11, 22, 22);
+  else if (kind === "thing") shape.arc(0, 0, 8, 0, 2 * Math.PI);
+  else if (kind === "person") {
+    shape.arc(0, -4, 8, 0, 2 * Math.PI);
+    shape.moveTo(-18, 12);
+    shape.quadraticCurveTo(-9, 4, 0, 12);
+    shape.quadraticCurveTo(9, 20, 18, 12);
+  } else if (kind === "still") shape.rect(-11, -11, 22, 22);
   else {
     shape.moveTo(0, -24);
     shape.lineTo(13, 16);

@@ -171,7 +171,7 @@ export interface Vessel extends Place {
   beam_m: number;
   size_known: boolean;
   margin_m: number;
-  kind: string; // "A", "B", "fleet", "payload", "distress"
+  kind: string; // "A", "B", "fleet", "payload", "distress", "thing", "person"
   status: number; // navigational status of ITU-R M.1371
   age_s: number;
   lost: boolean;

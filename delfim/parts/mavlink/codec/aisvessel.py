@@ -1,7 +1,8 @@
 """AIS_VESSEL, and the values beside it: what a boat tells of another vessel, and what is read of it, at both ends.
 
 Consoles know a vessel by its number. One that has none, of the fleet or of a payload, and the second one with a number, are
-told under a number below 1000, which no vessel has, that is made of the key.
+told under a number below 1000, which no vessel has, that is made of the key. A thing and a swimmer have numbers of aids to
+navigation, of no country.
 """
 
 import math
@@ -10,10 +11,10 @@ from collections.abc import Iterator
 from typing import Final
 
 from delfim.base.geodesy import Origin, from_plane
-from delfim.base.vessels import STATUS_UNKNOWN, VesselFacts, VesselPosition, readable
+from delfim.base.vessels import STATUS_UNKNOWN, THINGS, VesselFacts, VesselPosition, readable
 from delfim.parts.mavlink.codec.wire import Message, dialect
 from delfim.vehicle.state import State
-from delfim.vehicle.target import NEVER_S, Target
+from delfim.vehicle.target import Target
 
 TURNS: Final = math.radians(0.1)  # rad/s, of one count of a turn rate
 ORDERED: Final = b"ORDER_CRS"  # names of values: the course that keeps the boat clear, and the place in GUARD
@@ -21,13 +22,22 @@ GUARDED: Final = b"GUARD"
 GUARD: Final = ("off", "on", "cannot avoid")
 NEAR: Final = 10  # of the nearest one is told in each call, besides one of all
 NUMBERS: Final = 1000  # from here on they are those of vessels
+THING, PERSON = 990_000_000, 990_001_000  # the numbers of things and swimmers follow
 _FLAGS: Final = dialect.AIS_FLAGS_VALID_COG | dialect.AIS_FLAGS_VALID_VELOCITY | dialect.AIS_FLAGS_VALID_NAME
 _U16: Final = 0xFFFF
 
 
 def number_of(key: str) -> int:
-    """The number of a vessel, by its key."""
+    """The number of a vessel or a thing, by its key."""
+    kind, _, rest = key.partition(" ")
+    if kind in THINGS and rest.isascii() and rest.isdigit() and len(rest) < 4:
+        return (THING if kind == "thing" else PERSON) + int(rest)
     return int(key) if key.isascii() and key.isdigit() else zlib.crc32(key.encode()) % (NUMBERS - 1) + 1
+
+
+def kind_of(number: int) -> str:
+    """What has this number: "thing", "person"; empty: a vessel."""
+    return "person" if PERSON < number < PERSON + NUMBERS else "thing" if THING < number < PERSON else ""
 
 
 def told(target: Target, origin: Origin) -> Message:
@@ -36,7 +46,8 @@ def told(target: Target, origin: Origin) -> Message:
     back_m = target.speed_mps * target.age_s
     north_m, east_m = back_m * math.cos(target.course_rad), back_m * math.sin(target.course_rad)
     latitude_rad, longitude_rad = from_plane(origin, target.north_m - north_m, target.east_m - east_m)
-    ahead_m, aside_m = round(target.length_m / 2.0), min(round(target.beam_m / 2.0), 0xFF)
+    least_m = 1 if target.kind in THINGS else 0
+    ahead_m, aside_m = max(round(target.length_m / 2.0), least_m), max(min(round(target.beam_m / 2.0), 0xFF), least_m)
     has_heading = not math.isnan(target.heading_rad)
     return dialect.MAVLink_ais_vessel_message(
         number_of(target.key),
@@ -78,14 +89,14 @@ def _key(target: Target) -> str:
 def ordered(state: State, boot_ms: int) -> Iterator[Message]:
     """The course that keeps the boat clear of others, degrees; NaN: it follows its way. Nothing where nobody was ever heard."""
     order = state.traffic.order
-    if state.traffic.heard_s != NEVER_S:
+    if not state.traffic.is_empty:
         course_deg = math.nan if order is None else round(math.degrees(order.course_rad) % 360.0, 1)
         yield dialect.MAVLink_named_value_float_message(boot_ms, ORDERED, course_deg)
 
 
 def guard(state: State, boot_ms: int) -> Iterator[Message]:
     """Whether the boat keeps clear of others: the place of the word in `GUARD`. Nothing where nobody was ever heard."""
-    if state.traffic.heard_s != NEVER_S:
+    if not state.traffic.is_empty:
         word = state.traffic.guard.partition(":")[0]
         yield dialect.MAVLink_named_value_int_message(boot_ms, GUARDED, GUARD.index(word) if word in GUARD else 0)
 

@@ -1,0 +1,147 @@
+"""Things that stand in the water, and swimmers, as programs aboard see them: a buoy, a pile, a boat at its mooring
+(docs/traffic.md).
+
+A thing is known by its place, whichever program tells of it and under whichever name, so that two programs that see one buoy
+make one thing of it. The confidences of its sightings, one a second, add up: from BELIEVED on it is there, and out of view it
+is kept for KEPT times as many seconds. Bounded; no clock, no exception for any report.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import Final
+
+from delfim.base.cooperative import Work
+from delfim.base.geodesy import Origin, to_plane, wrap
+from delfim.base.vessels import ThingSeen
+from delfim.config import TrafficTable
+from delfim.vehicle.target import STATUS_UNKNOWN, Target
+
+MOST: Final = 100
+BELIEVED: Final = 1.0 - 1e-9  # sum of confidences from which on a thing is there
+COUNTED_S: Final = 1.0  # one sighting in this time counts
+KEPT: Final = 10.0  # seconds out of view for each such sighting of full confidence
+PERSON_S: Final = 120.0  # a swimmer is kept no longer, since it swims ...
+PERSON_MPS: Final = 1.0  # ... as fast as that
+PERSON_MAX_M: Final = 60.0
+MARGIN_M: Final = 2.0  # of the place of a thing, with that of the boat itself
+SAME_M: Final = 3.0  # a sighting so near to a thing is of that one
+SMOOTH: Final = 4  # sightings that make the place of a thing
+NUMBERS: Final = 999
+LOOKED: Final = 3  # comparisons that where one thing is now costs
+RADIUS_M: Final = 6_378_137.0
+LATITUDE_MAX_RAD: Final = math.radians(89.0)
+
+
+@dataclass(slots=True)
+class Thing:
+    """A thing that was seen, or may have been. Angles in rad, times monotonic."""
+
+    kind: str
+    name: str
+    number: int
+    latitude_rad: float
+    longitude_rad: float
+    radius_m: float
+    at_s: float  # of the last sighting
+    belief: float  # sum of confidences
+    counted_s: float  # when a sighting was added last
+    seen: int = 1
+
+    def kept_s(self, limits: TrafficTable) -> float:
+        """How long it is kept out of view, s."""
+        most_s = limits.kept_thing_s if self.kind == "thing" else min(PERSON_S, limits.kept_thing_s)
+        return max(min(KEPT * self.belief, most_s), limits.lost_near_s)
+
+    def take(self, told: ThingSeen, now_s: float) -> None:
+        """Take the next sighting."""
+        self.seen += 1
+        part = 1.0 if self.kind == "person" else 1.0 / min(self.seen, SMOOTH)
+        self.latitude_rad += part * (told.latitude_rad - self.latitude_rad)
+        self.longitude_rad = wrap(self.longitude_rad + part * wrap(told.longitude_rad - self.longitude_rad))
+        self.radius_m += part * (told.radius_m - self.radius_m)
+        self.at_s = max(now_s, self.at_s)
+        if now_s - self.counted_s >= COUNTED_S:
+            self.belief, self.counted_s = self.belief + told.confidence, now_s
+
+    def target(self, origin: Origin, age_s: float) -> Target:
+        """It as others are told of it: a circle that lies still."""
+        north_m, east_m = to_plane(origin, self.latitude_rad, self.longitude_rad)
+        margin_m = MARGIN_M + (min(PERSON_MPS * age_s, PERSON_MAX_M) if self.kind == "person" else 0.0)
+        size_m = 2.0 * self.radius_m
+        place = (north_m, east_m, 0.0, 0.0, math.nan, size_m, size_m)
+        return Target(f"{self.kind} {self.number}", self.name, *place, True, margin_m, age_s, False, self.kind, STATUS_UNKNOWN)
+
+
+class Things:
+    """All things that are known, MOST at most. `refused` counts sightings that found no room."""
+
+    def __init__(self, limits: TrafficTable) -> None:
+        self._limits = limits
+        self._things = dict[int, Thing]()  # by number
+        self._last = 0  # number
+        self._here = 0.0, 0.0  # latitude and longitude of the boat at the last look
+        self.refused = 0
+
+    def __len__(self) -> int:
+        return len(self._things)
+
+    def hear(self, told: ThingSeen, name: str, now_s: float) -> None:
+        """Take a sighting. `name`: who saw it, and as what."""
+        if not abs(told.latitude_rad) <= LATITUDE_MAX_RAD or told.latitude_rad == told.longitude_rad == 0.0:
+            self.refused += 1
+            return
+        known = self._at(told, now_s)
+        if known is not None and told.confidence == 0.0:
+            del self._things[known.number]
+        elif known is not None:
+            known.take(told, now_s)
+        elif told.confidence > 0.0 and self._has_room(told):
+            number = next(each for i in range(NUMBERS) if (each := (self._last + i) % NUMBERS + 1) not in self._things)
+            self._last = number
+            place = told.latitude_rad, told.longitude_rad, told.radius_m
+            self._things[number] = Thing(told.kind, name, number, *place, now_s, told.confidence, now_s)
+
+    def _at(self, told: ThingSeen, now_s: float) -> Thing | None:
+        """The thing of which this is a sighting, the nearest one; None: it is a new one."""
+        cos, found, least_m = math.cos(told.latitude_rad), None, math.inf
+        for each in self._things.values():
+            north_m = RADIUS_M * (told.latitude_rad - each.latitude_rad)
+            if not -60.0 < north_m < 60.0 or each.kind != told.kind:
+                continue
+            far_m = math.hypot(north_m, RADIUS_M * cos * wrap(told.longitude_rad - each.longitude_rad))
+            near_m = max(SAME_M, each.radius_m)
+            if each.kind == "person":
+                near_m += PERSON_MPS * max(now_s - each.at_s, 0.0)
+            if far_m <= near_m and far_m < least_m:
+                found, least_m = each, far_m
+        return found
+
+    def _has_room(self, told: ThingSeen) -> bool:
+        """Whether there is room for one more: of more than MOST the one that is farthest from the boat goes."""
+        if len(self._things) < MOST:
+            return True
+        last = max(self._things.values(), key=lambda each: self._away(each.latitude_rad, each.longitude_rad))
+        self.refused += 1
+        if self._away(told.latitude_rad, told.longitude_rad) >= self._away(last.latitude_rad, last.longitude_rad):
+            return False
+        del self._things[last.number]
+        return True
+
+    def _away(self, latitude_rad: float, longitude_rad: float) -> float:
+        east_rad = wrap(longitude_rad - self._here[1]) * math.cos(latitude_rad)
+        return math.hypot(latitude_rad - self._here[0], east_rad)
+
+    def looked(self, now_s: float, origin: Origin, latitude_rad: float, longitude_rad: float) -> Work[list[Target]]:
+        """The things that are believed in now. Forgets those that were not seen for long. `latitude_rad`, `longitude_rad`: of
+        the boat."""
+        self._here = latitude_rad, longitude_rad
+        found = list[Target]()
+        for number, each in tuple(self._things.items()):
+            yield LOOKED
+            age_s = max(now_s - each.at_s, 0.0)
+            if age_s <= each.kept_s(self._limits):
+                if each.belief >= BELIEVED:
+                    found.append(each.target(origin, age_s))
+            elif self._things.get(number) is each:
+                del self._things[number]
+        return found
