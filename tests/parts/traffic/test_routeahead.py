@@ -104,7 +104,9 @@ def test_a_path_leads_by_its_pieces_to_the_first_one_at_whose_end_it_stays(
     path = tuple(piece._replace(hold_s=holds.get(i, 0.0)) for i, piece in enumerate(LINES))
     there = ahead(Mode.PATH, HERE._replace(east_m=2.0), {"leg": leg}, plan=plan(*path))
     onto = ((200.0, 0.0),) if leg < 0 else ()
-    assert there == RouteAhead((*onto, *((piece.to_north_m, piece.to_east_m) for piece in found)), found[0].speed_mps)
+    assert there == RouteAhead(
+        (*onto, *((piece.to_north_m, piece.to_east_m) for piece in found)), found[0].speed_mps, is_line=True
+    )
 
 
 @pytest.mark.parametrize(
