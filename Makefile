@@ -92,6 +92,9 @@ pictures: $(READY) ## draw the documentation's pictures again
 	$(BIN)/delfim survey lines etc/areas/basin.geojson --spacing 10 --output run/pictures/basin.toml --picture docs/pictures/survey.png
 	$(BIN)/python -m tests.survey.pictures docs/pictures
 	$(BIN)/python -m tests.simulator.test_missions docs/pictures
+	xz -dc tests/data/charts/US5OH10M.000.xz > run/pictures/US5OH10M.000
+	$(BIN)/delfim charts run/pictures/US5OH10M.000 --at 41.76,-82.68 --draught 0.5 --air-draught 2 --open 0-1.8 --output run/pictures/pelee \
+		--picture docs/pictures/no-go.png
 	PYTHONPATH=. $(BIN)/python -m bench.uphill docs/pictures/payload-uphill.png
 	$(BIN)/python -m tests.guest.figure_2_9 docs/pictures/figure-2-9.png
 	PYTHONSAFEPATH= $(BIN)/python -m tests.services.pictures docs/pictures
@@ -154,7 +157,8 @@ lock: $(READY) ## pin and hash the packages of pyproject.toml again (ARGS=--upgr
 	$(call compile,site) -c requirements/boat.txt -c requirements/ground.txt -c requirements/campaign.txt -c requirements/test.txt \
 		-c requirements/release.txt requirements/site.in
 	$(call compile,release) -c requirements/boat.txt -c requirements/ground.txt -c requirements/formats.txt requirements/release.in
-	$(call compile,readers) $(addprefix -c requirements/,$(addsuffix .txt,boat ground test formats campaign foxglove fleet ros mavproxy release)) \
+	$(call compile,charts) --extra charts $(addprefix -c requirements/,$(addsuffix .txt,boat ground test release)) pyproject.toml
+	$(call compile,readers) $(addprefix -c requirements/,$(addsuffix .txt,boat ground test charts formats campaign foxglove fleet ros mavproxy release)) \
 		requirements/readers.in
 compile = $(BIN)/pip-compile --quiet --generate-hashes --allow-unsafe --strip-extras --no-header --no-emit-index-url \
 	--no-emit-trusted-host --no-emit-find-links $(ARGS) --output-file requirements/$(1).txt
@@ -199,6 +203,6 @@ $(MANUAL): $(BOAT) requirements/site.txt manual/scripts.lock
 	@cd $(VENV)/scripts && npm pack --silent $$(sed 's/.*  \(.*\)-\(.*\)\.tgz/\1@\2/' scripts.lock) >/dev/null && sha512sum --check --quiet scripts.lock
 	@touch $@
 
-$(MORE): $(READY) requirements/formats.txt requirements/campaign.txt requirements/foxglove.txt requirements/fleet.txt requirements/ros.txt requirements/mavproxy.txt requirements/release.txt requirements/readers.txt
+$(MORE): $(READY) requirements/charts.txt requirements/formats.txt requirements/campaign.txt requirements/foxglove.txt requirements/fleet.txt requirements/ros.txt requirements/mavproxy.txt requirements/release.txt requirements/readers.txt
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes --no-deps $(patsubst %,-r %,$(filter %.txt,$^))
 	@touch $@

@@ -100,6 +100,8 @@ class BoatTable(Table, frozen=True):
     id: Annotated[int, msgspec.Meta(ge=1, le=249)] = 1  # on the console's link
     length_m: Metres = 4.5  # over all; the model scales with it
     beam_m: Metres = 2.45  # over all
+    draught_m: Annotated[float, msgspec.Meta(ge=0.0, le=20.0)] = 0.0  # the least water that carries her; 0: not known
+    air_draught_m: Annotated[float, msgspec.Meta(ge=0.0, le=100.0)] = 0.0  # from the water to her top; 0: not known
     mass_kg: Annotated[float, msgspec.Meta(gt=0.0, le=1e6)] | None = None  # as it sails; without it, 20 kg per m2
     full_mps: Speed | None = None  # speed at full thrust, calm water; without it, guessed from the length
     drag_n_per_mps: Gain | None = None  # ahead; with the next one, instead of full_mps
@@ -662,6 +664,7 @@ class Zones(Table, frozen=True):
 class FenceTable(Zones, frozen=True):
     """Where the boat may always be, and its stopping distance."""
 
+    chart: Annotated[str, text("[^\\x00]{0,255}", "a file of delfim charts, or empty")] = ""  # what it forbids (docs/charts.md)
     margin_m: Metres = 3.0  # the boat stops at this distance from the fence
     mission_margin_m: Metres = 6.0  # missions keep this distance from it
     reaction_s: Annotated[float, msgspec.Meta(ge=0.0, le=60.0)] = 1.0  # from the command to stop until the boat slows down

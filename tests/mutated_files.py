@@ -275,6 +275,26 @@ def surveyed(name: str) -> Callable[[Path], Said]:
     return lambda here: refused(lambda: planned(laid(read_area(here / name)), LinesWanted(20.0, 1.5), config.Zones()))
 
 
+def official_chart(here: Path) -> Said:
+    """In this process, and not in one of its own for each mutation."""
+    from delfim.survey.enc.dangers import LAYERS, Need, charted
+    from delfim.survey.enc.reading import _whole, gathered
+
+    def told() -> None:
+        _whole(here / "XX5TEST1.000")
+        charted([gathered(here / "XX5TEST1.000", LAYERS)], Need(0.5))
+
+    return refused(told)
+
+
+def clearances(here: Path) -> Said:
+    from delfim import config
+    from delfim.vehicle.plans.clearancefile import load
+
+    fence = config.FenceTable(chart=str(here / "harbour.clearance"))
+    return refused(lambda: load(config.Vehicle(boat=config.BoatTable(name="test"), fence=fence)))
+
+
 def survey_rest(here: Path) -> Said:
     return command("survey", "rest", str(here / "dock.survey.json"), "--output", str(here / "rest.toml"))
 
@@ -439,6 +459,10 @@ READERS = {
     "area, KML": Reader("dock.kml", surveyed("dock.kml"), TEXT),
     "area, GPX": Reader("dock.gpx", surveyed("dock.gpx"), TEXT),
     "area of a plan": Reader("dock.plan", surveyed("dock.plan"), TEXT),
+    "official chart": Reader("XX5TEST1.000", official_chart, (*BINARY, *TEXT)),
+    "update of an official chart": Reader("XX5TEST1.001", official_chart, (*BINARY, *TEXT)),
+    "catalogue of official charts": Reader("CATALOG.031", official_chart, (*BINARY, *TEXT)),
+    "field of clearances": Reader("harbour.clearance", clearances, BINARY),
     "survey that goes on": Reader("dock.survey.json", survey_rest, TEXT),
     "soundings as CSV": Reader("soundings.csv", charted, TEXT),
     "tide": Reader("tide.csv", tide, TEXT),

@@ -18,6 +18,7 @@ from delfim.adoption.trial.manoeuvres import MotionSeen
 from delfim.adoption.trial.motors import MotorsFound
 from delfim.adoption.trial.session import TrialProgress, keep
 from delfim.base.clock import ManualClock
+from delfim.base.geodesy import origin
 from delfim.base.input.keys import new_key, read_key
 from delfim.campaign.runplan import read
 from delfim.campaign.store import Store
@@ -38,7 +39,9 @@ from tests.console.test_charts import _points, chart, geotiff, mbtiles, png, wor
 from tests.logging.sailing import MISSION, Day
 from tests.mutated_files import READERS, ROOT, command, refused
 from tests.services.test_slots import Yard
+from tests.survey.cells import MadeCell, catalogue, harbour
 from tests.survey.test_areafile import FEATURE, GPX, HOLE, KML, PLAN, RING, shapefile
+from tests.vehicle.charted import chart as chart_of
 
 CAMPAIGN = """version = 1
 name = "Storms"
@@ -245,6 +248,16 @@ def sounded(folder: Path) -> None:
     )
 
 
+def official(folder: Path) -> None:
+    """A cell with an update, and the boat's file of it; the catalogue tells of another cell, so that damage of this one is seen
+    by itself."""
+    harbour().write(folder)
+    MadeCell(update=1, first=500).point("UWTROC", (38.692, -9.2), WATLEV=3).write(folder)
+    other = MadeCell("XX5TEST2").point("UWTROC", (38.692, -9.2), WATLEV=3).write(folder)
+    (folder / "CATALOG.031").write_bytes(catalogue(other))
+    (folder / "harbour.clearance").write_bytes(chart_of(origin(0.67, -0.16), [(0.0, 0.0, 50.0)]))
+
+
 SAMPLES = {
     settings: (
         "vehicle",
@@ -274,6 +287,7 @@ SAMPLES = {
     worlds: ("PNG", "JPEG", "world file"),
     geotiffs: ("GeoTIFF",),
     tiles: ("MBTiles",),
+    official: ("official chart", "update of an official chart", "catalogue of official charts", "field of clearances"),
     sounded: ("soundings as CSV", "tide"),
     areas: ("survey that goes on", "area", "area, KML", "area, GPX", "area of a plan", "area, shapefile"),
     keys: (
@@ -358,6 +372,8 @@ READ_BY = {  # function: the readers above that come by it
     "console/gateway/admission.py: kept_token": {"page's token"},
     "logging/kept/record.py: newest": {"kept voyage"},
     "console/terminal/drive.py: _file": {"mission to send"},
+    "survey/enc/reading.py: _whole": {"official chart", "update of an official chart", "catalogue of official charts"},
+    "vehicle/plans/clearancefile.py: load": {"field of clearances"},
     "survey/progress.py: read_survey": {"survey that goes on"},
     "survey/chart/soundings.py: _rows": {"soundings as CSV"},
     "survey/chart/tide.py: read_tide": {"tide"},

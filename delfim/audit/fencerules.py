@@ -130,11 +130,12 @@ def fence_watched(e: Evidence) -> Iterator[Finding]:
             yield Finding(e.t_s[first] + after_s, f"{words}; fence.margin_m is {view.margin_m:g}")
     for alarm in e.named("fence"):
         at = e.last(alarm.begin_s)
-        if at is None or " away at " not in alarm.told[0].words or not view.known[at] or e.lost[max(at - 1, 0)]:
+        told = alarm.told[0].words
+        if at is None or " away at " not in told or " of chart " in told or not view.known[at] or e.lost[max(at - 1, 0)]:
             continue
         if view.least_m[at] > view.margin_m + SURE_M + view.v_mps[at] * LOOK_S:
             words = f"the boat would stop {view.least_m[at]:.1f} m from the fence"
-            yield Finding(alarm.begin_s, f"fence ({alarm.told[0].words}): {words}; fence.margin_m is {view.margin_m:g}")
+            yield Finding(alarm.begin_s, f"fence ({told}): {words}; fence.margin_m is {view.margin_m:g}")
 
 
 def _is_reported(e: Evidence, t_s: float, after_s: float) -> bool:

@@ -30,6 +30,7 @@ GROUPS: Final[dict[str, dict[str, str]]] = {  # commands by task, each with a se
         "completion": "Print a script with which the shell completes commands and options (docs/install.md).",
         "identify": "Fit a boat's log: what she is, beside what her file says, and what has changed (docs/adopt.md).",
         "log": "List, sum up, plot, export, replay, repair and fetch logs (docs/logs.md).",
+        "charts": "Make of official charts what a boat must keep out of, and why (docs/charts.md).",
         "survey": "Make the lines of a survey from an area on a map, and a chart of its soundings (docs/survey.md).",
     },
     "Describe a boat": {

@@ -31,6 +31,8 @@ def completed(script: str, *words: str) -> list[str]:
     ("words", "offered"),
     [
         (("delfim", "com"), ["completion", "commission"]),
+        (("delfim", "ch"), ["charts", "check"]),
+        (("delfim", "charts", "--air"), ["--air-draught"]),
         (("delfim", "--v"), ["--version"]),
         (("delfim", "sim", "--lock"), ["--lockstep"]),
         (("delfim", "sim", "etc/delfimx.toml", "--no"), ["--no-browser"]),

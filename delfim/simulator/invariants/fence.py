@@ -68,7 +68,7 @@ class PlainFence:
         self._clear: tuple[Point, float] | None = None  # a place, and its clearance
 
     def zones(self) -> list[OneZone] | None:
-        """The zones; None: not known here, because several areas to stay in apply, of which any will do."""
+        """The zones; None: not known here, because several areas to stay in apply, of which any will do, or a chart."""
         plans, origin = self._run.vehicle.helm.plans, self._run.state.origin
         basis = plans.fence, origin, plans.zones
         if self._basis and all(one is other for one, other in zip(basis, self._basis, strict=True)):
@@ -77,7 +77,7 @@ class PlainFence:
         if plans.fence is None or not plans.fence.is_laid or origin is None:
             return self._zones
         for whose in (self.limits, plans.zones):
-            if len(whose.keep_in) > 1:
+            if len(whose.keep_in) > 1 or self.limits.chart:
                 self._zones = None
                 return None
             self._zones += [_laid(True, area, origin) for area in whose.keep_in]

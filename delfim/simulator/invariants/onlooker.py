@@ -68,7 +68,7 @@ class TruePlace:
             if least_m >= within_m:
                 return least_m
         clear_m = min([clearance_m(zone, *at) for zone in fence.zones])
-        if not any(zone.areas for zone in fence.zones):  # from one area into the next it may lose more
+        if not any(zone.areas or zone.field for zone in fence.zones):  # from one area or grid into the next it may lose more
             self._found = fence, at, clear_m
         return clear_m
 

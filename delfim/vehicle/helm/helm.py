@@ -57,13 +57,18 @@ class Helm:
         log: StateLog,
         troubles: tuple[PartTrigger, ...] = (),
     ) -> None:
-        """`troubles`: of the parts aboard."""
+        """`troubles`: of the parts aboard. Raises ConfigError where the boat's chart is not whole."""
+        chart = None
+        if settings.fence.chart:
+            from delfim.vehicle.plans.clearancefile import load  # other boats do without
+
+            chart = load(settings)
         self.settings, self.sails_by, self.state = filled(settings), settings.sails_by, state
         self._clock, self.propulsion, self._log, self.note = clock, propulsion, log, log.note
         self.limits, self.shapes = settings_of(settings), dict[str, Shape]()  # by who changes the steps of the mode now
         self.memory = begin(Mode.IDLE, state.motion, state.setpoint, self.limits)
         self.track = Track(settings.control.home)
-        self.plans = Plans(settings.fence, self.limits, state, self.track, log, self.under_way)
+        self.plans = Plans(settings.fence, self.limits, state, self.track, log, self.under_way, chart)
         self.rules, self.troubles = failsafe.Rules(settings, troubles), failsafe.NO_TROUBLE
         self.changed = dict[str, float | str]()  # keys of the vehicle's file that consoles set
         self.taken = False  # the failsafe changed the mode; a joystick held over does not change it back

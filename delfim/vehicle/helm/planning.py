@@ -18,6 +18,7 @@ from delfim.vehicle import console
 from delfim.vehicle.control.memory import Settings
 from delfim.vehicle.control.modes.path import piece_of
 from delfim.vehicle.plans import fence, legs, underway
+from delfim.vehicle.plans.clearance import Chart, Water
 from delfim.vehicle.plans.legs import NOTHING, Behind
 from delfim.vehicle.plans.mission import Mission, checked, plan, read_mission
 from delfim.vehicle.plans.track import Track
@@ -56,6 +57,7 @@ def laid(
     was: Plan | None = None,
     now: underway.UnderWay | None = None,
     spared: Behind = NOTHING,
+    chart: Chart | None = None,
 ) -> Work[Laid]:
     """A mission in the local plane. `before`: a fence in this plane with the boat's own zones. `now`: the boat sails the plan
     that `was`. `spared`: what is not held against the fence where it does not. Raises ConfigError, Refused where the boat
@@ -67,7 +69,10 @@ def laid(
     why = None if now is None else underway.differs(now, same, planned)
     if now is not None and why is not None and not now.is_paused:
         raise Refused(f"mission refused: {why}; {underway.SAILING}")
-    around = yield from fence.survey(limits, mission.fence, origin, before)
+    if mission.opens and not limits.chart:
+        raise Refused(f"mission refused: it opens water of {mission.opens}, and the boat has no chart (fence.chart)")
+    water = chart.water(mission.opens) if chart is not None else None
+    around = yield from fence.survey(limits, mission.fence, origin, before, water)
     behind = spared if now is None else NOTHING if why is not None else underway.behind(now, not mission.path)
     why, behind = yield from forbidden(around, planned, control.hold.radius_m, behind)
     if why is not None:
@@ -103,6 +108,7 @@ class Plans:
         track: Track,
         log: StateLog,
         sailed: Callable[[], underway.UnderWay | None],
+        chart: Chart | None = None,
     ) -> None:
         self.limits = limits  # the helm's, which may change
         self.zones = config.Zones()  # the mission's
@@ -110,6 +116,7 @@ class Plans:
         self.rally: tuple[tuple[float, float], ...] = ()  # harbours, degrees
         self.fence = fence.unlaid(fence_settings, self.zones)  # the boat's and the mission's; None: none
         self._fence, self._state, self._track, self._log, self._under_way = fence_settings, state, track, log, sailed
+        self.chart = chart
         self._number, self.behind = 0, NOTHING  # of the newest plan; what of it the fence forbids
         self.spared = NOTHING  # what the fence forbade of the plan before a restart, which is about to be loaded again
         self._laying: Sliced[fence.Fence | None] | None = None  # of the fence into the plane
@@ -166,7 +173,9 @@ class Plans:
         first = mission.waypoint[0]
         origin = state.origin or geodesy.origin(math.radians(first.latitude_deg), math.radians(first.longitude_deg))
         was, now = state.setpoint.plan, self._under_way()
-        found = yield from laid(mission, origin, self.limits.control, self._fence, self.fence, was, now, self.spared)
+        found = yield from laid(
+            mission, origin, self.limits.control, self._fence, self.fence, was, now, self.spared, self.chart
+        )
         return Looked(command, basis, None, mission, found, origin, found.around, None, found.behind)
 
     def _look_at_zones(self, command: console.SetFence) -> Work[Looked]:
@@ -175,7 +184,7 @@ class Plans:
         yield from config.polygons(command.zones, "zones")
         if origin is None:
             return Looked(command, basis, around=fence.unlaid(self._fence, command.zones))
-        around = yield from fence.survey(self._fence, command.zones, origin, self.fence)
+        around = yield from fence.survey(self._fence, command.zones, origin, self.fence, self._water())
         planned, radius_m, now = self._state.setpoint.plan, self.limits.control.hold.radius_m, self._under_way()
         if planned is None or self.mission is None:
             return Looked(command, basis, around=around)
@@ -251,7 +260,7 @@ class Plans:
     def found(self, origin: geodesy.Origin) -> None:
         """A local plane exists from now on: lay the fence into it, slice by slice."""
         self._state.origin = origin
-        self._laying = Sliced(fence.survey(self._fence, self.zones, origin))
+        self._laying = Sliced(fence.survey(self._fence, self.zones, origin, water=self._water()))
         self.call_at()
         self.go_on()
 
@@ -276,6 +285,18 @@ class Plans:
             raise Refused("unload refused: the mission is being played; stop or hold first")
         self._forget()
 
+    def _water(self) -> Water | None:
+        """The chart, with the band open that the mission opens."""
+        return None if self.chart is None else self.chart.water(self.mission.opens if self.mission is not None else "")
+
     def _forget(self) -> None:
+        if (
+            self.mission is not None
+            and self.mission.opens
+            and self.fence is not None
+            and (at := self._state.origin) is not None
+        ):
+            assert self.chart is not None
+            self.fence = fence.shut(self.fence, self.chart.water(""), at)
         self.mission, self.behind = None, NOTHING
         self._state.setpoint = self._state.setpoint._replace(plan=None, leg=0, piece=0)

@@ -67,6 +67,8 @@ def within(command: console.Plan, zones: config.Zones) -> console.Plan:
         return command
     if command.mission.fence != config.Zones():
         raise Refused("the zones are the operator's: send the mission without a fence")
+    if command.mission.opens:
+        raise Refused("a band of the chart is the operator's to open: send the mission without opens")
     return console.Upload(msgspec.structs.replace(command.mission, fence=zones))
 
 

@@ -12,7 +12,8 @@ from typing import Final, NamedTuple
 from delfim import config
 from delfim.base import geodesy
 from delfim.base.cooperative import Work
-from delfim.vehicle.plans.zones import LOOKS, Point, Zone, circle, clearance_m, cost, least, may, polygon, together
+from delfim.vehicle.plans import clearance
+from delfim.vehicle.plans.zones import LOOKS, Point, Zone, charted, circle, clearance_m, cost, least, may, polygon, together
 from delfim.vehicle.state import Motion
 
 BOXES: Final = 4  # boxes that are compared in the time of one comparison
@@ -33,16 +34,20 @@ class Fence(NamedTuple):
 
 def unlaid(limits: config.FenceTable, mission: config.Zones) -> Fence | None:
     """The fence before there is a local plane to lay it into. None: there is no fence."""
-    if not (limits.keep_in or limits.keep_out or mission.keep_in or mission.keep_out):
+    if not (limits.keep_in or limits.keep_out or limits.chart or mission.keep_in or mission.keep_out):
         return None
     return Fence((), limits, is_laid=False)
 
 
 def survey(
-    limits: config.FenceTable, mission: config.Zones, at: geodesy.Origin, before: Fence | None = None
+    limits: config.FenceTable,
+    mission: config.Zones,
+    at: geodesy.Origin,
+    before: Fence | None = None,
+    water: clearance.Water | None = None,
 ) -> Work[Fence | None]:
-    """The boat's own zones and the mission's, laid into the local plane. None: no fence. `before`: a fence in this plane, from
-    which the boat's own are taken.
+    """The boat's own zones, the mission's, and what the chart forbids, laid into the local plane. None: no fence. `before`: a
+    fence in this plane, from which the boat's own are taken.
     """
     if unlaid(limits, mission) is None:
         return None
@@ -51,7 +56,15 @@ def survey(
         zones = yield from _laid("", limits, at)
     own = len(zones)
     zones += yield from _laid("mission's ", mission, at)
+    if water is not None:
+        zones.append(charted(water.name, clearance.laid(water, at)))
     return Fence(tuple(zones), limits, own)
+
+
+def shut(around: Fence, water: clearance.Water, at: geodesy.Origin) -> Fence:
+    """The same fence with this chart: the band is closed that the mission had opened."""
+    kept = [zone for zone in around.zones if zone.field is None]
+    return around._replace(zones=(*kept, charted(water.name, clearance.laid(water, at))))
 
 
 def _laid(whose: str, zones: config.Zones, at: geodesy.Origin) -> Work[list[Zone]]:

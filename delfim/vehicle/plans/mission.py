@@ -53,6 +53,7 @@ MissionSpeed = Annotated[float, msgspec.Meta(ge=0.0, le=30.0)]
 Stay = Annotated[float, msgspec.Meta(ge=0.0, le=HOLD_MAX_S)]
 SurveyLine = Annotated[int, msgspec.Meta(ge=0, le=LINES_MAX)]  # of the survey, from 1; 0: none
 Count = Annotated[int, msgspec.Meta(ge=0, le=ROWS)]
+Opens = Annotated[str, tables.text(r"[^\x00-\x1f\x7f]{0,64}", "a band of delfim charts, as 0-1.8 m, or empty")]
 Title = Annotated[str, tables.text(r"[^\x00-\x1f\x7f]{1,64}", "1 to 64 characters")]
 
 
@@ -107,6 +108,7 @@ class Mission(tables.Table, frozen=True):
     path: Annotated[tuple[PathPoint, ...], msgspec.Meta(max_length=ROWS)] = ()
     action: Annotated[tuple[PayloadItem, ...], msgspec.Meta(max_length=ROWS)] = ()  # in the order of their places
     then: Literal["hold", "home"] = "hold"  # at the end of waypoints or path
+    opens: Opens = ""  # a band of depths of the boat's chart, as "0-1.8 m", that this mission may sail in
     fence: config.Zones = config.Zones()
 
 
@@ -149,6 +151,8 @@ def canonical(mission: Mission) -> str:
     lines = [f"version = {mission.version}", f"name = {json.dumps(mission.name, ensure_ascii=False)}"]
     if mission.then != "hold":
         lines.append(f"then = {json.dumps(mission.then)}")
+    if mission.opens:
+        lines.append(f"opens = {json.dumps(mission.opens, ensure_ascii=False)}")
     for title, rows in (("waypoint", mission.waypoint), ("action", mission.action), ("path", mission.path)):
         for row in rows:
             lines += _canonical_table(title, row)

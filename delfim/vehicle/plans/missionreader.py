@@ -27,7 +27,7 @@ WRONG: Final = 3  # exit code for a text that is not a mission
 _rows = {  # by the tables' names
     name: msgspec.json.Decoder(kind)
     for name, kind in (
-        (b"mission", tuple[str, Literal["hold", "home"]]),
+        (b"mission", tuple[str, Literal["hold", "home"], str]),
         (b"waypoint", Waypoint),
         (b"path", PathPoint),
         (b"action", PayloadItem),
@@ -66,7 +66,7 @@ class Reading:
 
 def written(mission: Mission) -> Iterator[bytes]:
     """The output lines of a mission."""
-    yield _line("mission", (mission.name, mission.then))
+    yield _line("mission", (mission.name, mission.then, mission.opens))
     zones = ("in", mission.fence.keep_in), ("out", mission.fence.keep_out)
     for name, rows in (("waypoint", mission.waypoint), ("path", mission.path), ("action", mission.action), *zones):
         for row in rows:
@@ -80,9 +80,9 @@ def gathered(lines: list[bytes]) -> Work[Mission]:
         kind, _, row = line.partition(b" ")
         yield ZONE if kind in (b"in", b"out") else ROW
         found[kind].append(_rows[kind].decode(row))
-    ((name, then),), waypoint, path, action, keep_in, keep_out = (tuple(each) for each in found.values())
+    ((name, then, opens),), waypoint, path, action, keep_in, keep_out = (tuple(each) for each in found.values())
     fence = config.Zones(keep_in=keep_in, keep_out=keep_out)
-    return Mission(version=1, name=name, waypoint=waypoint, path=path, action=action, then=then, fence=fence)
+    return Mission(version=1, name=name, waypoint=waypoint, path=path, action=action, then=then, opens=opens, fence=fence)
 
 
 def _line(name: str, told: object) -> bytes:

@@ -12,6 +12,7 @@ from typing import Final, NamedTuple
 
 from delfim.base import geodesy
 from delfim.base.cooperative import Sliced, Work
+from delfim.vehicle.plans.clearance import ClearanceField
 
 Point = tuple[float, float]  # north_m, east_m
 Box = tuple[float, float, float, float]  # south_m, west_m, north_m, east_m
@@ -21,6 +22,8 @@ Stretch = tuple[float, float]  # of a straight way, as parts of its length: 0 to
 PART: Final = 8  # sides of a zone that share a box
 LOOKS: Final = 200  # comparisons for one answer, about a microsecond each
 OVERLAP: Final = 4  # areas at one point whose clearance is compared; of more, the others could only give more room
+SLICE: Final = 20  # looks at a chart in one slice
+ANYWHERE_M: Final = 1e8
 BARE: Final = 8  # stretches of a way that no area covers; a way with more leads through forbidden water
 
 
@@ -37,7 +40,7 @@ class Facet(NamedTuple):
 
 
 class Zone(NamedTuple):
-    """A polygon to stay in or out of; without sides, a circle; or several areas to stay in."""
+    """A polygon to stay in or out of; without sides, a circle, or the field of a chart; or several areas to stay in."""
 
     name: str
     keep_in: bool
@@ -48,6 +51,7 @@ class Zone(NamedTuple):
     radius_m: float = 0.0
     parts: tuple[Facet, ...] = ()
     areas: tuple["Zone", ...] = ()
+    field: ClearanceField | None = None  # of what a chart forbids: instead of sides
 
 
 def polygon(name: str, keep_in: bool, corners: Sequence[Point]) -> Zone:
@@ -71,6 +75,11 @@ def together(name: str, areas: Sequence[Zone]) -> Zone:
     return Zone(name, True, (), around, areas=tuple(areas))
 
 
+def charted(name: str, field: ClearanceField) -> Zone:
+    """A zone to stay out of: all water that a chart forbids, and all beyond it."""
+    return Zone(name, False, (), (-ANYWHERE_M, -ANYWHERE_M, ANYWHERE_M, ANYWHERE_M), field=field)
+
+
 def box_of(points: Sequence[Point]) -> Box:
     norths, easts = [point[0] for point in points], [point[1] for point in points]
     return min(norths), min(easts), max(norths), max(easts)
@@ -83,6 +92,8 @@ def clearance_m(zone: Zone, north_m: float, east_m: float) -> float:
         inside = holding[:OVERLAP] or [min(zone.areas, key=lambda area: _box_m(area.box, north_m, east_m))]
         return max(clearance_m(area, north_m, east_m) for area in inside)
     if not zone.sides:
+        if zone.field is not None:
+            return zone.field.clear_m(north_m, east_m)
         away_m = math.hypot(north_m - zone.north_m, east_m - zone.east_m) - zone.radius_m
         return -away_m if zone.keep_in else away_m
     away_m = _edge_m(zone.sides, north_m, east_m)
@@ -113,6 +124,8 @@ def may(zone: Zone, north_m: float, east_m: float) -> bool:
     if zone.areas:
         return any(may(area, north_m, east_m) for area in zone.areas)
     if not zone.sides:
+        if zone.field is not None:
+            return zone.field.clear_m(north_m, east_m) >= 0.0
         return (math.hypot(north_m - zone.north_m, east_m - zone.east_m) < zone.radius_m) is zone.keep_in
     south, west, north, east = zone.box
     inside = False
@@ -139,6 +152,8 @@ def least(zone: Zone, a: Point, b: Point, within_m: float = math.inf) -> tuple[f
     if not zone.keep_in and apart(zone.box, a, b, within_m):
         return math.inf, 0
     if not zone.sides:
+        if zone.field is not None:
+            return zone.field.least_m(a, b, within_m)
         centre = zone.north_m, zone.east_m
         if zone.keep_in:
             return zone.radius_m - max(math.dist(a, centre), math.dist(b, centre)), 1
@@ -175,8 +190,19 @@ def searched(zone: Zone, a: Point, b: Point, within_m: float) -> Work[float]:
     each stretch that no area covers with `within_m`: exact in whether it is less than that, which is finite."""
     if zone.areas:
         return (yield from _in_areas(zone, a, b, within_m))
+    if zone.field is not None:
+        return (yield from _charted(zone.field, a, b, within_m))
     smallest, looked = least(zone, a, b, within_m)
     yield looked
+    return smallest
+
+
+def _charted(field: ClearanceField, a: Point, b: Point, within_m: float) -> Work[float]:
+    smallest, far_m = math.inf, 0.0
+    while far_m < math.inf:
+        clear_m, looked, far_m = field.along(a, b, within_m, far_m, SLICE)
+        yield 2 * looked
+        smallest = min(smallest, clear_m)
     return smallest
 
 

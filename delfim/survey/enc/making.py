@@ -1,0 +1,65 @@
+"""From cells to the files that leave `delfim charts`."""
+
+import math
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+from shapely.geometry import box
+
+from delfim.base.errors import DelfimError
+from delfim.base.geodesy import Origin, origin
+from delfim.base.wholefile import replace_file
+from delfim.survey.enc import clearing, nogo
+from delfim.survey.enc.dangers import LAYERS, Charted, Need, charted
+from delfim.survey.enc.plane import flat
+from delfim.survey.enc.reading import read_cell
+from delfim.vehicle.plans import clearancefile
+
+
+def make(
+    cells: Sequence[Path], at: tuple[float, float], need: Need, opened: Sequence[str], output: Path, picture: Path | None
+) -> Iterator[str]:
+    """Write the files; yields lines for people. Raises DelfimError, OSError: no file is written then."""
+    chart = charted([read_cell(cell, LAYERS) for cell in cells], need)
+    middle = origin(math.radians(at[0]), math.radians(at[1]))
+    bands = [_band(chart, name) for name in opened]
+    dangers = clearing.growing(chart, middle)
+    forbidden = nogo.no_go(dangers, clearing.half_m())
+    data = clearing.made(chart, middle, bands)
+    text = nogo.geojson(chart, middle, forbidden)
+    share = forbidden.area / (2.0 * clearing.half_m()) ** 2
+    if share > 0.999:
+        raise DelfimError(f"{', '.join(chart.names)}: no water is free about {at[0]:g}, {at[1]:g}: say another place by --at")
+    if picture is not None:
+        nogo.draw(chart, middle, forbidden, picture)
+    replace_file(output.with_name(f"{output.name}.geojson"), text.encode())
+    replace_file(output.with_name(f"{output.name}.clearance"), data)
+    yield f"{', '.join(chart.names)}: {nogo.NOT_FOR}"
+    yield f"  no-go: {100.0 * share:.1f} % of {2.0 * clearing.half_m() / 1000.0:.1f} km about {at[0]:g}, {at[1]:g}"
+    yield from _reasons(chart, middle)
+    yield f"  {output.name}.geojson: {len(text)} bytes, for the page"
+    digest = clearancefile.read(data).digest
+    yield f"  {output.name}.clearance: {len(data)} bytes, digest {digest}, for fence.chart of the boat's file"
+
+
+def _band(chart: Charted, name: str) -> str:
+    """The whole name of a band, which may come without its unit. Raises DelfimError."""
+    there = sorted({each.band for each in chart.dangers if each.band})
+    full = name if name.endswith(" m") else f"{name} m"
+    if full not in there:
+        raise DelfimError(f"there is no band {full} to open: {', '.join(there) or 'none at all'}")
+    return full
+
+
+def _reasons(chart: Charted, middle: Origin) -> Iterator[str]:
+    """How many dangers of which kind there are, and the bands."""
+    reach_m = clearing.half_m()
+    window = box(-reach_m, -reach_m, reach_m, reach_m)
+    near = [each for each in chart.dangers if flat(each.shape, middle).intersects(window)]
+    kinds = Counter(each.kind for each in near)
+    yield "  dangers: " + (", ".join(f"{count} {kind}" for kind, count in kinds.most_common()) or "none")
+    margins = Counter(each.margin_m for each in near)
+    yield "  margins: " + ", ".join(f"{margin_m:g} m about {count}" for margin_m, count in sorted(margins.items()))
+    if bands := sorted({each.band for each in near if each.band}):
+        yield f"  bands that a mission may open, if --open has made them: {', '.join(bands)}"

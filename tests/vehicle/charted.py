@@ -1,0 +1,48 @@
+"""A chart for tests: a field of clearances about a place, with round shoals in it."""
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+
+from delfim.base.geodesy import Origin
+from delfim.vehicle.plans.clearance import METRES, ClearanceHead, GridHead
+from delfim.vehicle.plans.clearancefile import packed
+
+KNOTS, CELL_M = 300, 2.0
+Shoal = tuple[float, float, float]
+"""North and east of the middle, and the radius, m."""
+
+
+def code(clear_m: float) -> int:
+    """The largest code that says no more."""
+    return max(number for number, metres in enumerate(METRES) if metres <= max(clear_m, METRES[0]))
+
+
+def field(shoals: Sequence[Shoal]) -> bytes:
+    side = [CELL_M * (number - (KNOTS - 1) / 2.0) for number in range(KNOTS)]
+    edge_m = CELL_M * (KNOTS - 1) / 2.0
+    found = bytearray()
+    for north_m in side:
+        for east_m in side:
+            clear_m = edge_m - max(abs(north_m), abs(east_m))
+            for n, e, radius_m in shoals:
+                clear_m = min(clear_m, math.hypot(north_m - n, east_m - e) - radius_m)
+            found.append(code(clear_m))
+    return bytes(found)
+
+
+def chart(at: Origin, shoals: Sequence[Shoal], opened: Sequence[Shoal] | None = None, draught_m: float = 0.5) -> bytes:
+    """The file. `opened`: the shoals that are left when the band "0-2 m" is opened."""
+    first_m = -CELL_M * (KNOTS - 1) / 2.0
+    grid = GridHead(first_m, first_m, CELL_M, KNOTS, KNOTS, 0.1)
+    fields = [[field(shoals)], *([[field(opened)]] if opened is not None else [])]
+    bands = ("", "0-2 m") if opened is not None else ("",)
+    middle = math.degrees(at.latitude_rad), math.degrees(at.longitude_rad)
+    return packed(ClearanceHead("XX5TEST1 edition 2", *middle, draught_m, 3.0, (grid,), bands, ()), fields)
+
+
+def written(folder: Path, data: bytes) -> str:
+    """An override of a vehicle's file that names the chart."""
+    file = folder / "harbour.clearance"
+    file.write_bytes(data)
+    return f'fence.chart="{file}"'
