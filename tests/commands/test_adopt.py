@@ -56,7 +56,9 @@ def test_at_the_berth_each_motor_turns_and_nothing_else(capsys: pytest.CaptureFi
 
 def test_boats_that_cannot_be_adopted_and_circles_that_make_no_sense_are_refused(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["adopt", str(ROOT / "etc/boats/float.toml"), "--sim", "1"]) == 2
-    assert "this boat cannot be adopted: it has 4 thrusters" in capsys.readouterr().err
+    told = capsys.readouterr().err
+    assert "this boat cannot be adopted: it has 4 thrusters" in told
+    assert "try each motor by hand (docs/bench.md), and write [adopted] proven = true" in told
     with pytest.raises(SystemExit):
         main(["adopt", "heron.toml", "--radius", "300"])
     assert "300 is not a number of metres from 15 to 160" in capsys.readouterr().err

@@ -22,7 +22,7 @@ from delfim import config
 from delfim.adoption.trial import dialogue, session
 from delfim.adoption.trial.boats import BERTH_PART, BERTH_S, MODE, TrialCircle
 from delfim.adoption.trial.manoeuvres import MotionSeen, Parts, StepTold, TrialEnded
-from delfim.adoption.trial.motors import unfit
+from delfim.adoption.trial.motors import BY_HAND, unfit
 from delfim.adoption.trial.proof import ProofSeen
 from delfim.base.errors import DelfimError, Refused, in_words
 from delfim.vehicle.propulsion.thrusters import sides
@@ -252,7 +252,7 @@ def tried(wire: GatewayWire, file: Path, radius_m: float, folder: Path, what: st
     DelfimError."""
     settings, person = config.load(file), PagePerson(wire)
     if why := unfit(settings.thrusters):
-        raise DelfimError(f"this boat cannot be adopted: {why}")
+        raise DelfimError(f"this boat cannot be adopted: {why}; {BY_HAND}")
     place = folder / f"{file.stem}.trial"
     progress = session.TrialProgress(settings.thrusters) if what == "afresh" else session.kept(place, settings)
     if what == "berth":

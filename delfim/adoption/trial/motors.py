@@ -23,6 +23,7 @@ TURN_RADPS, PROOF_RADPS, AHEAD_MPS = math.radians(4.0), math.radians(5.0), 0.25 
 TURN_NOISES, AHEAD_NOISES = 8.0, 6.0  # ... and so many times what the drift shows
 HELD_S: Final = (2.0, 4.0)  # how long a doublet holds one command, least and most
 HELD_S_PER_M: Final = 1.2  # of the boat's length
+BY_HAND: Final = "try each motor by hand (docs/bench.md), and write [adopted] proven = true"  # for boats that are unfit
 
 
 class Sample(NamedTuple):

@@ -32,7 +32,7 @@ def run(asked: argparse.Namespace) -> int:
     """Run the command. Returns 1 where the trial did not come to its end, or its proof failed."""
     from delfim import config
     from delfim.adoption.trial import dialogue, session
-    from delfim.adoption.trial.motors import unfit
+    from delfim.adoption.trial.motors import BY_HAND, unfit
     from delfim.base.errors import DelfimError
 
     name = Path(asked.file).stem if asked.sim is None else f"{Path(asked.file).stem}-{asked.sim}"
@@ -43,7 +43,7 @@ def run(asked: argparse.Namespace) -> int:
         file = dialogue.copied(asked.file, place.with_suffix(".toml"), afresh=not place.exists())
     settings = config.load(file, asked.set)
     if why := unfit(settings.thrusters):
-        raise DelfimError(f"{asked.file}: this boat cannot be adopted: {why}")
+        raise DelfimError(f"{asked.file}: this boat cannot be adopted: {why}; {BY_HAND}")
     progress, person = session.kept(place, settings), dialogue.Dialogue(is_yes=asked.yes)
     if asked.berth or not progress.is_whole:
         code = _trial(asked, settings, progress, place, person)
