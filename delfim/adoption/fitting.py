@@ -201,7 +201,7 @@ def _residuals(lanes: Array, windows: Windows, starts: Array, sigmas: tuple[floa
     """(lanes, windows, 4 steps): in sigmas, 0 where nothing was measured, less where they are far. The first lane's weights
     hold for all, so that differences between lanes are slopes."""
     p = values_of(lanes)
-    seen = observe(p, simulate(p, windows, starts))
+    seen = observe(p, simulate(p, windows, starts), windows.step_s)
     out = list[Array]()
     for index, each in enumerate(seen):
         off = each - windows.measured[:, None, :, index]
@@ -216,7 +216,7 @@ def _residuals(lanes: Array, windows: Windows, starts: Array, sigmas: tuple[floa
 
 def _predicted(theta: Array, windows: Windows, starts: Array) -> Array:
     p = values_of(theta[None])
-    return np.stack([each[:, 0] for each in observe(p, simulate(p, windows, starts[None]))], -1)
+    return np.stack([each[:, 0] for each in observe(p, simulate(p, windows, starts[None]), windows.step_s)], -1)
 
 
 def _off(windows: Windows, predicted: Array) -> Array:

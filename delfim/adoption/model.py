@@ -105,8 +105,6 @@ class ModelMotion(NamedTuple):
     sway: Array
     turn: Array
     heading: Array
-    surge_rate: Array
-    sway_rate: Array
 
 
 def internal(values: Mapping[str, float]) -> Array:
@@ -147,7 +145,7 @@ def simulate(p: Values, windows: Windows, start: Array) -> ModelMotion:
             arm_port * port - arm_starboard * starboard + p["turning"] + p["wind_turning"] * wind_u * wind_v,
         )
         du, dv, dr = _accelerations(p, u, v, r, push)
-        for kept, each in zip(motion, (u, v, r, psi, du, dv), strict=True):
+        for kept, each in zip(motion, (u, v, r, psi), strict=True):
             kept[step] = each
         psi = psi + h * (r + half * dr)
         du, dv, dr = _accelerations(p, u + half * du, v + half * dv, r + half * dr, push)
@@ -210,11 +208,24 @@ def said(p: Values, heading: Array) -> Array:
     return np.asarray(np.arctan2(-across, along) + p["compass_offset"])
 
 
-def observe(p: Values, motion: ModelMotion) -> tuple[Array, Array, Array, Array]:
+def observe(p: Values, motion: ModelMotion, step_s: float) -> tuple[Array, Array, Array, Array]:
     """What is measured of this motion: the antenna's velocity some time ago, north and east, and current; the heading as the
     compass says it; the rate of turn as the gyro does."""
     c, s, r = np.cos(motion.heading), np.sin(motion.heading), motion.turn
-    u = motion.surge - p["antenna_aside"] * r - p["late"] * (motion.surge_rate - motion.sway * r)
-    v = motion.sway + p["antenna_ahead"] * r - p["late"] * (motion.sway_rate + motion.surge * r)
-    north, east = u * c - v * s + p["current_north"], u * s + v * c + p["current_east"]
-    return north, east, said(p, motion.heading), r + p["gyro_bias"]
+    u, v = motion.surge - p["antenna_aside"] * r, motion.sway + p["antenna_ahead"] * r
+    north, east = _earlier(np.stack([u * c - v * s, u * s + v * c]), p["late"], step_s)
+    return north + p["current_north"], east + p["current_east"], said(p, motion.heading), r + p["gyro_bias"]
+
+
+def _earlier(values: Array, late_s: Array, step_s: float) -> Array:
+    """Values (kinds, steps, lanes, windows) as they were some time before, that of each lane (lanes, 1): on a line between two
+    steps, and before the first step on that of the first two."""
+    out, steps = np.empty_like(values), values.shape[1]
+    for each in np.unique(late_s):
+        lanes = late_s[:, 0] == each
+        its, (shift, part) = values[:, :, lanes], divmod(each / step_s, 1.0)
+        count = int(shift) + 1
+        before = its[:, :1] - np.arange(count, 0, -1)[None, :, None, None] * (its[:, 1:2] - its[:, :1])
+        every = np.concatenate([before, its], 1)
+        out[:, :, lanes] = (1.0 - part) * every[:, 1 : 1 + steps] + part * every[:, :steps]
+    return out
