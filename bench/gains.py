@@ -1,11 +1,15 @@
-"""How boats that are drawn sail with the gains that adoption chose for them. python -m bench.gains SEEDS [BOAT ...]
+"""How boats that are drawn sail with the gains that adoption chose for them.
+
+    python -m bench.gains SEEDS [BOAT ...] [--truth] [--rows run/gains.jsonl]
 
 For each boat of docs/adopt.md and each seed: a whole trial, the fit, the gains on the twin, then a voyage of the true boat in
 her own wind and current (a turn of 90 degrees, one of 20, two lines, a minute of holding), with today's gains, with those that
-were found, and with those that the same choice makes of her true hull; then the proof sail. Prints a row for each boat, and one
-for all.
+were found, and, with --truth, with those that the same choice makes of her true hull; then the proof sail. Prints a row for
+each boat, and one for all. A hull that no control turns by 90 degrees in ten seconds is counted by itself. Each hull appends a
+row to the file, and is not asked for again.
 """
 
+import argparse
 import math
 import sys
 from collections.abc import Callable
@@ -13,7 +17,7 @@ from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from statistics import median
 from tempfile import TemporaryDirectory
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import msgspec
 
@@ -25,13 +29,14 @@ from delfim.adoption.trial.hiddenhull import Hidden, LateModel, drawn, rewired
 from delfim.adoption.trial.proof import SimulatedProof, proved
 from delfim.adoption.trial.session import TrialProgress, TrialSession
 from delfim.adoption.twin import gains
-from delfim.adoption.twin.twinvoyage import TwinVoyage, sailed, twin_of
+from delfim.adoption.twin.twinvoyage import NEAR_DEG, TwinVoyage, VoyageTurn, sailed, twin_of
 from delfim.base.errors import DelfimError
 from delfim.simulator.tables import SimulatedHull, Simulation
 
 BOATS = "heron", "otter", "wam-v", "blueboat"
 RADIUS_M = 60.0
-OVER_DEG, SETTLED_S, NEAR = 5.0, 10.0, 1.15
+OVER_DEG, SETTLED_S = 5.0, 10.0
+LONG_S, STEP_S, ROUNDS = 30.0, 0.1, 8
 WORKERS = 2
 
 
@@ -46,7 +51,7 @@ class Outcome(NamedTuple):
     true: TwinVoyage | None = None
     is_steady: bool = True
     proof: str = ""
-    least_s: float = 0.0  # that a turn of 90 degrees takes with all her motors give, from rest
+    least_s: float = 0.0  # that a turn of 90 degrees takes by full power one way and then the other
 
 
 def one(job: tuple[str, int, bool]) -> Outcome:
@@ -96,15 +101,32 @@ def _voyages(name: str, seed: int, was: config.Vehicle, file: Path, hidden: Hidd
 
 
 def _least_s(settings: config.Vehicle, true: Hidden, seed: int) -> float:
-    """The time of a turn of 90 degrees with full power, from rest, and nothing to stop it."""
-    calm = LateModel(settings, true._replace(sea=type(true.sea)()), seed)
-    for row in settings.thrusters:
-        calm.push(row.name, -math.copysign(1.0, row.y_m))
-    begun, seconds = calm.heading_rad, 0.0
-    while abs(math.remainder(calm.heading_rad - begun, math.tau)) < 0.5 * math.pi and seconds < 60.0:
-        calm.advance(0.1)
-        seconds += 0.1
-    return seconds
+    """The time from an order until she stays within NEAR_DEG of a heading 90 degrees to starboard, from rest in calm water, by
+    full power one way and then the other, which go NEAR_DEG beyond it: no control is quicker."""
+
+    def turned(for_s: float) -> tuple[float, float]:
+        """How far she turns, rad, with full power for so long, and the time until she is near the heading, s."""
+        calm = LateModel(settings, true._replace(sea=type(true.sea)()), seed)
+        begun, seconds, near_s, way = calm.heading_rad, 0.0, LONG_S, 1.0
+        while seconds < LONG_S and calm.yaw_rate_radps >= 0.0:
+            way = 1.0 if seconds < for_s else -1.0
+            for row in settings.thrusters:
+                calm.push(row.name, -math.copysign(way, row.y_m))
+            calm.advance(STEP_S)
+            seconds += STEP_S
+            gone_rad = math.remainder(calm.heading_rad - begun - math.pi, math.tau) + math.pi
+            if gone_rad >= 0.5 * math.pi - math.radians(NEAR_DEG):
+                near_s = min(near_s, seconds)
+            if gone_rad > 0.5 * math.pi + math.radians(NEAR_DEG):
+                return gone_rad, near_s
+        return calm.heading_rad - begun, near_s
+
+    low_s, high_s = 0.0, LONG_S
+    for _ in range(ROUNDS):
+        middle_s = 0.5 * (low_s + high_s)
+        is_far = turned(middle_s)[0] > 0.5 * math.pi + math.radians(NEAR_DEG)
+        low_s, high_s = (low_s, middle_s) if is_far else (middle_s, high_s)
+    return true.delay_s + turned(high_s)[1]
 
 
 def _of_truth(was: config.Vehicle, adopted: config.Vehicle, true: Hidden) -> config.Vehicle:
@@ -147,45 +169,63 @@ def _of_truth(was: config.Vehicle, adopted: config.Vehicle, true: Hidden) -> con
 def row(name: str, outcomes: list[Outcome]) -> str:
     """A row of the table."""
     done = [each for each in outcomes if each.found is not None]
+    able = [each for each in done if each.least_s <= SETTLED_S]
 
-    def part(holds: Callable[[Any], bool], of: str) -> str:
-        seen = [voyage for each in done if (voyage := getattr(each, of)) is not None]
+    def part(holds: Callable[[VoyageTurn], bool], of: str) -> str:
+        seen = [voyage.quarter for each in able if (voyage := getattr(each, of)) is not None]
         return f"{sum(map(holds, seen))} of {len(seen)}"
 
-    def middle(of: str, figure: str) -> str:
-        seen = [getattr(voyage, figure) for each in done if (voyage := getattr(each, of)) is not None]
+    def middle(figure: Callable[[TwinVoyage], float], of: str) -> str:
+        seen = [figure(voyage) for each in done if (voyage := getattr(each, of)) is not None]
         return f"{median(seen):.2f}" if seen else ""
 
-    turns = [part(lambda its: its.over_deg <= OVER_DEG and its.quarter_s <= SETTLED_S, of) for of in ("today", "found", "true")]
-    over = [part(lambda its: its.over_deg <= OVER_DEG, of) for of in ("today", "found", "true")]
-    figures = [
-        " / ".join(middle(of, figure) for of in ("today", "found", "true"))
-        for figure in ("over_deg", "quarter_s", "path_m", "hold_m", "speed_off", "travel_per_s")
+    holds: list[Callable[[VoyageTurn], bool]] = [
+        lambda its: its.over_deg <= OVER_DEG and its.settled_s <= SETTLED_S,
+        lambda its: its.told_over_deg <= OVER_DEG and its.told_s <= SETTLED_S,
     ]
+    figures: list[Callable[[TwinVoyage], float]] = [
+        lambda its: its.quarter.over_deg,
+        lambda its: its.quarter.settled_s,
+        *(lambda its, key=key: getattr(its, key) for key in ("path_m", "hold_m", "speed_off", "travel_per_s")),
+    ]
+    of = [each for each in ("today", "found", "true") if any(getattr(its, each) is not None for its in done)]
+    turns = [" / ".join(part(one, each) for each in of) for one in holds]
+    told = [" / ".join(middle(figure, each) for each in of) for figure in figures]
     proven = f"{sum(not each.proof for each in done)} of {len(done)}"
     steady = f"{sum(each.is_steady for each in done)} of {len(done)}"
-    counts = f"{len(done)} of {len(outcomes)}", " / ".join(turns), " / ".join(over)
-    return f"| {' | '.join([name, *counts, *figures, steady, proven])} |"
+    counts = f"{len(done)} of {len(outcomes)}", str(len(done) - len(able))
+    return f"| {' | '.join([name, *counts, *turns, *told, steady, proven])} |"
 
 
-def main(seeds: int, boats: tuple[str, ...], with_truth: bool) -> None:
-    print(
-        "| boat | adopted | turn holds: today / found / of the truth | over holds | over, deg | 90 deg, s | path, m "
-        "| hold, m | speed off | travel, 1/s | margins | proven |"
-    )
-    print("|" + "---|" * 12)
-    every = list[Outcome]()
+HEAD = (
+    "| boat | adopted | cannot | turn holds: today / found / of the truth | the same as told | over, deg | 90 deg, s | path, m "
+    "| hold, m | speed off | travel, 1/s | margins | proven |"
+)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(prog="python -m bench.gains", description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("seeds", type=int, help="Of each boat, from 1.")
+    parser.add_argument("boats", nargs="*", default=BOATS)
+    parser.add_argument("--truth", action="store_true", help="With the gains of the true hull, too.")
+    parser.add_argument("--rows", type=Path, default=Path("run/gains.jsonl"), metavar="FILE")
+    asked = parser.parse_args()
+    asked.rows.parent.mkdir(parents=True, exist_ok=True)
+    lines = asked.rows.read_bytes().splitlines() if asked.rows.exists() else []
+    had = {(its.name, its.seed): its for its in (msgspec.json.decode(line, type=Outcome) for line in lines)}
+    print(f"{HEAD}\n|{'---|' * 13}")
     with ProcessPoolExecutor(WORKERS) as pool:
-        for name in boats:
-            outcomes = list[Outcome]()
-            for each in pool.map(one, [(name, seed, with_truth) for seed in range(1, seeds + 1)]):
-                outcomes.append(each)
-                print(f"  {each}", file=sys.stderr, flush=True)
-            every += outcomes
-            print(row(name, outcomes), flush=True)
-    print(row("all", every), flush=True)
+        wanted = [(name, seed) for seed in range(1, asked.seeds + 1) for name in asked.boats]
+        missing = [(name, seed, asked.truth) for name, seed in wanted if (name, seed) not in had]
+        for each in pool.map(one, missing):
+            had[each.name, each.seed] = each
+            with asked.rows.open("ab") as file:
+                file.write(msgspec.json.encode(each) + b"\n")
+            print(f"  {each}", file=sys.stderr, flush=True)
+    for name in asked.boats:
+        print(row(name, [had[each] for each in wanted if each[0] == name]))
+    print(row("all", [had[each] for each in wanted]))
 
 
 if __name__ == "__main__":
-    words = [word for word in sys.argv[1:] if word != "--truth"]
-    main(int(words[0]), tuple(words[1:]) or BOATS, "--truth" in sys.argv)
+    main()

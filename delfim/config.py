@@ -316,6 +316,13 @@ class HeadingTable(Table, frozen=True):
     turn_nm_per_radps: Gain | None = None  # yaw moment that keeps a turn going, on an arc
     i_nm_per_rad_s: Gain | None = None  # integral gain: yaw moment for a heading error that lasts
     i_limit_nm: Gain | None = None  # limit of the integral
+    ahead_per_mps: Annotated[float, msgspec.Meta(ge=0.0, le=10.0)] = 0.0  # p and i grow by this part for each m/s ahead
+    turn_dps: Annotated[float, msgspec.Meta(gt=0.0, le=180.0)] | None = None  # of a turn in heading mode; null: no bound ...
+    turn_dps2: Annotated[float, msgspec.Meta(gt=0.0, le=1000.0)] | None = None  # ... and how quickly that rate changes
+
+    def __post_init__(self) -> None:
+        if (self.turn_dps is None) != (self.turn_dps2 is None):
+            raise ValueError("turn_dps and turn_dps2 bound a turn together: give both, or none")
 
 
 class SpeedTable(Table, frozen=True):

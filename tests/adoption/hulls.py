@@ -15,6 +15,21 @@ from delfim.simulator.model import Model
 from delfim.simulator.tables import Sea, SimulatedHull
 
 Forces = tuple[float, float, float]
+HERON = {  # [simulation.hull] as a fit found that of a Heron with late motors
+    "mass_kg": 29.4,
+    "mass_aside_kg": 70.0,
+    "mass_turning_kg": 54.0,
+    "inertia_kgm2": 9.0,
+    "surge_n_per_mps": 7.2,
+    "surge_n_per_mps2": 22.0,
+    "sway_n_per_mps": 12.0,
+    "sway_n_per_mps2": 190.0,
+    "sway_ahead_n_per_mps2": 40.0,
+    "yaw_nm_per_radps": 3.5,
+    "yaw_nm_per_radps2": 3.0,
+    "yaw_ahead_nm_s_per_m": 4.0,
+    "munk_nm_per_mps2": 8.0,
+}
 
 
 class Coefficients(NamedTuple):

@@ -24,25 +24,11 @@ from delfim.parts.traffic.watchkeeper import caution
 from delfim.simulator.measured import model_of
 from delfim.survey.planning import RUN_IN_M, wanted_of
 from delfim.vehicle.control.memory import settings_of
+from tests.adoption.hulls import HERON
 
 ROOT = Path(__file__).parents[2]
-HULL = {  # as a fit found that of a Heron with late motors
-    "mass_kg": 29.4,
-    "mass_aside_kg": 70.0,
-    "mass_turning_kg": 54.0,
-    "inertia_kgm2": 9.0,
-    "surge_n_per_mps": 7.2,
-    "surge_n_per_mps2": 22.0,
-    "sway_n_per_mps": 12.0,
-    "sway_n_per_mps2": 190.0,
-    "sway_ahead_n_per_mps2": 40.0,
-    "yaw_nm_per_radps": 3.5,
-    "yaw_nm_per_radps2": 3.0,
-    "yaw_ahead_nm_s_per_m": 4.0,
-    "munk_nm_per_mps2": 8.0,
-}
 FOUND = [
-    *(f"simulation.hull.{name}={value}" for name, value in HULL.items()),
+    *(f"simulation.hull.{name}={value}" for name, value in HERON.items()),
     *("boat.inertia_kgm2=9.0", "boat.yaw_nm_per_radps=7.5", "boat.yaw_nm_per_radps2=3.0", 'adopted.on="2026-11-27"'),
 ]
 
@@ -80,8 +66,8 @@ def test_the_chosen_gains_have_the_margins_and_are_no_worse_than_todays(choice: 
     assert best.at_rest.holds(AT_REST)
     assert best.at_cruise.holds(AT_CRUISE)
     assert best.cost <= choice.today.cost or not choice.today.is_steady
-    assert best.voyages[0].over_deg <= 5.0
-    assert best.voyages[0].quarter_s <= 10.0
+    assert all(each.over_deg <= 4.0 for each in best.voyages)
+    assert best.voyages[0].quarter.settled_s <= 10.0
     assert all(each.is_done for each in best.voyages)
     assert {each.name for each in choice.tried} >= {"today's", "by the hull"}
 
@@ -154,7 +140,7 @@ class Adopted:
         self.file = place / "heron.toml"
         text = (ROOT / "etc/boats/heron.toml").read_text()
         keys = {each.key: (each.value, "found 2026-11-27") for each in choice.keys}
-        keys |= {("simulation", "hull", name): (value, "found 2026-11-27") for name, value in HULL.items()}
+        keys |= {("simulation", "hull", name): (value, "found 2026-11-27") for name, value in HERON.items()}
         for row in ("starboard", "port"):
             keys |= {("thrusters", row, "delay_s"): (0.4, "found 2026-11-27"), ("thrusters", row, "lag_s"): (0.15, "found")}
         self.file.write_text(changed(text, keys, "heron.toml"))
@@ -192,7 +178,7 @@ def test_a_boat_that_does_worse_has_its_gains_before(
     assert boat.prove(twin(boat.settings, later_s=1.0)) == 1
     now = config.load(boat.file)
     assert now.control == config.load(ROOT / "etc/boats/heron.toml").control
-    assert now.table("simulation").hull.mass_kg == HULL["mass_kg"]
+    assert now.table("simulation").hull.mass_kg == HERON["mass_kg"]
     assert "Not proven: she " in capsys.readouterr().out
     assert boat.progress.written is not None
     assert boat.progress.written.proof.startswith("not proven: she ")

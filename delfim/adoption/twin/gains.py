@@ -6,7 +6,7 @@ reckoned for the winner, and one that is below the limits gives way to the next.
 import math
 from collections.abc import Callable, Iterator, Mapping
 from itertools import islice, product
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import msgspec
 
@@ -19,26 +19,33 @@ from delfim.base.input.untrusted import parse_toml
 from delfim.simulator.lockstep import Lockstep
 from delfim.simulator.measured import model_of
 from delfim.simulator.tables import Sea, SimulatedHull, Simulation
-from delfim.vehicle.control.hull import Gains, craft, gains
+from delfim.vehicle.control.hull import AGE_S, LAG_S, Gains, craft, gains
 from delfim.vehicle.state import NoLog
 
-NATURALS: Final = 1.4, 1.15, 0.95, 0.78, 0.65, 0.55, 0.45, 0.38, 0.3  # rad/s, of the heading, the quickest first
+NATURALS: Final = (  # rad/s, of the heading, the quickest first
+    *(1.4, 1.25, 1.1, 0.98, 0.87, 0.77, 0.69, 0.61, 0.54, 0.48, 0.42, 0.36, 0.3),
+)
 DAMPED: Final = 1.0, 0.8  # of critical
 COUNTS: Final = 0.8  # of the water's damping: less is no surprise
 OWN: Final = 0.15  # of the heading's damping is the autopilot's, at least
 SAILED: Final = 12  # of these loops, at most
 TOLD_EACH: Final = 5
 LOOKS_S: Final = 2.5, 4.0, 7.0  # of way at cruising speed, that the path is looked ahead
-LATER: Final = 1.0, 1.4  # times the delay that was found: each candidate sails with both
+SAILS: Final = (  # of each candidate: how many times the delay that was found, and the wind, m/s and from where, deg
+    *((1.0, 2.0, 300.0), (1.4, 4.0, 210.0)),
+)
 SEED: Final = 1
 AUTHORITIES: Final = 1.5, 0.75  # of the most yaw moment: a heading error asks for no more, damping takes from it ...
 SPIN: Final = 0.85  # ... and for no more than this part of the rate of a spin ...
 SPIN_MOST_RADPS: Final = 0.5  # ... nor for this: a compass that is not quite right seems to jump in a quicker one
+TURN_RADPS, TURN_RADPS2 = 0.35, 0.35  # of a turn to a new heading, at most ...
+OF_THE_TURN, OF_THE_CHANGE = 0.6, 0.5  # ... and what they may take of the most yaw moment: the rest is for wind
+GROWS: Final = 1.0, 0.7, 0.4, 0.0  # of how the water's damping grows with the way, that the gains grow with it
 CRUISE, MOST, COMING_BACK = 0.65, 0.85, 0.6  # of full speed
 RAMP_MPS2: Final = 0.4
 SPEED_PER_S: Final = 0.8  # of the speed's loop, at most
 SPEED_MARGINS: Final = 60.0, 3.0  # with 30 % more delay
-AGE_S, SPEED_AGE_S = 0.07, 0.35  # of heading, beyond half a period of navigation, and of velocity, when they are used
+SPEED_AGE_S: Final = 0.35  # of velocity, when it is used
 POSITIONS: Final = 2.5  # deviations of the receiver, that hold does not answer
 HOLD_LEAST_M, RUN_IN_LEAST_M = 1.5, 3.0
 AT_REST, AT_CRUISE = (30.0, 2.0), (45.0, 2.0)  # least phase margin, deg, and gain margin
@@ -51,11 +58,13 @@ FIGURES: Final = (  # of a voyage of the twin, for people
 )
 TURNING_RADPS: Final = 0.1  # of a turn at cruising speed
 STEADY_S: Final = 60.0  # until a speed is steady
+DRIFT_ROUNDS, LEAST_DRAG = 60, 1e-3  # until a drift is steady
 HEADING: Final = Gains._fields[:6]
+TURN: Final = "turn_dps", "turn_dps2"
+AHEAD: Final = "control", "heading", "ahead_per_mps"
 SPEED: Final = Gains._fields[6:]
-WIND: Final = {"wind_mps": 2.0, "wind_from_deg": 300.0}
 
-Keys = dict[Key, float]
+Keys = dict[Key, Any]
 Tell = Callable[[str], object]
 
 
@@ -78,12 +87,22 @@ class TwinHull(NamedTuple):
         its = self.its
         return its.yaw_nm_per_radps + its.yaw_ahead_nm_s_per_m * ahead_mps + 2.0 * its.yaw_nm_per_radps2 * turn_radps
 
-    def both(self, keys: Mapping[Key, float]) -> tuple[Margins, Margins]:
+    def steady_damping(self, turn_radps: float) -> float:
+        """Against a steady turn at cruising speed, with the drift that it makes, N m per rad/s."""
+        its, u, v = self.its, self.cruise_mps, 0.0
+        for _ in range(DRIFT_ROUNDS):
+            drag = its.sway_n_per_mps + its.sway_n_per_mps2 * abs(v) + its.sway_ahead_n_per_mps2 * u
+            v = 0.5 * (v - (its.mass_kg * u + its.sway_yaw_n_per_radps) * turn_radps / max(drag, LEAST_DRAG))
+        slow = self.damping(u, 0.5 * turn_radps) + its.munk_nm_per_mps2 * u * v / turn_radps
+        return max(slow, its.yaw_nm_per_radps)
+
+    def both(self, keys: Mapping[Key, Any]) -> tuple[Margins, Margins]:
         """Margins of the heading's loop with these gains: at rest, and turning at cruising speed."""
         p, _, d, _, i, _ = (keys["control", "heading", name] for name in HEADING)
         loop = Loop(p, i, d, self.its.inertia_kgm2, 0.0, self.lag_s, self.delay_s + 0.5 * self.period_s + AGE_S, 2)
         at_rest, at_cruise = self.damping(0.0, 0.0), self.damping(self.cruise_mps, TURNING_RADPS)
-        return loop._replace(damping=at_rest).margins, loop._replace(damping=at_cruise).margins
+        more = 1.0 + keys.get(AHEAD, 0.0) * self.cruise_mps
+        return loop._replace(damping=at_rest).margins, loop._replace(p=more * p, i=more * i, damping=at_cruise).margins
 
 
 class GainCandidate(NamedTuple):
@@ -91,7 +110,7 @@ class GainCandidate(NamedTuple):
 
     name: str
     keys: Keys
-    voyages: tuple[TwinVoyage, ...]  # with the delay that was found, and with more
+    voyages: tuple[TwinVoyage, ...]  # of SAILS
     at_rest: Margins
     at_cruise: Margins
 
@@ -126,7 +145,10 @@ def chosen(was: config.Vehicle, vehicle: config.Vehicle, position_m: float, tell
     deviation of its receiver. Takes about ten seconds of a processor. Raises DelfimError where the file has no twin."""
     hull, tried = twin_hull(vehicle), list[GainCandidate]()
     common = _common(vehicle, hull, position_m)
-    headings = {"today's": _heading(gains(was, craft(was))), "by the hull": _heading(gains(_bare(vehicle), craft(vehicle)))}
+    table = was.control.heading
+    todays = {("control", "heading", name): getattr(table, name) for name in (AHEAD[2], *TURN)}
+    derived = _heading(gains(_bare(vehicle), craft(vehicle)))
+    headings = {"today's": _heading(gains(was, craft(was))) | todays, "by the hull": derived | _turning(hull, derived)}
     headings |= dict(islice(_steady(hull), SAILED))
 
     def judge(name: str, keys: Keys) -> None:
@@ -162,7 +184,7 @@ def told(result: ChosenGains) -> Iterator[str]:
 def voyage_figures(tried: GainCandidate) -> tuple[float, ...]:
     """The figures of FIGURES, with the delay that was found."""
     its = tried.voyages[0]
-    return its.over_deg, its.quarter_s, its.path_m, its.hold_m, its.travel_per_s
+    return its.over_deg, its.quarter.settled_s, its.path_m, its.hold_m, its.travel_per_s
 
 
 def twin_hull(vehicle: config.Vehicle) -> TwinHull:
@@ -181,7 +203,7 @@ def twin_hull(vehicle: config.Vehicle) -> TwinHull:
     model.advance(STEADY_S)
     cruise_mps = round(min(vehicle.control.speed.cruise_mps, CRUISE * full_mps), 2)
     lags = [row.lag_s for row in rows if row.lag_s is not None]
-    delay_s, lag_s = sum(row.delay_s for row in rows) / len(rows), sum(lags) / len(lags) if lags else 0.3
+    delay_s, lag_s = sum(row.delay_s for row in rows) / len(rows), sum(lags) / len(lags) if lags else LAG_S
     return TwinHull(
         *(its, vehicle.boat.length_m, boat.turn_nm, boat.ahead_n, delay_s, lag_s, full_mps, abs(model.yaw_rate_radps)),
         *(cruise_mps, 1.0 / vehicle.navigation.rate_hz),
@@ -189,21 +211,25 @@ def twin_hull(vehicle: config.Vehicle) -> TwinHull:
 
 
 def judged(vehicle: config.Vehicle, hull: TwinHull, name: str, keys: Keys) -> GainCandidate:
-    """Sail the twin with these keys, with the delay that was found and with more."""
-    sea, voyages = Sea(current_mps=0.2 * min(hull.cruise_mps, 1.0), current_to_deg=65.0, **WIND), list[TwinVoyage]()
+    """Sail the twin with these keys in each of SAILS."""
+    current, voyages = {"current_mps": 0.2 * min(hull.cruise_mps, 1.0), "current_to_deg": 65.0}, list[TwinVoyage]()
     changed = with_keys(vehicle, keys)
-    for later in LATER:
+    for later, wind_mps, from_deg in SAILS:
+        sea = Sea(wind_mps=wind_mps, wind_from_deg=from_deg, **current)
         run = Lockstep(twin_of(changed, sea, later), SEED, lambda clock: NoLog())
         voyages.append(sailed(run, hull.cruise_mps))
     return GainCandidate(name, keys, tuple(voyages), *hull.both(keys))
 
 
-def with_keys(vehicle: config.Vehicle, keys: Mapping[Key, float]) -> config.Vehicle:
+def with_keys(vehicle: config.Vehicle, keys: Mapping[Key, Any]) -> config.Vehicle:
     """The vehicle's file with these keys of [control]."""
     replace, control = msgspec.structs.replace, vehicle.control
+    tables = dict[str, dict[str, Any]]()
     for (room, table, name), value in keys.items():
         assert room == "control"
-        control = replace(control, **{table: replace(getattr(control, table), **{name: value})})
+        tables.setdefault(table, {})[name] = value
+    for table, its in tables.items():
+        control = replace(control, **{table: replace(getattr(control, table), **its)})
     return replace(vehicle, control=control)
 
 
@@ -240,12 +266,33 @@ def _steady(hull: TwinHull) -> Iterator[tuple[str, Keys]]:
         turns_nm = (hull.damping(0.3 * hull.cruise_mps, 0.5 * turn_radps) + d) * turn_radps
         limit = min(max(turns_nm, 0.3 * hull.turn_nm), most * hull.turn_nm, max(1.2 * p, 0.1 * hull.turn_nm))
         keys = _heading(Gains(p, limit, d, keeps_nm, p * natural / 8.0, 0.3 * hull.turn_nm, 0.0, 0.0, 0.0))
+        keys |= _turning(hull, keys)
         if keys not in seen and all(had.holds(least) for had, least in zip(hull.both(keys), (AT_REST, AT_CRUISE), strict=True)):
             seen.append(keys)
             yield (
                 f"{natural:g} rad/s, damped {damped:g} {where}, limit {keys['control', 'heading', 'p_limit_nm']:.3g} N m",
                 keys,
             )
+
+
+def _turning(hull: TwinHull, keys: Keys) -> Keys:
+    """How these gains grow with the way, and how a turn to a new heading goes that the motors can give."""
+    at_rest = hull.damping(0.0, 0.0)
+    grows = (hull.damping(hull.cruise_mps, TURNING_RADPS) - at_rest) / (at_rest + keys["control", "heading", HEADING[2]])
+    radps = min(TURN_RADPS, SPIN * hull.spin_radps, OF_THE_TURN * hull.turn_nm / hull.steady_damping(TURN_RADPS))
+    found: Keys = {
+        AHEAD: 0.0,
+        ("control", "heading", HEADING[3]): _round(hull.steady_damping(radps)),
+        ("control", "heading", TURN[0]): _round(math.degrees(radps)),
+        ("control", "heading", TURN[1]): _round(
+            math.degrees(min(TURN_RADPS2, OF_THE_CHANGE * hull.turn_nm / hull.its.inertia_kgm2))
+        ),
+    }
+    for part in GROWS:
+        found[AHEAD] = _round(part * grows / hull.cruise_mps)
+        if hull.both(keys | found)[1].holds(AT_CRUISE):
+            break
+    return found
 
 
 def _common(vehicle: config.Vehicle, hull: TwinHull, position_m: float) -> Keys:

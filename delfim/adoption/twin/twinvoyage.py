@@ -3,7 +3,9 @@ the boat sails it, in lock step; what counts is where she truly was.
 """
 
 import math
+from collections import deque
 from collections.abc import Callable
+from statistics import fmean
 from typing import Final, NamedTuple
 
 import msgspec
@@ -23,6 +25,8 @@ LINE_M, LINE_LENGTHS = 30.0, 12.0  # of a line, at least
 APART_M, APART_LENGTHS = 10.0, 5.0
 AHEAD_M: Final = 8.0  # where the first line begins
 NEAR_DEG: Final = 5.0  # of a heading that she has settled on
+OVER_DEG, SETTLED_S = 3.0, 9.0  # of a turn of 90 degrees: what is beyond costs more, for the true boat is not quite her twin
+MEAN_S: Final = 1.0  # of the headings that a boat tells: a compass is not quiet
 STEADY: Final = 0.25  # of a line, after which she is to be on it
 ON_LINE_M, ALONG_DEG = 1.0, 15.0  # from a line, and across it, within which she is on it
 OFF_M: Final = 20.0  # of a path that was never sailed
@@ -30,12 +34,21 @@ UNFINISHED: Final = 20.0  # the cost of lines that are not sailed to their end
 FACTOR: Final = 4.0  # times their length at cruising speed is what the lines may take
 
 
+class VoyageTurn(NamedTuple):
+    """A turn, in truth and as the boat is told."""
+
+    over_deg: float  # beyond the new heading
+    settled_s: float  # from the order until she stays within NEAR_DEG of it
+    told_over_deg: float
+    told_s: float
+
+
 class TwinVoyage(NamedTuple):
     """How she sailed."""
 
     over_deg: float  # beyond a new heading, the worst of the turns
     settled_s: float  # from an order until she stays within NEAR_DEG of the heading, both turns together
-    quarter_s: float  # the same of the turn of 90 degrees alone
+    quarter: VoyageTurn  # that of 90 degrees alone
     path_m: float  # rms off the lines
     hold_m: float  # rms from the point
     speed_off: float  # rms of the speed asked for on the lines, as a part of it
@@ -48,7 +61,8 @@ class TwinVoyage(NamedTuple):
     def cost(self) -> float:
         """What counts, in one number: half a metre, some degrees and seconds, and tired motors weigh about the same."""
         weighed = self.path_m / 0.4 + self.over_deg / 8.0 + self.settled_s / 15.0 + self.travel_per_s / 0.5
-        return weighed + (0.0 if self.is_done else UNFINISHED)
+        beyond = max(self.quarter.over_deg - OVER_DEG, 0.0) + max(self.quarter.settled_s - SETTLED_S, 0.0)
+        return weighed + 0.5 * beyond + (0.0 if self.is_done else UNFINISHED)
 
 
 def twin_of(vehicle: config.Vehicle, sea: Sea, later: float = 1.0) -> config.Vehicle:
@@ -77,16 +91,15 @@ class _Sailing:
     def whole(self) -> TwinVoyage:
         began_s, goal_rad = self._run.elapsed_s, self._model.heading_rad
         self._turned(goal_rad, WAY_S)
-        over_deg, took_s = 0.0, list[float]()
+        turns = list[VoyageTurn]()
         for turn_deg, seconds in TURNS:
             goal_rad += math.radians(turn_deg)
-            over, settled_s = self._turned(goal_rad, seconds, math.copysign(1.0, turn_deg))
-            over_deg, took_s = max(over_deg, over), [*took_s, settled_s]
+            turns.append(self._turned(goal_rad, seconds, math.copysign(1.0, turn_deg)))
         path_m, speed_off, is_done, turn_s, run_in_m = self._lines()
         hold_m = self._held()
         travel_per_s = self._travel / (self._run.elapsed_s - began_s)
-        settled = sum(took_s), took_s[0]
-        return TwinVoyage(over_deg, *settled, path_m, hold_m, speed_off, travel_per_s, is_done, turn_s, run_in_m)
+        both = max(each.over_deg for each in turns), sum(each.settled_s for each in turns)
+        return TwinVoyage(*both, turns[0], path_m, hold_m, speed_off, travel_per_s, is_done, turn_s, run_in_m)
 
     def _cycles(self, seconds: float, look: Callable[[], object] = lambda: None, until: Mode | None = None) -> None:
         """Let this time pass, or what is left until the boat is no longer in a mode."""
@@ -98,20 +111,22 @@ class _Sailing:
             if until is not None and state.mode is not until:
                 return
 
-    def _turned(self, goal_rad: float, seconds: float, way: float = 1.0) -> tuple[float, float]:
-        """Order a heading. Returns by how much, deg, she went beyond it, and the time until she stayed near it, s."""
+    def _turned(self, goal_rad: float, seconds: float, way: float = 1.0) -> VoyageTurn:
+        """Order a heading, and see how she turns to it."""
         self._run.command(console.Heading(math.degrees(wrap(goal_rad)), self._cruise_mps))
-        began_s, over_deg, settled_s = self._run.elapsed_s, 0.0, 0.0
+        began_s, over_deg, settled_s = self._run.elapsed_s, [0.0, 0.0], [0.0, 0.0]
+        last = deque[float](maxlen=round(MEAN_S * self._run.settings.navigation.rate_hz))
 
         def look() -> None:
-            nonlocal over_deg, settled_s
-            off_deg = way * math.degrees(wrap(self._model.heading_rad - goal_rad))
-            over_deg = max(over_deg, off_deg if off_deg < 90.0 else 0.0)
-            if abs(off_deg) > NEAR_DEG:
-                settled_s = self._run.elapsed_s - began_s
+            last.append(way * math.degrees(wrap(self._run.state.motion.heading_rad - goal_rad)))
+            true_deg = way * math.degrees(wrap(self._model.heading_rad - goal_rad))
+            for which, off_deg in enumerate((true_deg, fmean(last))):
+                over_deg[which] = max(over_deg[which], off_deg if off_deg < 90.0 else 0.0)
+                if abs(off_deg) > NEAR_DEG:
+                    settled_s[which] = self._run.elapsed_s - began_s
 
         self._cycles(seconds, look)
-        return over_deg, settled_s
+        return VoyageTurn(over_deg[0], settled_s[0], over_deg[1], settled_s[1])
 
     def _lines(self) -> tuple[float, float, bool, float, float]:
         """Sail two lines side by side. Returns the rms off them, m, and of the speed, as a part of it, whether they were sailed

@@ -47,6 +47,9 @@ def steer(
     speed, (held_nm, push_n, before_mps, yaw_short_nm, short_n, _, _) = control.speed, was
     p_nm, p_limit_nm, d_nm, turn_nm, i_nm, i_limit_nm, p_n, i_n, i_limit_n = gains
     has, _, _, at_rad, yaw_radps, north_mps, east_mps = motion
+    if more := control.heading.ahead_per_mps:
+        more = 1.0 + more * max(north_mps * math.cos(at_rad) + east_mps * math.sin(at_rad), 0.0)
+        p_nm, i_nm = more * p_nm, more * i_nm
     error_rad = wrap(heading_rad - at_rad)
     change_mps = speed.ramp_mps2 * dt_s
     asked_mps = clamp(clamp(speed_mps, -speed.max_mps, speed.max_mps), before_mps - change_mps, before_mps + change_mps)

@@ -28,6 +28,8 @@ OWN: Final = 0.5  # of the damping of the heading, at least, is the autopilot's 
 LEAST_RATE: Final = 0.3  # of natural frequency times inertia: the least gain against a rate of turn
 SPEED_PER_S: Final = 0.8  # of the speed's loop, per mass
 AUTHORITY: Final = 0.75  # of the most yaw moment, that a heading error may ask for
+AGE_S: Final = 0.07  # of a heading when it is used, beyond half a period of navigation
+LAG_S: Final = 0.3  # time constant of a motor that nobody measured
 SIDEWAYS: Final = 0.8, 0.6, 0.4, 0.2  # of the most surge: a boat that gives less to the side has no sway
 AT_ONCE_S: Final = 1.0  # it must give that within this time, from where everything points ahead
 PURE: Final = 0.01  # of that force, which may be missing, or come ahead or as a moment at a metre
@@ -44,6 +46,7 @@ class Craft(NamedTuple):
     ahead_n: float  # most surge, of the sound boat at rest
     turn_nm: float  # most yaw moment to either side, of the sound boat at rest
     aside_n: float  # sway to either side without surge and yaw, of the sound boat at rest; 0: it cannot push sideways
+    late_s: float = 0.0  # from a command until the heading tells of it
 
 
 class Gains(NamedTuple):
@@ -74,7 +77,14 @@ def craft(vehicle: config.Vehicle) -> Craft:
     damping = DAMPING * boat.length_m**3
     if boat.yaw_nm_per_radps is not None:
         damping = boat.yaw_nm_per_radps + TURN_RADPS * (boat.yaw_nm_per_radps2 or 0.0)
-    return Craft(ADDED * mass_kg, inertia_kgm2, damping, linear, square, ahead_n, thrusters.yaw_nm, _aside_n(thrusters))
+    forces = ahead_n, thrusters.yaw_nm, _aside_n(thrusters)
+    return Craft(ADDED * mass_kg, inertia_kgm2, damping, linear, square, *forces, _late_s(vehicle))
+
+
+def _late_s(vehicle: config.Vehicle) -> float:
+    rows = vehicle.thrusters
+    motors_s = sum(row.delay_s + (LAG_S if row.lag_s is None else row.lag_s) for row in rows) / len(rows)
+    return motors_s + 0.5 / vehicle.navigation.rate_hz + AGE_S
 
 
 def full_mps(boat: config.BoatTable) -> float:

@@ -51,8 +51,9 @@ class Memory(NamedTuple):
     swept_rad: float = 0.0  # of the present arc
     driving: int = 0  # hold: 0 rests, 1 comes back ahead, -1 astern
     left_s: float = 0.0  # play: of the time at the waypoint of the present leg, once it is reached
-    heading_rad: float | None = None  # that hold keeps while it rests; None: the present one
+    heading_rad: float | None = None  # that hold keeps while it rests, or that of a turn's reference; None: the present one
     room: float = 1.0  # part of the radius of hold that the fence leaves at the point
+    turn_radps: float = 0.0  # of a turn's reference
 
 
 def lacking(memory: Memory, short: tuple[float, float, float]) -> Memory:
