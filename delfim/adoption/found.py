@@ -13,7 +13,7 @@ from delfim.adoption.changes import changes, unseen
 from delfim.adoption.figures import TOO_WINDY, Figure, calm, figures
 from delfim.adoption.fitting import Fit
 from delfim.adoption.foretold import motors_of
-from delfim.adoption.model import ModelMotion, said, values_of
+from delfim.adoption.model import Array, ModelMotion, said, values_of
 from delfim.adoption.writing import FoundKey
 from delfim.vehicle.control.hull import craft
 
@@ -23,6 +23,8 @@ STRAIGHT: Final = 0.01  # m/s, of a speed that a boat goes
 
 SMOOTHED_DEG: Final = 3.0  # an estimator's headings tell of the compass no better than this
 COMPASS: Final = "hard_ahead", "hard_aside", "soft_along", "soft_across", "compass_offset"
+LEFT_DEG: Final = 0.5  # rms: what a file's own numbers may leave
+ROUNDS, NUDGE = 12, 1e-6
 UNDOING: Final = "nmea0183", "nmea2000"  # sources whose magnetic headings come through [compass]
 
 
@@ -175,26 +177,45 @@ def _antenna(fit: Fit, vehicle: config.Vehicle) -> list[FoundKey]:
 
 
 def compass(fit: Fit, vehicle: config.Vehicle, least_deg: float) -> list[FoundKey]:
-    """The five numbers of a magnetic compass, where the file has none yet, all are seen, and they bend the heading by more than
-    this (rms). The fit reckons with true headings: they are turned by the variation."""
-    if vehicle.compass != config.CompassTable() or set(COMPASS) & set(fit.unseen) or not _magnetic(vehicle):
+    """The five numbers of a magnetic compass, where all are seen, and what they still bend of the headings is more than this
+    (rms). Where the file has some already, the fit sees what these leave, and both become one."""
+    known, variation = vehicle.compass, _magnetic(vehicle)
+    if set(COMPASS) & set(fit.unseen) or not variation:
         return []
-    p, headings = fit.values, np.radians(np.arange(0.0, 360.0, 10.0))
-    off = np.remainder(said(values_of(fit.theta[None]), headings[None])[0] - headings + np.pi, 2.0 * np.pi) - np.pi
-    if np.degrees(np.sqrt(np.mean(off**2))) < least_deg:
+    headings, at_rad = np.radians(np.arange(0.0, 360.0, 10.0)), math.radians(variation[0])
+    left = said(values_of(fit.theta[None]), headings[None] + at_rad)[0] - at_rad  # the fit reckons with true headings
+    if _rms_deg(left - headings) < (least_deg if known == config.CompassTable() else max(least_deg, LEFT_DEG)):
         return []
-    c, s = (of(-math.radians(_magnetic(vehicle)[0])) for of in (math.cos, math.sin))
-    turn, soft = (
-        np.array([[c, s], [-s, c]]),
-        np.array([[p["soft_along"], p["soft_across"]], [p["soft_across"], -p["soft_along"]]]),
-    )
-    hard, soft = turn @ np.array([p["hard_ahead"], p["hard_aside"]]), turn @ soft @ turn.T
-    values = hard[0], hard[1], soft[0, 0], soft[0, 1], math.degrees(p["compass_offset"])
+    had = (known.hard_ahead, known.hard_aside, known.soft_along, known.soft_across, math.radians(known.offset_deg))
+    values = _magnet(headings, _said(np.array(had), left))
+    values[-1] = math.degrees(values[-1])
     spreads = [fit.relative(name) for name in COMPASS]
     spreads[-1] = math.degrees(spreads[-1])
     keys = "hard_ahead", "hard_aside", "soft_along", "soft_across", "offset_deg"
     rows = zip(keys, values, spreads, strict=True)
-    return [FoundKey(("compass", key), round(float(value), 4), spread, 0.0) for key, value, spread in rows]
+    return [FoundKey(("compass", key), round(float(value), 4), spread, getattr(known, key)) for key, value, spread in rows]
+
+
+def _magnet(headings: Array, told: Array) -> Array:
+    """The five numbers of COMPASS, of the magnet that makes a compass tell these headings: Gauss and Newton."""
+    numbers = np.array([0.0, 0.0, 0.0, 0.0, np.angle(np.exp(1j * (told - headings)).mean())])
+    for _ in range(ROUNDS):
+        off = _turned(_said(numbers, headings) - told)
+        slopes = np.stack([_turned(_said(numbers + nudge, headings) - told) - off for nudge in NUDGE * np.eye(5)], 1) / NUDGE
+        numbers = numbers - np.linalg.lstsq(slopes, off)[0]
+    return numbers
+
+
+def _said(numbers: Array, headings: Array) -> Array:
+    return said(dict(zip(COMPASS, numbers, strict=True)), headings)
+
+
+def _turned(angle: Array) -> Array:
+    return np.asarray(np.remainder(angle + np.pi, 2.0 * np.pi) - np.pi)
+
+
+def _rms_deg(off: Array) -> float:
+    return float(np.degrees(np.sqrt(np.mean(_turned(off) ** 2))))
 
 
 def _magnetic(vehicle: config.Vehicle) -> list[float]:

@@ -135,8 +135,20 @@ def test_the_compass_of_the_file_undoes_what_the_fit_found(heron: Hidden, trial:
         true = math.radians(degrees)
         found = iron.undone(sensors.said(true) - variation) + variation
         assert math.degrees(math.remainder(found - true, math.tau)) == pytest.approx(0.0, abs=1.5)
-    bent = msgspec.structs.replace(told, compass=config.CompassTable(offset_deg=1.0))
-    assert not compass(fit_of(heron, trial), bent, 0.0)  # what is left after a correction is none
+
+
+def test_a_second_trial_refines_the_compass_of_the_first(heron: Hidden, trial: BoatRecord) -> None:
+    """The boat sails with a table that is half right: the fit sees what it leaves, and the new table undoes all of it."""
+    half, sensors, variation = config.CompassTable(hard_ahead=0.05, offset_deg=4.0), Sensors(), math.radians(15.0)
+    file = config.load(ROOT / "etc/boats/blueboat.toml", ["nmea0183.variation_deg=15.0"])
+    told = [(at, Iron(half).undone(each - variation) + variation) for at, (each,) in zip(*trial.heading, strict=True)]
+    fit = fit_of(heron, trial._replace(heading=Series.of(told, 1)))
+    keys = {each.key[-1]: each.value for each in compass(fit, msgspec.structs.replace(file, compass=half), 0.0)}
+    iron = Iron(config.CompassTable(**keys))
+    for degrees in range(0, 360, 20):
+        true = math.radians(degrees)
+        found = iron.undone(sensors.said(true) - variation) + variation
+        assert math.degrees(math.remainder(found - true, math.tau)) == pytest.approx(0.0, abs=1.5)
 
 
 def test_in_gusts_a_slow_speed_is_unsure_and_words_say_why() -> None:
