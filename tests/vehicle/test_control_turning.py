@@ -9,13 +9,16 @@ import pytest
 from delfim.base.geodesy import wrap
 from delfim.base.modes import Mode
 from delfim.config import Vehicle, load
+from delfim.simulator.invariants.onlooker import Onlooker
+from delfim.simulator.lockstep import Lockstep
 from delfim.simulator.measured import model_of
 from delfim.simulator.tables import Sea, Simulation
+from delfim.vehicle import console
 from delfim.vehicle.control import control
 from delfim.vehicle.control.autopilot import entered, steer
 from delfim.vehicle.control.memory import Memory, settings_of
 from delfim.vehicle.control.turning import follow
-from delfim.vehicle.state import Motion, Setpoint
+from delfim.vehicle.state import Motion, NoLog, Setpoint
 from tests.adoption.hulls import HERON
 from tests.vehicle.closed_loop import ALL, DT_S, Boat, heading_step
 
@@ -119,3 +122,15 @@ def test_gains_grow_with_the_way_ahead() -> None:
 def test_both_bounds_of_a_turn_or_none() -> None:
     with pytest.raises(Exception, match="turn_dps and turn_dps2 bound a turn together: give both, or none"):
         heron("turn_dps=20.0")
+
+
+def test_the_rules_of_every_boat_hold_for_one_whose_gains_grow() -> None:
+    run = Lockstep(heron(*TURN, wind_mps=3.0), 1, lambda clock: NoLog())
+    for _ in run.cycles(4.0):
+        pass
+    onlooker = Onlooker(run)
+    for order in (console.Heading(80.0, 1.2), console.SetMode("hold"), console.Course(200.0, 1.2), console.Heading(20.0, 0.5)):
+        assert onlooker.order(order, "") is None
+        for _ in run.cycles(15.0):
+            onlooker.look()
+    assert onlooker.failures == []

@@ -126,7 +126,8 @@ def law(before: Before, motion: Motion, reference: Reference, limits: Settings, 
     made_mps = motion.north_mps * ahead[0] + motion.east_mps * ahead[1]
     turning_radps = turn_radps - motion.yaw_rate_radps
     ramped_mps = was.speed_mps + bounded(bounded(reference.speed_mps, speed.max_mps) - was.speed_mps, speed.ramp_mps2 * dt_s)
-    yaw_nm = bounded(gains.p_nm_per_rad * error_rad, gains.p_limit_nm) + gains.d_nm_per_radps * turning_radps
+    more = 1.0 + limits.control.heading.ahead_per_mps * max(made_mps, 0.0)
+    yaw_nm = bounded(more * gains.p_nm_per_rad * error_rad, gains.p_limit_nm) + gains.d_nm_per_radps * turning_radps
     yaw_nm += gains.turn_nm_per_radps * turn_radps + was.yaw_nm
     wanted_mps = ramped_mps * max(math.cos(error_rad), 0.0)
     lag_mps = wanted_mps - made_mps if "velocity" in motion.has else 0.0
@@ -136,7 +137,7 @@ def law(before: Before, motion: Motion, reference: Reference, limits: Settings, 
         surge_n, short_n = 0.0, surge_n
     if abs(error_rad) < TURNS_AWAY_RAD:
         if abs(turning_radps) < STAYS_RADPS and error_rad * short[2] <= 0.0:
-            held_nm = bounded(held_nm + gains.i_nm_per_rad_s * error_rad * dt_s, gains.i_limit_nm)
+            held_nm = bounded(held_nm + more * gains.i_nm_per_rad_s * error_rad * dt_s, gains.i_limit_nm)
         if lag_mps * short_n <= 0.0:
             push_n = bounded(push_n + gains.i_n_per_m * lag_mps * dt_s, gains.i_limit_n)
     return LawStep(surge_n, yaw_nm, held_nm, push_n, ramped_mps)
@@ -157,6 +158,8 @@ class ControlLaw:
         if not state.actuation.run:
             if state.mode is not Mode.GREX or state.setpoint.guest_heading_rad is not None:
                 yield f"under way in {state.mode.name.lower()}, and the thrusters are off"
+            return
+        if state.mode is Mode.HEADING and cycle.run.settings.control.heading.turn_dps is not None:  # nobody tells its reference
             return
         reference, short = state.reference, cycle.run.vehicle.propulsion.short or NOTHING
         forces, asked = (0.0, 0.0), None
