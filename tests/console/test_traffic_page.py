@@ -80,6 +80,21 @@ async def test_a_click_on_a_vessel_tells_of_it(page: Page, gateway: Standin) -> 
     await shown(page, gateway, "document.querySelector('.popup').textContent.includes('LOST: last report 90 s ago')")
 
 
+async def test_a_thing_that_stands_and_a_swimmer_say_who_saw_them(page: Page, gateway: Standin) -> None:
+    rests = {"course_deg": None, "heading_deg": None, "speed_mps": 0.0, "margin_m": 2.0}
+    buoy = vessel("lidar", north_m=60, **rests, kind="thing", length_m=2.0, beam_m=2.0) | {"key": "thing 12"}
+    swimmer = vessel("camera", north_m=30, east_m=60, **rests, kind="person", length_m=1.0, beam_m=1.0) | {"key": "person 3"}
+    await tell(gateway, buoy, swimmer)
+    await shown(page, gateway, "delfim.vessels().length === 2")
+    await page.mouse(await pixel(page, 60, 0))
+    told = "document.querySelector('.popup').textContent"
+    for words_ in ("stands, seen by lidar", "radius 1 m, ± 2 m", "last seen 4 s ago"):
+        await shown(page, gateway, f"{told}.includes({words_!r})")
+    await page.press("Escape")
+    await page.mouse(await pixel(page, 30, 60))
+    await shown(page, gateway, f"{told}.includes('a swimmer, seen by camera')")
+
+
 @pytest.mark.parametrize("by_key", [True, False])
 async def test_a_danger_sounds_until_somebody_takes_note_and_stays_red(page: Page, gateway: Standin, by_key: bool) -> None:
     await page.value(FAKE_SOUND)
