@@ -7,6 +7,7 @@ part (`parts.py`) that the file names has its keys beside these: `whole` adds th
 import hashlib
 import math
 from collections.abc import Iterator, Sequence
+from collections.abc import Set as AbstractSet
 from itertools import combinations, pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Final, Literal, cast, get_args, get_type_hints
@@ -1038,13 +1039,11 @@ class Vehicle(Table, frozen=True):
     @property
     def sails_by(self) -> str:
         """A digest of hull, motors, compass and gains: whether a boat sails by this file. Wiring and name are not in it, for a
-        simulated boat has its own."""
-        wiring = {"driver", "address", "reversed", "steer"}
-        hull = {key: value for key, value in msgspec.to_builtins(self.boat).items() if key not in ("id", "name")}
-        rows = [{key: value for key, value in msgspec.to_builtins(row).items() if key not in wiring} for row in self.thrusters]
+        simulated boat has its own; nor is what stays at its default, for another version of the program has other keys."""
+        rows = [_stated(row, {"driver", "address", "reversed", "steer"}) for row in self.thrusters]
         stop = self.fence.reaction_s, self.fence.deceleration_mps2
-        found = {key: value for key, value in msgspec.to_builtins(self.adopted).items() if key != "proven"}
-        told = msgspec.json.encode([hull, rows, stop, found, self.control, self.compass])
+        hull, found = _stated(self.boat, {"id", "name"}), _stated(self.adopted, {"proven"})
+        told = msgspec.json.encode([hull, rows, stop, found, _stated(self.control), _stated(self.compass)])
         return hashlib.sha256(told).hexdigest()[:8]
 
     @property
@@ -1104,6 +1103,14 @@ class Vehicle(Table, frozen=True):
     def buses(self) -> tuple[str, ...]:
         """All interfaces of the boat."""
         return tuple(sorted(set(self.outside("interface").values())))
+
+
+def _stated(table: Table, left_out: AbstractSet[str] = frozenset()) -> dict[str, Any]:
+    """The keys of a table, and of those in it, that are not at their defaults."""
+    told = {each.name: (getattr(table, each.name), each) for each in msgspec.structs.fields(table) if each.name not in left_out}
+    tables = {name: _stated(value) for name, (value, _) in told.items() if isinstance(value, Table)}
+    values = {name: value for name, (value, its) in told.items() if name not in tables and value != its.default}
+    return values | {name: keys for name, keys in tables.items() if keys}
 
 
 def whole(aboard: tuple[Part, ...]) -> type[Vehicle]:

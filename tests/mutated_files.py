@@ -307,6 +307,19 @@ def charted(here: Path) -> Said:
     return refused(lambda: made("a boat", [(read(here / "soundings.csv"), SoundingCorrections())]))
 
 
+def heard_depths(here: Path) -> Said:
+    from delfim.base.clock import ManualClock
+    from delfim.console.boats.soundings import SoundingFiles
+
+    return refused(lambda: list(SoundingFiles(here, ManualClock()).read()))
+
+
+def copied(here: Path) -> Said:
+    from delfim.commands.simulation.sim import _copied
+
+    return refused(lambda: _copied(str(here / "boat.toml"), here / "console", 2))
+
+
 def tide(here: Path) -> Said:
     from delfim.survey.chart.tide import read_tide
 
@@ -444,6 +457,7 @@ READERS = {
     "vehicle": Reader("boat.toml", vehicle, TEXT),
     "vehicle to commission": Reader("boat.toml", commissioned, TEXT),
     "vehicle to be adopted": Reader("boat.toml", adopted, TEXT),
+    "vehicle of a simulation": Reader("boat.toml", copied, TEXT),
     "trial to go on": Reader("trial.json", trial_to_go_on, TEXT),
     "mission": Reader("lake.toml", mission, TEXT),
     "library": Reader("lake.toml", library, TEXT),
@@ -465,6 +479,7 @@ READERS = {
     "field of clearances": Reader("harbour.clearance", clearances, BINARY),
     "survey that goes on": Reader("dock.survey.json", survey_rest, TEXT),
     "soundings as CSV": Reader("soundings.csv", charted, TEXT),
+    "depths that the console heard": Reader("soundings/1.csv", heard_depths, TEXT),
     "tide": Reader("tide.csv", tide, TEXT),
     "area, shapefile": Reader("dock.shp", surveyed("dock.shp"), BINARY),
     "mission to send": Reader("lake.toml", operators_mission, TEXT),

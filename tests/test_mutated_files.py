@@ -23,6 +23,7 @@ from delfim.base.input.keys import new_key, read_key
 from delfim.campaign.runplan import read
 from delfim.campaign.store import Store
 from delfim.console.boats.fleet import Fleet
+from delfim.console.boats.soundings import HEAD
 from delfim.console.link.session import Session
 from delfim.console.tapes.replay import open_tapes
 from delfim.logging import nodelog
@@ -243,6 +244,10 @@ def sounded(folder: Path) -> None:
         for i, (n, e, k) in enumerate(places)
     )
     (folder / "soundings.csv").write_text(head + "".join(rows))
+    (folder / "soundings").mkdir()
+    (folder / "soundings/1.csv").write_text(
+        HEAD + "".join(f"179{i:07}.0,{n:.6f},{e:.6f},5.2\n" for i, (n, e, _) in enumerate(places))
+    )
     (folder / "tide.csv").write_text(
         "time,metres\n" + "".join(f"2026-09-21T12:{minute:02},1.{minute}\n" for minute in range(0, 60, 10))
     )
@@ -263,6 +268,7 @@ SAMPLES = {
         "vehicle",
         "vehicle to commission",
         "vehicle to be adopted",
+        "vehicle of a simulation",
         "trial to go on",
         "mission",
         "library",
@@ -288,7 +294,7 @@ SAMPLES = {
     geotiffs: ("GeoTIFF",),
     tiles: ("MBTiles",),
     official: ("official chart", "update of an official chart", "catalogue of official charts", "field of clearances"),
-    sounded: ("soundings as CSV", "tide"),
+    sounded: ("soundings as CSV", "depths that the console heard", "tide"),
     areas: ("survey that goes on", "area", "area, KML", "area, GPX", "area of a plan", "area, shapefile"),
     keys: (
         "user's ssh key",
@@ -365,6 +371,8 @@ READ_BY = {  # function: the readers above that come by it
     "adoption/identify.py: with_twin": {"vehicle to be adopted"},
     "adoption/identify.py: write": {"vehicle to be adopted"},
     "base/tables.py: read_toml": {"vehicle", "mission", "scenario", "control points"},
+    "commands/simulation/sim.py: _copied": {"vehicle of a simulation"},
+    "console/boats/soundings.py: _last": {"depths that the console heard"},
     "console/plans/library.py: load": {"library"},
     "console/terminal/bus.py: logged": {"candump", "candump, deflated"},
     "console/terminal/framefilter.py: decoder": {"CAN database"},

@@ -74,6 +74,7 @@ def test_what_was_heard_is_there_again_after_a_restart_and_a_torn_line_is_cut_of
     clock = ManualClock(time_ns=time.time_ns())
     files = SoundingFiles(tmp_path, clock)
     for number in range(5):
+        clock.advance(0.5)
         files.put(number % 2 + 1, 38.69 + number * 1e-5, -9.215, 4.0 + number)
     assert [file.name for file in files.files()] == ["1.csv", "2.csv"]
     with (tmp_path / "soundings/1.csv").open("a") as out:
@@ -81,7 +82,8 @@ def test_what_was_heard_is_there_again_after_a_restart_and_a_torn_line_is_cut_of
     again = SoundingFiles(tmp_path, clock)
     assert sorted(each.depth_m for each in again.read()) == [4.0, 5.0, 6.0, 7.0, 8.0]
     again.put(1, 38.69, -9.215, 9.0)
-    assert [place[0] for place in good_places(again.files()[0])][:2] == [38.69, 38.69002], "as the log of a boat is read"
+    places = [round(north_deg, 5) for north_deg, _ in good_places(again.files()[0])]
+    assert {38.69002, 38.69004} <= {*places}, "as the log of a boat is read"
     assert len(list(SoundingFiles(tmp_path, clock).read())) == 6
     clock.step(8 * 86400.0)
     assert list(SoundingFiles(tmp_path, clock).read()) == [], "of a survey of last month nothing counts"

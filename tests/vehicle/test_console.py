@@ -66,7 +66,10 @@ def test_what_is_not_understood_is_refused_in_words(line):
         ('{"command":"goto","latitude_deg":38.69}', "goto needs a latitude and a longitude, or neither"),
         ('{"command":"stop","now":true}', "stop has no 'now'"),
         ('{"command":"set","key":"a","value":[]}', "value must be a number or text of up to 64 characters"),
-        ('{"command":"upload","mission":{}}', "mission must be a table of version, name, waypoint, path, action, then, fence"),
+        (
+            '{"command":"upload","mission":{}}',
+            "mission must be a table of version, name, waypoint, path, action, then, opens, fence",
+        ),
     ],
 )
 def test_a_refusal_is_said_in_our_words_and_not_in_the_librarys(line, why):

@@ -142,6 +142,9 @@ class Guidance:
             bearing_rad, cross_m, left_m = onto(begin, end, motion)
         course, heading_rad = line_of_sight(was.course, motion, bearing_rad, cross_m, cycle)
         speed_mps = to.speed_mps if state.setpoint.override_mps is None else state.setpoint.override_mps
+        before_mps = cycle.was.setpoint.override_mps
+        if state.mode is Mode.HOME and not differs(reference.speed_mps, to.speed_mps if before_mps is None else before_mps):
+            speed_mps = to.speed_mps if before_mps is None else before_mps  # to save energy the boat slows down after a step
         if stops:
             speed_mps = min(speed_mps, max(math.sqrt(control.speed.ramp_mps2 * far_m), CREEP_MPS))
         yield from self._steers(cycle, heading_rad, speed_mps)
