@@ -6,6 +6,7 @@ import contextlib
 import os
 import random
 import threading
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -14,6 +15,7 @@ import pytest
 from delfim import config
 from delfim.base.errors import DelfimError
 from delfim.logging import free_space
+from delfim.services.files import uploads as module
 from delfim.services.files.threads import worked
 from delfim.services.files.uploads import LOOK_BYTES, PART, NoRoom, Uploads
 from delfim.services.page import files as webfiles
@@ -81,6 +83,32 @@ def test_a_part_that_becomes_whole_before_it_is_locked_is_not_written(tmp_path, 
     with pytest.raises((DelfimError, FileNotFoundError)):
         uploads.open("/upload/x.part", NEW, alone=True)
     assert (tmp_path / "upload/x").read_text() == "all of it"
+
+
+@pytest.mark.parametrize("is_finished", [False, True])
+def test_an_upload_that_begins_while_another_gets_its_name_keeps_it(tmp_path, monkeypatch, is_finished):
+    """The name was free when the other one looked, and is taken before the rename."""
+    first, other = opened(tmp_path), opened(tmp_path)
+    found, begun = module._idle, list[int]()
+
+    @contextlib.contextmanager
+    def late(folder: int, name: str) -> Iterator[bool]:
+        with found(folder, name) as is_free:
+            if name == "new":
+                begun.append(other.open("/upload/new", NEW, alone=True))
+            yield is_free
+
+    fd = first.open("/upload/new.part" if is_finished else "/upload/old", NEW, alone=True)
+    first.write(fd, b"old", 0)
+    monkeypatch.setattr(module, "_idle", late)
+    if not is_finished:
+        os.close(fd)
+    with pytest.raises(DelfimError, match="another client is writing it"):
+        first.finish(fd, "/upload/new") if is_finished else first.rename("/upload/old", "/upload/new")
+    assert os.fstat(begun[0]).st_nlink == 1
+    assert (tmp_path / "upload" / ("new.part" if is_finished else "old")).read_text() == "old"
+    for each in (*begun, *[fd] * is_finished):
+        os.close(each)
 
 
 def test_the_part_of_somebody_else_does_not_get_the_name(tmp_path):

@@ -12,6 +12,7 @@ import contextlib
 import fcntl
 import logging
 import os
+import stat
 import threading
 from collections.abc import Callable, Iterator
 from typing import Final
@@ -88,17 +89,17 @@ class Uploads:
             self._jail.at(self._inner(source)) as (old, name),
             self._jail.at(self._inner(target)) as (new, new_name),
             _idle(old, name),
-            _idle(new, new_name),
+            _idle(new, new_name) as is_free,
         ):
-            os.rename(name, new_name, src_dir_fd=old, dst_dir_fd=new)
+            _move(old, name, new, new_name, is_free)
             os.fsync(new)
 
     def finish(self, fd: int, path: str) -> None:
         """Give the part of a file, all of it on the disk and open, the file's name. Raises OSError."""
-        with self._jail.at(self._inner(path)) as (folder, name), _idle(folder, name):
+        with self._jail.at(self._inner(path)) as (folder, name), _idle(folder, name) as is_free:
             if not os.path.samestat(os.fstat(fd), os.stat(name + PART, dir_fd=folder, follow_symlinks=False)):
                 raise DelfimError("its part is another file now")  # its folder was renamed, and another one put there
-            os.rename(name + PART, name, src_dir_fd=folder, dst_dir_fd=folder)
+            _move(folder, name + PART, folder, name, is_free)
             os.fsync(folder)
 
     def apply(self, path: str, do: Callable[[int], object]) -> None:
@@ -179,18 +180,34 @@ class Uploads:
 
 
 @contextlib.contextmanager
-def _idle(folder: int, name: str) -> Iterator[None]:
-    """Hold a name that nobody writes until the end of the block. Raises DelfimError."""
+def _idle(folder: int, name: str) -> Iterator[bool]:
+    """Hold a name that nobody writes until the end of the block; whether it is free. Raises DelfimError."""
     try:
         fd = os.open(name, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC, dir_fd=folder)
-    except OSError:  # none, a link, or a file of somebody else: whoever changes it will be told
-        yield
+    except OSError as error:  # none, a link, or a file of somebody else: whoever changes it will be told
+        yield isinstance(error, FileNotFoundError)
         return
     try:
         _lock(fd, fcntl.LOCK_EX)
-        yield
+        yield False
     finally:
         os.close(fd)
+
+
+def _move(old: int, name: str, new: int, new_name: str, is_free: bool) -> None:
+    """Rename. A free name is not held: what has it meanwhile is somebody's upload, whose place a rename would take. Raises
+    DelfimError then, OSError."""
+    if is_free and stat.S_ISREG(os.stat(name, dir_fd=old, follow_symlinks=False).st_mode):
+        try:
+            os.link(name, new_name, src_dir_fd=old, dst_dir_fd=new, follow_symlinks=False)
+        except FileExistsError:
+            raise DelfimError(BEING_WRITTEN) from None
+        except OSError:
+            pass  # a disk without second names
+        else:
+            os.unlink(name, dir_fd=old)
+            return
+    os.rename(name, new_name, src_dir_fd=old, dst_dir_fd=new)
 
 
 def _lock(fd: int, kind: int) -> None:
