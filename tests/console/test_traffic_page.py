@@ -86,6 +86,8 @@ async def test_a_thing_that_stands_and_a_swimmer_say_who_saw_them(page: Page, ga
     swimmer = vessel("camera", north_m=30, east_m=60, **rests, kind="person", length_m=1.0, beam_m=1.0) | {"key": "person 3"}
     await tell(gateway, buoy, swimmer)
     await shown(page, gateway, "delfim.vessels().length === 2")
+    line = "AIS: 0 targets, last report 3 s ago. Sees only who transmits. Seen by programs: 2."
+    await shown(page, gateway, f"{LINE} === {line!r}")
     await page.mouse(await pixel(page, 60, 0))
     told = "document.querySelector('.popup').textContent"
     for words_ in ("stands, seen by lidar", "radius 1 m, ± 2 m", "last seen 4 s ago"):

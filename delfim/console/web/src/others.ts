@@ -175,7 +175,7 @@ export function tcpaWords(tcpa_s: number | null): string {
 }
 
 export const KINDS: Record<string, string> = { A: "AIS class A", B: "AIS class B", fleet: "of the fleet", payload: "seen by a payload", distress: "distress", thing: "stands", person: "a swimmer" };
-const isThing = ({ kind }: Vessel): boolean => kind === "thing" || kind === "person";
+export const isThing = ({ kind }: Vessel): boolean => kind === "thing" || kind === "person";
 const STATUS: Record<number, string> = { 1: "at anchor", 2: "not under command", 3: "restricted", 4: "constrained by draught", 5: "moored", 6: "aground", 7: "fishing", 8: "sailing" };
 
 /** All that is known of a vessel, a line each. */

@@ -2,7 +2,7 @@
 import { attribute, make, text } from "./dom";
 import { position } from "./fleet";
 import { bearing, bearing_deg, distance_m, metres } from "./geo";
-import { secondsWords, tcpaWords } from "./others";
+import { isThing, secondsWords, tcpaWords } from "./others";
 import type { State } from "./state";
 import { worst } from "./watch";
 import type { Watch } from "./watch";
@@ -97,9 +97,11 @@ export class Traffic {
   private tell(): void {
     const { vessels, heard_s } = this.state;
     const lean = this.state.boats.length > 0 && this.state.boats.every(({ link }) => link.profile === "lean");
-    const count = `${vessels.length} target${vessels.length === 1 ? "" : "s"}`;
+    const things = vessels.filter(isThing).length;
+    const ships = vessels.length - things;
+    const count = `${ships} target${ships === 1 ? "" : "s"}`;
     const words = heard_s === null ? (lean ? "AIS: not told on a lean link." : "AIS: nobody heard yet.") : `AIS: ${count}, last report ${secondsWords(heard_s)} ago.`;
-    text(this.line, `${words} Sees only who transmits.`);
+    text(this.line, `${words} Sees only who transmits.${things ? ` Seen by programs: ${things}.` : ""}`);
   }
 }
 
