@@ -36,7 +36,7 @@ export class Survey {
   private isHole = false;
   private pointer: Place | null = null;
   private told: Told | null = null;
-  private isFitted = false; // the map, beside the form
+  private beside: number | null = null; // where the form was when the map was fitted beside it, px
   private asked = ""; // what was asked last, and its answer
   private answer: Answer | null = null;
   private wanted: Asked | null = null; // while an answer is waited for: what is asked next
@@ -200,7 +200,7 @@ export class Survey {
       this.ask({ ...ask(values), at, boat: this.state.planning });
       return this.words(before);
     };
-    this.isFitted = false;
+    this.beside = null;
     this.plans.preview({ ...before, waypoints: [], path: [] });
     this.again = this.popup.form(ASIDE, title, fields, live, (ok) => {
       const { told } = this;
@@ -237,13 +237,13 @@ export class Survey {
       if (wanted) this.ask(wanted);
       this.draw();
       this.again();
-      if (this.told && !this.isFitted) this.fit(this.told);
+      if (this.told && this.popup.covers.left !== this.beside) this.fit(this.told);
     });
   }
 
-  /** Lines and areas beside the form, once it has its words and so its size. */
+  /** Lines and areas beside the form, once it has its words and so its size, and again where it had to move. */
   private fit(told: Told): void {
-    this.isFitted = true;
+    this.beside = this.popup.covers.left;
     this.chart.fitBeside([...surveyed(this.mission), ...told.way.map(cornerPlace)], this.popup.covers, document.getElementById("strips")!.offsetWidth);
   }
 
