@@ -68,7 +68,7 @@ async def planned(you: Visit) -> None:
     page = you.page
     await rung(you, AREA, "Draw an area")
     await typed(page, 0, str(SPACING_M))
-    await typed(page, 8, str(SPEED_MPS))
+    await typed(page, 9, str(SPEED_MPS))
     await said(page, f"{SPACING_M}.0 m apart")
     await you.picture("area")
     await page.press("Enter")
