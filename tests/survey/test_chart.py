@@ -3,6 +3,7 @@
 import csv
 import math
 import sqlite3
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
@@ -225,7 +226,7 @@ def test_the_files_say_where_they_are(folder: Path, chart: SurveyChart) -> None:
     rows = cells.shape[0]
     assert tags[33922][3:5] == (chart.surface.west_m, chart.surface.south_m + rows * chart.surface.cell_m)
     assert tags[34735][-1] == chart.its.epsg == 32629
-    with sqlite3.connect(folder / "survey.gpkg") as db:
+    with closing(sqlite3.connect(folder / "survey.gpkg")) as db:
         counts = {
             name: db.execute(f"SELECT count(*) FROM {name}").fetchone()[0] for name in ("contours", "soundings", "refused")
         }
