@@ -16,6 +16,7 @@ from PIL import Image
 from pymavlink.dialects.v20 import common as mavlink
 
 from delfim.base.clock import ManualClock, SystemClock
+from delfim.base.modes import Mode
 from delfim.console.boats.fleet import Fleet
 from delfim.console.gateway.gateway import Gateway
 from delfim.console.gateway.serving import serve
@@ -196,6 +197,8 @@ async def test_what_is_aboard_is_drawn_and_a_mode_that_would_sail_it_asks_first(
     await until(it, boat, 1)
     assert boat.obeyed[0]["command"] == "heading"
     boat.obeyed.clear()
+    boat.mode = Mode.PLAY
+    await it.until("document.body.innerText.includes('MISSION')")
     await it.page.press("y")
     await choose(it.page, "Hold, send the plan, then play it")
     await until(it, boat, 2)
