@@ -8,6 +8,7 @@ import argparse
 import contextlib
 import importlib
 import os
+from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
 from typing import Final
@@ -90,6 +91,21 @@ def shipped(path: str) -> str:
     command that runs a boat: in the wrong folder it would sail with an example instead of the owner's file."""
     place = PACKAGE / path
     return str(place) if Path(path).parts[:1] == ("etc",) and not os.path.exists(path) and place.exists() else path
+
+
+def place(most_deg: float) -> Callable[[str], tuple[float, float]]:
+    """The type of an option LAT,LON: latitude, up to so many degrees, and longitude."""
+
+    def parsed(text: str) -> tuple[float, float]:
+        try:
+            latitude_deg, longitude_deg = map(float, text.split(","))
+            if abs(latitude_deg) <= most_deg and abs(longitude_deg) <= 180.0:
+                return latitude_deg, longitude_deg
+        except ValueError:
+            pass
+        raise argparse.ArgumentTypeError(f"{text} is not a latitude and a longitude, as 38.69,-9.21")
+
+    return parsed
 
 
 def overrides(parser: argparse.ArgumentParser) -> None:

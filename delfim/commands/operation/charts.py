@@ -5,11 +5,13 @@ from collections.abc import Callable
 from pathlib import Path
 
 from delfim.base.errors import DelfimError
-from delfim.commands import OWN_FILE, overrides, shipped
+from delfim.commands import OWN_FILE, overrides, place, shipped
 
 
 def options(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--at", required=True, type=_place, metavar="LAT,LON", help="The middle of the water: 10 km about it.")
+    parser.add_argument(
+        "--at", required=True, type=place(85.0), metavar="LAT,LON", help="The middle of the water: 10 km about it."
+    )
     told = "The vehicle's file: [boat] draught_m and air_draught_m."
     parser.add_argument("--vehicle", default=OWN_FILE, metavar="FILE", type=shipped, help=told)
     overrides(parser)
@@ -30,16 +32,6 @@ def options(parser: argparse.ArgumentParser) -> None:
     told = "Cells of S-57 (.000); their updates .001 ... lie beside them."
     parser.add_argument("cell", nargs="+", metavar="CELL", help=told)
     parser.set_defaults(many="cell")
-
-
-def _place(text: str) -> tuple[float, float]:
-    try:
-        latitude_deg, longitude_deg = map(float, text.split(","))
-        if abs(latitude_deg) <= 85.0 and abs(longitude_deg) <= 180.0:
-            return latitude_deg, longitude_deg
-    except ValueError:
-        pass
-    raise argparse.ArgumentTypeError(f"{text} is not a latitude and a longitude, as 38.69,-9.21")
 
 
 def _up_to(most: float) -> Callable[[str], float]:

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from delfim.base.errors import DelfimError
-from delfim.commands import OWN_FILE, Formatter, overrides, shipped
+from delfim.commands import OWN_FILE, Formatter, overrides, place, shipped
 
 MOST_M = 1000.0  # of a spacing, a swath, a run-in
 
@@ -72,22 +72,12 @@ def _rest_options(rest: argparse.ArgumentParser) -> None:
     overrides(rest)
     _boats_option(rest)
     told = "Where the boat is, or the next of --boats (default: where the last log ends)."
-    rest.add_argument("--at", action="append", default=[], type=_place, metavar="LAT,LON", help=told)
+    rest.add_argument("--at", action="append", default=[], type=place(89.0), metavar="LAT,LON", help=told)
     rest.add_argument("--output", metavar="FILE", help="Write the mission here (default: NAME-rest.toml in this folder).")
     rest.add_argument("--picture", metavar="FILE", help="Draw it, too, as .png or .svg.")
     rest.add_argument("survey", metavar="SURVEY", help="The file .survey.json that delfim survey lines wrote.")
     rest.add_argument("log", nargs="*", metavar="LOG", help="Logs since then: trees, days, folders, files, CSV of soundings.")
     rest.set_defaults(many="log")
-
-
-def _place(text: str) -> tuple[float, float]:
-    try:
-        latitude_deg, longitude_deg = map(float, text.split(","))
-        if abs(latitude_deg) <= 89.0 and abs(longitude_deg) <= 180.0:
-            return latitude_deg, longitude_deg
-    except ValueError:
-        pass
-    raise argparse.ArgumentTypeError(f"{text} is not a latitude and a longitude, as 38.69,-9.21")
 
 
 def _chart_options(chart: argparse.ArgumentParser) -> None:
