@@ -15,11 +15,11 @@ import msgspec
 from delfim import config
 from delfim.console.boats.soundings import HEAD
 from delfim.survey.preview import answered
-from tests.console.chain import PATIENCE_S, VEHICLE, Boat, afloat
-from tests.console.test_first_voyage import PHONE, Size, Visit, console
-from tests.console.test_survey_page import DESK, Picture, around, nothing, said, typed
+from tests.console.chain import PATIENCE_S, VEHICLE, Boat
+from tests.console.test_first_voyage import PHONE, Size, Visit
+from tests.console.test_survey_page import DESK, Picture, around, nothing, said, typed, with_boat
 from tests.kit.pictures import keeper
-from tests.services.browser import shrink, tab
+from tests.services.browser import shrink
 
 OUTLINE = ((15.0, -60.0), (15.0, 60.0), (105.0, 60.0), (105.0, -60.0))  # metres north and east of the boat
 SPACING_M, STEP_M = 15.0, 1.5
@@ -128,29 +128,18 @@ async def forgotten(you: Visit, folder: Path, boat: Boat) -> None:
 
 
 async def voyage(folder: Path, size: Size, picture: Picture) -> None:
-    width, height, night = size
-    async with console(folder) as (gateway, _, port, url), tab() as page:
-        await page.open(url, width=width, height=height, scale=1.0, dark=night)
-        await page.call("Page.bringToFront")
-        you = Visit(page, lambda name: picture(page, name), width < 600)
-        if width < 600:
-            await page.call("Emulation.setTouchEmulationEnabled", enabled=True, maxTouchPoints=1)
-            await page.call("Emulation.setEmitTouchEventsForMouse", enabled=False)
-        with afloat(folder / "1", 1, port) as boat:
-            await you.sees("boat1")
-            await boat.until(lambda state: state["age_s"]["navigation"] is not None)
-            await page.value("document.querySelector('#hint button')?.click()")
-            lines = await surveyed(you, boat)
-            gateway.end(signal.SIGKILL)
-            heard(lines, folder / "sessions/soundings")
-            await asyncio.to_thread(gateway.start)
-            await filled(you, boat, len(lines))
-            gateway.end(signal.SIGKILL)
-            await asyncio.to_thread(gateway.start)
-            await another_operator(you, boat, len(lines))
-            await forgotten(you, folder, boat)
-        assert all("/ws" in each for each in page.complaints), "it called for the gateway, and for nothing else"
-        page.complaints.clear()
+    async with with_boat(folder, size, picture) as (you, boat, gateway):
+        lines = await surveyed(you, boat)
+        gateway.end(signal.SIGKILL)
+        heard(lines, folder / "sessions/soundings")
+        await asyncio.to_thread(gateway.start)
+        await filled(you, boat, len(lines))
+        gateway.end(signal.SIGKILL)
+        await asyncio.to_thread(gateway.start)
+        await another_operator(you, boat, len(lines))
+        await forgotten(you, folder, boat)
+        assert all("/ws" in each for each in you.page.complaints), "it called for the gateway, and for nothing else"
+        you.page.complaints.clear()
 
 
 def test_the_gaps_of_a_survey_are_filled_also_after_console_and_page_were_started_again(tmp_path: Path) -> None:

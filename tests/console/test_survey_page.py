@@ -3,11 +3,13 @@ folder on its command line it keeps pictures for docs/survey.md (`make pictures`
 """
 
 import asyncio
+import contextlib
 import json
 import sys
 import tempfile
-from collections.abc import Awaitable, Callable
+from collections.abc import AsyncIterator, Awaitable, Callable
 from pathlib import Path
+from typing import Any
 
 from tests.console.chain import PATIENCE_S, Boat, afloat
 from tests.console.test_first_voyage import NORTH_M, PHONE, TEXT, Size, Visit, console
@@ -107,9 +109,11 @@ async def loaded(you: Visit) -> None:
     assert await page.value("delfim.areas()") == 9
 
 
-async def surveyed(folder: Path, size: Size, picture: Picture) -> None:
+@contextlib.asynccontextmanager
+async def with_boat(folder: Path, size: Size, picture: Picture) -> AsyncIterator[tuple[Visit, Boat, Any]]:
+    """A page of this size and a boat that knows where it is, the first hint away: visit, boat, and the console's program."""
     width, height, night = size
-    async with console(folder) as (_, _, port, url), tab() as page:
+    async with console(folder) as (gateway, _, port, url), tab() as page:
         await page.open(url, width=width, height=height, scale=1.0, dark=night)
         await page.call("Page.bringToFront")
         you = Visit(page, lambda name: picture(page, name), width < 600)
@@ -120,9 +124,14 @@ async def surveyed(folder: Path, size: Size, picture: Picture) -> None:
             await you.sees("boat1")
             await boat.until(lambda state: state["age_s"]["navigation"] is not None)
             await page.value("document.querySelector('#hint button')?.click()")
-            await drawn(you, boat)
-            await sent(you, boat)
-            await loaded(you)
+            yield you, boat, gateway
+
+
+async def surveyed(folder: Path, size: Size, picture: Picture) -> None:
+    async with with_boat(folder, size, picture) as (you, boat, _):
+        await drawn(you, boat)
+        await sent(you, boat)
+        await loaded(you)
 
 
 async def nothing(page: Page, name: str) -> None:
