@@ -99,7 +99,8 @@ async def test_a_pattern_is_changed_as_one_until_a_point_of_it_was_moved(page, g
     first = before["waypoints"][1]
     gateway.forget()
     await page.reload()
-    await page.until("delfim.drawn().plan > 0")
+    await page.until("window.delfim && delfim.drawn().plan > 0")
+    await settled(page, gateway)  # its map stands where it stood: a click before that would miss
     await page.mouse(await page.value(f"delfim.pixel({first['latitude_deg']}, {first['longitude_deg']})"))
     await choose(page, f"Change the {title.lower()}…")
     await type_in(page, field, more)

@@ -2,6 +2,7 @@
 
 import asyncio
 import contextlib
+import itertools
 import json
 import math
 import os
@@ -532,14 +533,14 @@ async def _steered(url: str, boat_end: socket.socket, gateway: "subprocess.Popen
 
     loop.add_reader(boat_end, readable)
     async with visitor() as session, asyncio.timeout(200), session.ws_connect(await let_in(session, url) + "ws") as page:
-        while not boat.heartbeats:
+        for n in itertools.count():  # as a page does it: an input that came late is dropped, another follows it
+            if boat.thrust:
+                break
             with contextlib.suppress(OSError):
                 boat.tick()
+            if boat.heartbeats:
+                await page.send_json({"t": "input", "boat": 1, "n": n, "port_pct": 30, "starboard_pct": 30})
             await asyncio.sleep(0.05)
-        for n in range(3):
-            await page.send_json({"t": "input", "boat": 1, "n": n, "port_pct": 30, "starboard_pct": 30})
-        while not boat.thrust:
-            await asyncio.sleep(0.01)
         gateway.kill()
         await asyncio.to_thread(gateway.wait)
         await asyncio.sleep(0.1)  # what was under way on loopback
