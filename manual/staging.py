@@ -17,7 +17,7 @@ ENTRY: Final = re.compile(r"\[([^\]]+)\]\(([^)#\s]+\.md)\)")
 ITEM: Final = re.compile(r"[*-] |\d+\. ")
 NOT_RUN: Final = re.compile(r"^( *)<!-- not run: it (.+) -->\n+((?:\1    .*\n|\n(?=\1    ))+|\1```[^`]*```\n)", re.MULTILINE)
 RUN: Final = re.compile(r"^ *<!-- run -->\n\n", re.MULTILINE)
-START: Final = ("README.md", "CONTRIBUTING.md", "CHANGELOG.md", "docs/README.md")
+START: Final = ("README.md", "CONTRIBUTING.md", "CHANGELOG.md", "SECURITY.md", "docs/README.md")
 
 
 def staged(root: Path, place: Path, generated: Mapping[str, str]) -> list[Any]:

@@ -26,7 +26,7 @@ from manual.staging import pages, shown, titled, titles_of
 from tests.services.browser import tab
 
 ROOT = Path(__file__).parents[1]
-DOCUMENTS = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
+DOCUMENTS = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", ROOT / "SECURITY.md", *sorted((ROOT / "docs").rglob("*.md"))]
 OWN = re.compile(r"etc/myboat\.toml")  # a reader's file
 MARK = re.compile(r" *<!-- (run|not run: it .+) -->")
 

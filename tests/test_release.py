@@ -2,6 +2,7 @@
 
 import importlib.metadata
 import json
+import lzma
 import os
 import pty
 import re
@@ -86,6 +87,20 @@ def test_it_holds_wheel_source_changes_and_signed_checksums(made: Path) -> None:
     subprocess.run(verify, cwd=dist, input=(dist / "SHA256SUMS").read_bytes(), check=True, capture_output=True)
     assert (dist / notes).read_text().startswith(f"# Delfim {__version__}\n\n### ")
     assert "\n## [" not in (dist / notes).read_text()
+
+
+def test_the_bill_of_materials_is_one_by_the_schema_of_its_format(made: Path) -> None:
+    jsonschema = pytest.importorskip("jsonschema", reason="make formats brings it")
+    referencing = pytest.importorskip("referencing", reason="make formats brings it")
+    schema = json.loads(lzma.decompress((ROOT / "tests/data/cyclonedx/bom-1.5.schema.json.xz").read_bytes()))
+    others = ("spdx.SNAPSHOT.schema.json", "jsf-0.82.SNAPSHOT.schema.json")  # of licences and signatures: it has none
+    base = schema["$id"].rpartition("/")[0]
+    anything = referencing.Resource.from_contents({"$schema": schema["$schema"], "definitions": {"signature": {}}})
+    known = referencing.Registry().with_resources([(f"{base}/{other}", anything) for other in others])
+    held = jsonschema.Draft7Validator(schema, registry=known)
+    bill = json.loads((made / f"dist/delfim-{__version__}.cdx.json").read_text())
+    assert not list(held.iter_errors(bill))
+    assert list(held.iter_errors(bill | {"components": [{"name": "of no type"}]})), "the schema is looked at"
 
 
 def test_the_wheel_holds_examples_and_page_and_no_tests(made: Path) -> None:
