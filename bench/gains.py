@@ -4,9 +4,10 @@
 
 For each boat of docs/adopt.md and each seed: a whole trial, the fit, the gains on the twin, then a voyage of the true boat in
 her own wind and current (a turn of 90 degrees, one of 20, two lines, a minute of holding), with today's gains, with those that
-were found, and, with --truth, with those that the same choice makes of her true hull; then the proof sail. Prints a row for
-each boat, and one for all. A hull that no control turns by 90 degrees in ten seconds is counted by itself. Each hull appends a
-row to the file, and is not asked for again.
+were found, and, with --truth, with those that the same choice makes of her true hull; then the proof sail; then 300 m of a
+mission by the true boat and by her twin, with quiet receivers: one and the same boat is 2 to 3 m off her own track by two
+receivers of 1 m. Prints a row for each boat, and one for all. A hull that no control turns by 90 degrees in ten seconds is
+counted by itself. Each hull appends a row to the file, and is not asked for again.
 """
 
 import argparse
@@ -20,24 +21,34 @@ from tempfile import TemporaryDirectory
 from typing import NamedTuple
 
 import msgspec
+import numpy as np
 
 from delfim import config
-from delfim.adoption.trial.boats import SimulatedTrial
+from delfim.adoption.model import Array
+from delfim.adoption.trial.boats import SETTLE_S, SimulatedTrial
 from delfim.adoption.trial.concluding import conclude
 from delfim.adoption.trial.dialogue import NOISE
 from delfim.adoption.trial.hiddenhull import Hidden, LateModel, drawn, rewired
 from delfim.adoption.trial.proof import SimulatedProof, proved
 from delfim.adoption.trial.session import TrialProgress, TrialSession
 from delfim.adoption.twin import gains
-from delfim.adoption.twin.twinvoyage import NEAR_DEG, TwinVoyage, VoyageTurn, sailed, twin_of
+from delfim.adoption.twin.twintrack import apart
+from delfim.adoption.twin.twinvoyage import FACTOR, NEAR_DEG, TwinVoyage, VoyageTurn, mission_text, sailed, twin_of
 from delfim.base.errors import DelfimError
+from delfim.base.modes import Mode
+from delfim.simulator.lockstep import Lockstep, uncollected
 from delfim.simulator.tables import SimulatedHull, Simulation
+from delfim.vehicle import console
+from delfim.vehicle.state import NoLog
 
 BOATS = "heron", "otter", "wam-v", "blueboat"
 RADIUS_M = 60.0
 OVER_DEG, SETTLED_S = 5.0, 10.0
 LONG_S, STEP_S, ROUNDS = 30.0, 0.1, 8
 WORKERS = 2
+MISSION_M = (8.0, 0.0), (98.0, 0.0), (98.0, 60.0), (8.0, 60.0), (8.0, 10.0)  # north and east of her
+MISSION_LONG_M = 300.0
+TWIN_M = 2.0  # that the twin's track may be off
 
 
 class Outcome(NamedTuple):
@@ -52,6 +63,7 @@ class Outcome(NamedTuple):
     is_steady: bool = True
     proof: str = ""
     least_s: float = 0.0  # that a turn of 90 degrees takes by full power one way and then the other
+    twin_m: tuple[float, float] = (math.inf, math.inf)  # of the twin's track off hers in one mission: rms, most
 
 
 def one(job: tuple[str, int, bool]) -> Outcome:
@@ -97,7 +109,36 @@ def _voyages(name: str, seed: int, was: config.Vehicle, file: Path, hidden: Hidd
     except DelfimError as error:
         worse = str(error)
     voyages = sail(today, cruise_mps), sail(adopted, cruise_mps), of_truth
-    return Outcome(name, seed, "", *voyages, is_steady, worse, _least_s(adopted, true, seed))
+    return Outcome(name, seed, "", *voyages, is_steady, worse, _least_s(adopted, true, seed), _beside(adopted, true, seed))
+
+
+def _beside(adopted: config.Vehicle, true: Hidden, seed: int) -> tuple[float, float]:
+    """How far the twin's track of a mission is off hers, with quiet receivers, in the same sea, m: rms, most."""
+    alone = twin_of(adopted, true.sea)
+    begun = {"noise": False, "heading_deg": math.degrees(true.heading_rad) % 360.0}
+    quiet = msgspec.structs.replace(alone, simulation=msgspec.structs.replace(alone.of(Simulation), **begun))
+    twin = Lockstep(quiet, seed, lambda clock: NoLog())
+    for _ in twin.cycles(SETTLE_S):
+        pass
+    runs, cruise_mps = (SimulatedTrial(quiet, true, seed, RADIUS_M).run, twin), adopted.control.speed.cruise_mps
+    mission = mission_text(twin.nodes.model.origin, MISSION_M, cruise_mps)
+    tracks = [_track(run, mission, FACTOR * MISSION_LONG_M / cruise_mps) for run in runs]
+    if not all(map(len, tracks)):
+        return math.inf, math.inf
+    off_m = np.concatenate([apart(*tracks), apart(*tracks[::-1])])
+    return float(np.sqrt(np.mean(off_m**2))), float(off_m.max())
+
+
+@uncollected()
+def _track(run: Lockstep, mission: str, limit_s: float) -> Array:
+    """Where the boat truly is while she sails a mission, m: empty where she does not sail it to its end."""
+    places, model = list[tuple[float, float]](), run.nodes.model
+    if run.command(console.LoadMission(mission)) is None and run.command(console.Play()) is None:
+        for state in run.cycles(limit_s):
+            if state.mode is not Mode.PLAY:
+                return np.array(places)
+            places.append((model.north_m, model.east_m))
+    return np.empty((0, 2))
 
 
 def _least_s(settings: config.Vehicle, true: Hidden, seed: int) -> float:
@@ -194,12 +235,15 @@ def row(name: str, outcomes: list[Outcome]) -> str:
     proven = f"{sum(not each.proof for each in done)} of {len(done)}"
     steady = f"{sum(each.is_steady for each in done)} of {len(done)}"
     counts = f"{len(done)} of {len(outcomes)}", str(len(done) - len(able))
-    return f"| {' | '.join([name, *counts, *turns, *told, steady, proven])} |"
+    twins = [each.twin_m for each in done]
+    near = f"{sum(most_m <= TWIN_M for _, most_m in twins)} of {len(done)}"
+    off = " / ".join(f"{median(figures):.2f}" for figures in zip(*twins, strict=True))
+    return f"| {' | '.join([name, *counts, *turns, *told, steady, proven, off, near])} |"
 
 
 HEAD = (
     "| boat | adopted | cannot | turn holds: today / found / of the truth | the same as told | over, deg | 90 deg, s | path, m "
-    "| hold, m | speed off | travel, 1/s | margins | proven |"
+    "| hold, m | speed off | travel, 1/s | margins | proven | twin off her, m: rms / most | within 2 m |"
 )
 
 
@@ -213,7 +257,7 @@ def main() -> None:
     asked.rows.parent.mkdir(parents=True, exist_ok=True)
     lines = asked.rows.read_bytes().splitlines() if asked.rows.exists() else []
     had = {(its.name, its.seed): its for its in (msgspec.json.decode(line, type=Outcome) for line in lines)}
-    print(f"{HEAD}\n|{'---|' * 13}")
+    print(f"{HEAD}\n|{'---|' * 15}")
     with ProcessPoolExecutor(WORKERS) as pool:
         wanted = [(name, seed) for seed in range(1, asked.seeds + 1) for name in asked.boats]
         missing = [(name, seed, asked.truth) for name, seed in wanted if (name, seed) not in had]

@@ -70,7 +70,7 @@ def twin_track(files: Sequence[LogFile], mission: Mission, fit: Fit, vehicle: co
         return None
     north, east = to_plane(zero, run.nodes.model.origin.latitude_rad, run.nodes.model.origin.longitude_rad)
     places = places + np.array([north, east])
-    off = _apart(places, measured)
+    off = apart(places, measured)
     return TwinTrack(mission.name, measured, places, float(np.sqrt(np.mean(off**2))), float(off.max()), measured_s, twin_s)
 
 
@@ -90,7 +90,7 @@ def _played(run: Lockstep, mission: Mission, leg: int, limit_s: float) -> tuple[
     return np.empty((0, 2)), 0.0
 
 
-def _apart(these: Array, those: Array) -> Array:
+def apart(these: Array, those: Array) -> Array:
     """The distance of each of these points from the nearest of those, m."""
     some, other = (each[:: len(each) // POINTS + 1] for each in (these, those))
     return np.asarray(np.sqrt(((some[:, None] - other[None]) ** 2).sum(-1)).min(1))

@@ -4,14 +4,14 @@ the boat sails it, in lock step; what counts is where she truly was.
 
 import math
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from statistics import fmean
 from typing import Final, NamedTuple
 
 import msgspec
 
 from delfim import config
-from delfim.base.geodesy import from_plane, to_plane, wrap
+from delfim.base.geodesy import Origin, from_plane, to_plane, wrap
 from delfim.base.modes import Mode
 from delfim.simulator.lockstep import Lockstep, uncollected
 from delfim.simulator.tables import Sea, SimulatedTraffic, Simulation
@@ -78,6 +78,16 @@ def twin_of(vehicle: config.Vehicle, sea: Sea, later: float = 1.0) -> config.Veh
 def sailed(run: Lockstep, cruise_mps: float) -> TwinVoyage:
     """Sail it with the boat of a run that has just begun, at this speed."""
     return _Sailing(run, cruise_mps).whole()
+
+
+def mission_text(plane: Origin, places: Sequence[tuple[float, float]], speed_mps: float) -> str:
+    """A mission of waypoints, m north and east on a plane, as a file has it."""
+    rows = ['version = 1\nname = "Lines"\n']
+    for north_m, east_m in places:
+        latitude, longitude = (math.degrees(each) for each in from_plane(plane, north_m, east_m))
+        place = f"latitude_deg = {latitude:.9f}\nlongitude_deg = {longitude:.9f}"
+        rows.append(f"[[waypoint]]\n{place}\nspeed_mps = {speed_mps:.3f}\n")
+    return "\n".join(rows)
 
 
 class _Sailing:
@@ -161,19 +171,12 @@ class _Sailing:
                 off_mps.append(abs(made_mps) / self._cruise_mps - 1.0)
 
         limit_s = FACTOR * (2.0 * long_m + apart_m + AHEAD_M) / self._cruise_mps
-        if self._run.command(console.LoadMission(self._mission(places))) is None and self._run.command(console.Play()) is None:
+        lines = console.LoadMission(mission_text(model.origin, places, self._cruise_mps))
+        if self._run.command(lines) is None and self._run.command(console.Play()) is None:
             self._cycles(limit_s, look, Mode.PLAY)
         is_done = self._run.state.mode is not Mode.PLAY and self._run.elapsed_s - began_s < limit_s and back_s > 0.0
         turn_s = back_s - left_s - (2.0 * STEADY * long_m + apart_m) / self._cruise_mps if is_done else 0.0
         return _rms(off_m), _rms(off_mps), is_done, turn_s, run_in_m
-
-    def _mission(self, places: list[tuple[float, float]]) -> str:
-        rows = list[str]()
-        for north_m, east_m in places:
-            latitude, longitude = (math.degrees(each) for each in from_plane(self._model.origin, north_m, east_m))
-            place = f"latitude_deg = {latitude:.9f}\nlongitude_deg = {longitude:.9f}"
-            rows.append(f"[[waypoint]]\n{place}\nspeed_mps = {self._cruise_mps:.3f}\n")
-        return "\n".join(['version = 1\nname = "Lines"\n', *rows])
 
     def _held(self) -> float:
         """Hold. Returns the rms distance from the point, m."""
