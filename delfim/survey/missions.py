@@ -93,16 +93,11 @@ def _item(told: Announced) -> PayloadItem:
 
 def _foretold(boat: SurveyBoat, plan: SurveyPlan) -> str:
     """The time and the energy of a plan, as the simulated boat takes them for four lines."""
-    from delfim.survey.trialsail import sailed  # the simulator, which nobody waits for who asks only for what is left
+    from delfim.survey.trialsail import foretold  # the simulator, which nobody waits for who asks only for what is left
 
-    energy = ""
-    try:
-        told = sailed(boat.settings, plan.wanted)
-        plan = plan._replace(wanted=plan.wanted._replace(turn_s=told.turn_s))
-        energy = f" and {told.energy_wh(plan.time_s):,.0f} Wh"
-    except DelfimError:  # this boat's devices are not simulated, or it is no boat for lines
-        pass
-    return f"{in_hours(plan.time_s)}{energy} at {plan.wanted.speed_mps:g} m/s"
+    time_s, energy_wh = foretold(boat.settings, plan)
+    energy = "" if energy_wh is None else f" and {energy_wh:,.0f} Wh"
+    return f"{in_hours(time_s)}{energy} at {plan.wanted.speed_mps:g} m/s"
 
 
 def written(

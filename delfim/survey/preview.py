@@ -43,6 +43,7 @@ class PreviewAsked(msgspec.Struct, forbid_unknown_fields=True):
     across: int = 0  # so many of them, the last ones, lie across
     at: Corner | None = None  # where the boat is
     heard: list[str] = []  # files of soundings, by which it is known what is left
+    sailed: bool = False  # time and energy by four lines that the simulated boat sails: they take half a second
 
 
 class PreviewTold(NamedTuple):
@@ -63,6 +64,7 @@ class PreviewTold(NamedTuple):
     counts: str = ""  # ... in words
     known: Sequence[tuple[Corner, Corner]] = ()  # all lines of the survey, whose rest these are ...
     known_across: int = 0  # ... the last ones across
+    energy_wh: float | None = None  # in usual weather; None: not asked for, or this boat's devices are not simulated
 
 
 def told(asked: PreviewAsked, settings: config.Vehicle) -> dict[str, Any]:
@@ -93,15 +95,16 @@ def told(asked: PreviewAsked, settings: config.Vehicle) -> dict[str, Any]:
     ground = laid(asked.areas)
     come = in_plane(ground.at, *asked.at) if asked.at is not None else None
     plan = planning.planned(ground, wanted, _around(asked, settings.fence), come)
-    return _as_told(plan, asked.name, settings)._asdict()
+    return _as_told(plan, asked, settings)._asdict()
 
 
-def _as_told(plan: Any, name: str, settings: config.Vehicle) -> PreviewTold:
+def _as_told(plan: Any, asked: PreviewAsked, settings: config.Vehicle) -> PreviewTold:
     """A plan for the page. Raises DelfimError where the boat would not take its mission."""
-    from delfim.survey import planning
+    from delfim.survey import planning, trialsail
 
-    mission = planning.mission(plan, name)
+    mission = planning.mission(plan, asked.name)
     planning.check(mission, plan, settings)
+    time_s, energy_wh = trialsail.foretold(settings, plan) if asked.sailed else (plan.time_s, None)
     return PreviewTold(
         _ends(plan.ground.at, plan.lines),
         plan.across,
@@ -110,10 +113,11 @@ def _as_told(plan: Any, name: str, settings: config.Vehicle) -> PreviewTold:
         plan.wanted.spacing_m,
         plan.line_m,
         plan.way_m,
-        plan.time_s,
+        time_s,
         plan.covered(),
         plan.wanted.room_m,
         msgspec.to_builtins(mission),
+        energy_wh=energy_wh,
     )
 
 
@@ -146,7 +150,7 @@ def _rest(asked: PreviewAsked, settings: config.Vehicle) -> dict[str, Any]:
         raise DelfimError(f"nothing is left: {counts}")
     done = [part for each in zip(lines, survey.done, strict=True) for part in progress.parts(*each)]
     both = swaths([*done, *plan.lines], plan.wanted.cut.wide_m, plan.wanted.cut.side)
-    its = _as_told(plan, asked.name, settings)._replace(
+    its = _as_told(plan, asked, settings)._replace(
         covered=(both.intersection(plan.free).area / plan.free.area, both.intersection(ground.area).area / ground.area.area),
         done=_ends(ground.at, done),
         counts=counts,

@@ -50,6 +50,17 @@ def sailed(settings: config.Vehicle, wanted: LinesWanted) -> SailedLines:
         run.close()
 
 
+def foretold(settings: config.Vehicle, plan: SurveyPlan) -> tuple[float, float | None]:
+    """The time of a survey, s, and its energy, Wh, by lines that the simulated boat sails; by speed and turns, and None, where
+    it does not."""
+    try:
+        told = sailed(settings, plan.wanted)
+    except DelfimError:  # this boat's devices are not simulated, or it is no boat for lines
+        return plan.time_s, None
+    time_s = plan._replace(wanted=plan.wanted._replace(turn_s=told.turn_s)).time_s
+    return time_s, told.energy_wh(time_s)
+
+
 def _plan(wanted: LinesWanted) -> SurveyPlan:
     spacing_m = min(max(wanted.spacing_m, LEAST_M), MOST_M)
     area = MultiPolygon([box(0.0, 0.0, LINES * spacing_m, LONG_M)])

@@ -56,6 +56,7 @@ async def drawn(you: Visit, boat: Boat) -> None:
     for place in (*places, places[0]):
         await you.taps_the_sea(place)
     assert "10.0 m apart" in await said(page, "covered: 100.0 %")
+    assert " min " in await said(page, " Wh")
     assert await page.value("[delfim.areas(), delfim.survey()]") == [5, 10]
     await page.press("Escape")
     assert await page.value("[delfim.areas(), delfim.survey(), delfim.drawn().plan]") == [5, 0, 0]

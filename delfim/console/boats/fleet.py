@@ -13,6 +13,7 @@ from typing import Any, Final
 from delfim.base.clock import Clock
 from delfim.base.errors import FormatError, Refused
 from delfim.base.modes import Mode
+from delfim.console.boats.affording import EnergyAsks
 from delfim.console.boats.alarms import is_trouble
 from delfim.console.boats.boat import SILENT_S, Boat
 from delfim.console.boats.depths import DepthGrid
@@ -64,6 +65,7 @@ class Fleet:
         self._texts: dict[int, tuple[float, str]] = {}
         self._profiles = Profiles(self._send)
         self._homes = set[int]()  # boats that were asked where their way home ends
+        self._energies = EnergyAsks(lambda number: self._ask_for(number, mavlink.MAVLINK_MSG_ID_DEBUG_FLOAT_ARRAY))
 
     # Messages from the boats.
 
@@ -200,6 +202,9 @@ class Fleet:
             way = boat.heard_track.way_home(message.latitude / 1e7, message.longitude / 1e7)
             self._tell({"t": "way_home", "boat": boat.number, **way})
 
+    def _on_array(self, boat: Boat, message: Any, now_s: float) -> None:
+        self._energies.hear(boat.number, boat.energy)
+
     def _on_depth(self, boat: Boat, message: Any, now_s: float) -> None:
         told = message.lat / 1e7, message.lng / 1e7, message.distance
         if self.depths.add(*told):
@@ -236,6 +241,7 @@ class Fleet:
         self._requests.tick(now_s)
         self._profiles.tick(now_s)
         self._exchange.tick(now_s)
+        self._energies.tick(now_s)
 
     def _look_for_twins(self, boat: Boat, now_s: float) -> None:
         twins = [in_words(each) for each in self._ways.twins(boat.number, now_s)]
@@ -249,7 +255,6 @@ class Fleet:
         boat.asks += 1
         if boat.asks > ASKS:
             return
-        to = boat.number, AUTOPILOT
         if not boat.profile:
             self._profiles.ask(boat.number)
         if not boat.is_named:
@@ -257,8 +262,7 @@ class Fleet:
         modes = mavlink.MAVLINK_MSG_ID_AVAILABLE_MODES, boat.has_told_modes
         for listed, is_known in (modes, (ownorders.EXTENSION, boat.has_told_orders)):
             if not is_known:
-                every = listed, *(0.0,) * 6
-                self._send(boat.number, mavlink.MAVLink_command_long_message(*to, mavlink.MAV_CMD_REQUEST_MESSAGE, 0, *every))
+                self._ask_for(boat.number, listed)
 
     def snapshot(self) -> list[dict[str, Any]]:
         """All boats for the page, in order of their numbers."""
@@ -341,8 +345,19 @@ class Fleet:
     def ask_home(self, number: int) -> None:
         """Asks where the boat's way home ends; the pages are told the way when it answers. Raises Refused."""
         self._homes.add(self._boat(number).number)
-        where = mavlink.MAVLINK_MSG_ID_HOME_POSITION, *(0.0,) * 6
-        self._send(number, mavlink.MAVLink_command_long_message(number, AUTOPILOT, mavlink.MAV_CMD_REQUEST_MESSAGE, 0, *where))
+        self._ask_for(number, mavlink.MAVLINK_MSG_ID_HOME_POSITION)
+
+    def afford(self, number: int, answer: Answer) -> None:
+        """Asks the boat whether the mission aboard fits the energy that is left; where it tells neither, it does. Raises
+        Refused."""
+        if not self._boat(number).energy:
+            return answer(True, "")
+        return self._energies.begin(number, answer, self._clock.monotonic_s())
+
+    def _ask_for(self, number: int, message: int) -> None:
+        """Asks a boat for a message that it tells when it is asked."""
+        its = message, *(0.0,) * 6
+        self._send(number, mavlink.MAVLink_command_long_message(number, AUTOPILOT, mavlink.MAV_CMD_REQUEST_MESSAGE, 0, *its))
 
     def ask_text(self, number: int, name: str) -> None:
         """Asks a boat for one of its texts."""
@@ -404,6 +419,7 @@ _HANDLERS: Final[dict[str, Callable[[Fleet, Boat, Any, float], None]]] = {
     "TIMESYNC": Fleet._on_sync,
     "HOME_POSITION": Fleet._on_home,
     "WATER_DEPTH": Fleet._on_depth,
+    "DEBUG_FLOAT_ARRAY": Fleet._on_array,
     "NAMED_VALUE_INT": lambda fleet, boat, m, _: fleet.troubles(boat.number, m.value) if m.name == TROUBLES else None,
     **dict.fromkeys(SAID, Fleet._on_mission),
 }

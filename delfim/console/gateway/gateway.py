@@ -396,6 +396,8 @@ class Gateway:
             case page_messages.Home(boat=number):
                 fleet.ask_home(number)
                 answer(True, "")
+            case page_messages.Afford(boat=number):
+                fleet.afford(number, answer)
             case page_messages.Acknowledge(ids=ids):
                 self.watch.acknowledge(page.who, ids)
                 answer(True, "")

@@ -57,6 +57,12 @@ class Home(Said, frozen=True):
     boat: Number
 
 
+class Afford(Said, frozen=True):
+    """Asks whether the mission aboard fits the energy that is left, before it is sailed; the answer says what lacks."""
+
+    boat: Number
+
+
 class Replay(Said, frozen=True):
     """Where a replay goes on, and how fast."""
 
@@ -150,6 +156,7 @@ class Survey(Said, frozen=True):
     fence: Annotated[list[Corner], msgspec.Meta(max_length=1000)] = []  # of the plan
     obstacles: Annotated[list[Obstacle], msgspec.Meta(max_length=1000)] = []  # of the plan
     name: Annotated[str, msgspec.Meta(max_length=200)] = "Survey"
+    sailed: bool = False  # time and energy by lines that the simulated boat sails; without it, the time by speed and turns
 
 
 class Depths(Said, frozen=True):
@@ -167,5 +174,7 @@ class Adopt(Said, frozen=True):
     radius_m: Annotated[float, msgspec.Meta(ge=15.0, le=160.0)] = 60.0  # of its circle
 
 
-Message = Command | Input | Release | Profile | Forget | Home | Replay | Acknowledge | Mission | Survey | Depths | Adopt
+Message = (
+    Command | Input | Release | Profile | Forget | Home | Afford | Replay | Acknowledge | Mission | Survey | Depths | Adopt
+)
 NO_NUMBERS = frozenset({"t", "seq", "boat", "command"})

@@ -133,6 +133,9 @@ class TapePlayer:
     def ask_home(self, number: int) -> NoReturn:
         raise Refused("this is a replay: there is no boat to ask")
 
+    def afford(self, number: int, answer: Any) -> NoReturn:
+        raise Refused("this is a replay: there is no boat to ask")
+
     def upload(self, number: int, answer: Any) -> NoReturn:
         raise Refused("this is a replay: there is no boat to send to")
 

@@ -19,7 +19,7 @@ from delfim.vehicle.aboard import Added, OpenedWith
 from delfim.vehicle.failsafe.troubles import charge
 from delfim.vehicle.helm.helm import Helm
 from delfim.vehicle.report import EnergyFacts
-from delfim.vehicle.state import Actuation, State
+from delfim.vehicle.state import Actuation, Plan, State
 
 EACH_S: Final = 1.0
 SMOOTH_S: Final = 8.0  # of push and velocity: as long as a boat needs to follow its thrusters
@@ -37,12 +37,13 @@ FARTHEST_M: Final = 1e6
 
 
 class Reckoned(NamedTuple):
-    """J/m by direction; J of the way home with its standard deviation, of the plan with its way home (NaN: unknown), and of the
-    way home by speed, m/s, from that of the file on; one only where the boat is not on its way."""
+    """J/m by direction; J of the way home with its standard deviation, of this plan with its way home (NaN: unknown), and of
+    the way home by speed, m/s, from that of the file on; one only where the boat is not on its way."""
 
     by_direction: tuple[float, ...] = ()
     home_j: float = math.nan
     unsure_j: float = 0.0
+    plan: Plan | None = None
     plan_j: float = math.nan
     by_speed: tuple[tuple[float, float], ...] = ()
 
@@ -123,7 +124,7 @@ class EnergyWatch:
             back_m = yield from metres((*places[-1:], *(track[:1] or here)))
             plan_j = joules(plan_m, as_planned) + joules(back_m, by_direction)
         unsure_j = doubt(home_m, by_direction, drift)
-        return Reckoned(tuple([each.joules for each in by_direction]), by_speed[0][1], unsure_j, plan_j, tuple(by_speed))
+        return Reckoned(tuple([each.joules for each in by_direction]), by_speed[0][1], unsure_j, plan, plan_j, tuple(by_speed))
 
     def _spare(self, left_wh: float | None) -> None:
         """The boat slows down on its way home where it would not come home with the reserve, and slowness helps. The operator's
@@ -157,12 +158,13 @@ class EnergyWatch:
         left_wh = least * table.capacity_wh if batteries else None
         usable_wh = max((left_wh or 0.0) - table.reserve * table.capacity_wh, 0.0)
         found, per = self._found, self._gauge.per / 3600.0
+        plan_j = found.plan_j if found.plan is self._state.setpoint.plan else math.nan  # a new plan is not reckoned yet
         sure = self._consumption.learnt_s >= UNSURE_S
         return EnergyFacts(
             left_wh=None if left_wh is None else round(left_wh, 1),
             home_wh=round(per * found.home_j, 1) if math.isfinite(found.home_j) else None,
             doubt_wh=round(SIGMAS * per * found.unsure_j, 1),
-            plan_wh=round(per * found.plan_j, 1) if math.isfinite(found.plan_j) else None,
+            plan_wh=round(per * plan_j, 1) if math.isfinite(plan_j) else None,
             reserve_wh=round(table.reserve * table.capacity_wh, 1),
             power_w=None if watts is None else round(watts, 1),
             range_m=tuple(

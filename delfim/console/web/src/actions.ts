@@ -133,6 +133,13 @@ export class Actions {
     return answer;
   }
 
+  /** What the energy lacks for the mission aboard, in words; "": nothing, or it is not known. The boat reckons it. */
+  async lacks(boat: Boat): Promise<string> {
+    if (boat.energy?.left_wh == null) return "";
+    const { ok, reason } = await this.net.ask({ t: "afford", boat: boat.id });
+    return !ok && reason.startsWith("takes ") ? reason : "";
+  }
+
   /** Whether the boat would take a plan. Nobody is told but the caller. */
   check(boat: number, mission: Mission): Promise<Answer> {
     return this.net.ask({ t: "mission", boat, do: "check", mission: spoken(mission) });

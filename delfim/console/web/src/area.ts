@@ -21,6 +21,15 @@ export const linesOf = ({ survey, waypoints }: Mission): Line[] =>
 /** Whether hundreds of numbers would hide its lines. */
 export const isSurvey = (mission: Mission): boolean => linesOf(mission).length > 0;
 
+export const named = (mission: Mission): string => (isSurvey(mission) ? "survey" : "mission");
+
+/** What a plan has, in words. */
+export function counted(mission: Mission): string {
+  const lines = mission.waypoints.filter(({ line }) => line).length;
+  const [count, word] = isSurvey(mission) && lines ? [lines, "line"] : [mission.waypoints.length, "waypoint"];
+  return `${count} ${word}${count === 1 ? "" : "s"}`;
+}
+
 /** All rings in their order, by which handles name them. */
 export function ringsOf(mission: Mission): RingOf[] {
   return areasOf(mission).flatMap(([outline, holes], area) => [{ area, hole: -1, corners: outline }, ...holes.map((corners, hole) => ({ area, hole, corners }))]);

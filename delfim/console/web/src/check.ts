@@ -1,5 +1,6 @@
 // The plan as the boat would judge it, asked of the gateway after each change: the boat's own code and file, with no boat needed.
 import type { Actions } from "./actions";
+import { counted, isSurvey } from "./area";
 import { make } from "./dom";
 import { metres } from "./geo";
 import { length_m } from "./mission";
@@ -47,9 +48,9 @@ export class Check {
     const { answer, mission } = this;
     this.box.hidden = !mission || !answer;
     if (!mission || !answer) return;
-    const size = `${mission.waypoints.length} waypoint${mission.waypoints.length > 1 ? "s" : ""} · ${metres(length_m(mission))}`;
+    const size = `${counted(mission)} · ${metres(length_m(mission))}`;
     const words = answer.ok ? `in order${answer.reason ? `; ${answer.reason}` : ""}` : answer.reason.replace(/^mission refused: /, "");
     this.box.dataset["state"] = answer.ok ? "well" : "wrong";
-    this.box.replaceChildren(make("b", `plan: ${size}`), make("span", words));
+    this.box.replaceChildren(make("b", `${isSurvey(mission) ? "survey" : "plan"}: ${size}`), make("span", words));
   }
 }

@@ -46,11 +46,12 @@ export class Planning {
 
   /** Enter a mode. If it sails the mission aboard and the plan on the screen differs, the operator is asked which one. */
   sail(boat: Boat, mode: Mode, from?: number): void {
-    const begin = () => {
+    const order = () => {
       if (from === undefined) void this.actions.mode(boat, mode);
       else if (mode === "path") void this.actions.command(boat.id, "mode", { mode, piece: from });
       else void this.actions.command(boat.id, "play", { leg: from });
     };
+    const begin = () => (mode === "play" || mode === "path" ? void this.afford(boat, order) : order());
     const plan = this.state.plan(boat.id).mission;
     const compared = this.state.compared(boat);
     if (!AMONG_MISSION.has(mode) || !plan.waypoints.length || compared === "same") return begin();
@@ -62,7 +63,7 @@ export class Planning {
       ...(goesOn ? [{ title: "Send changes", note: "what is ahead; the boat sails on", do: () => void this.send(boat) }] : []),
       {
         title: `${isSailing(boat) ? "Hold, send" : "Send"} the plan, then ${verb}`,
-        note: `${plan.name} · ${plan.waypoints.length} waypoints, the dashed line`,
+        note: `${plan.name} · ${A.counted(plan)}, the dashed line`,
         do: () => void this.replace(boat).then((well) => well && begin()),
       },
       {
@@ -71,6 +72,16 @@ export class Planning {
         refuse: compared !== "unknown" && other,
         do: begin,
       },
+      { title: "Cancel" },
+    ]);
+  }
+
+  /** A mission that takes more energy than is left is asked about, with its figure. */
+  private async afford(boat: Boat, order: () => void): Promise<void> {
+    const lacks = await this.actions.lacks(boat);
+    if (!lacks) return order();
+    this.popup.menu(this.chart.middle()[1], { title: boat.name, colour: boat.colour, note: `the ${A.named(this.state.plan(boat.id).mission)} ${lacks}` }, [
+      { title: "Sail it all the same", note: "until it must go home", do: order },
       { title: "Cancel" },
     ]);
   }

@@ -28,6 +28,7 @@ const SIDES = ["", "port", "starboard"] as const;
 const BEGIN = [10, 0, 20, 0, 0, 0, 0, 0, 0, 0]; // of the form: spacing, swath, overlap, heading, cross lines, start, edges, side, run-in, speed
 const HOLE = /^hole \d+$/; // a zone that a survey made
 const CLOSE_PX = 14;
+const RESTS_MS = 400; // a form that is not changed for so long gets the energy of its lines
 const ENDINGS = ".geojson,.json,.kml,.gpx,.shp,.plan";
 
 export class Survey {
@@ -41,6 +42,7 @@ export class Survey {
   private answer: Answer | null = null;
   private wanted: Asked | null = null; // while an answer is waited for: what is asked next
   private again = () => {};
+  private rests = 0; // a timer
 
   constructor(
     private readonly chart: Chart,
@@ -204,6 +206,7 @@ export class Survey {
     this.plans.preview({ ...before, waypoints: [], path: [] });
     this.again = this.popup.form(ASIDE, title, fields, live, (ok) => {
       const { told } = this;
+      clearTimeout(this.rests);
       [this.told, this.asked, this.wanted, this.again] = [null, "", null, () => {}];
       this.plans.preview(null);
       this.draw();
@@ -217,7 +220,7 @@ export class Survey {
   }
 
   take(told: Told): void {
-    this.told = told;
+    if (this.asked) this.told = told; // the form may be closed by now
   }
 
   private ask(next: Asked): void {
@@ -227,6 +230,7 @@ export class Survey {
       this.wanted = next; // one question at a time
       return;
     }
+    clearTimeout(this.rests);
     [this.asked, this.answer] = [words, null];
     void this.net.ask(next).then((answer) => {
       if (words !== this.asked) return; // the form is another one by now
@@ -235,10 +239,17 @@ export class Survey {
       const { wanted } = this;
       this.wanted = null;
       if (wanted) this.ask(wanted);
+      else if (this.told) this.rests = window.setTimeout(() => void this.sail(next, words), RESTS_MS);
       this.draw();
       this.again();
       if (this.told && this.popup.covers.left !== this.beside) this.fit(this.told);
     });
+  }
+
+  /** Time and energy of these lines, as the simulated boat takes them for a few. */
+  private async sail(next: Asked, words: string): Promise<void> {
+    const { ok } = await this.net.ask({ ...next, sailed: true });
+    if (ok && words === this.asked && !this.wanted) this.again();
   }
 
   /** Lines and areas beside the form, once it has its words and so its size, and again where it had to move. */
@@ -258,9 +269,14 @@ export class Survey {
     const filled = told.counts && `${told.counts} heard here. What was not heard, because a link was lost, is a gap.\n`;
     return (
       `${filled}${told.lines.length} lines${across}, ${metres(told.spacing_m)} apart, ${bearing(told.heading_deg)}\n` +
-      `${metres(told.line_m)} of lines, ${metres(told.way_m)} in all, ${duration(told.time_s)}\n` +
+      `${metres(told.line_m)} of lines, ${metres(told.way_m)} in all, ${duration(told.time_s)}${this.energy(told)}\n` +
       `covered${filled && ", all together"}: ${free} of what may be sailed${left}${old}`
     );
+  }
+
+  private energy({ energy_wh }: Told): string {
+    const left_wh = this.state.boat?.energy?.left_wh;
+    return energy_wh === null ? "" : ` and ${energy_wh.toFixed(0)} Wh${left_wh == null ? "" : ` of the ${left_wh.toFixed(0)} Wh left`}`;
   }
 
   // On the map.
@@ -281,7 +297,8 @@ function planned(before: Mission, told: Told, survey: Mission["survey"]): Missio
   const made = understood(told.mission);
   const zones = [...(before.zones ?? []).filter(({ name }) => !HOLE.test(name)), ...(made.zones ?? [])];
   const { patterns: _, ...rest } = before;
-  return { ...rest, waypoints: made.waypoints, path: made.path ?? [], zones, ...(survey && { survey }) };
+  const name = rest.name === "Mission" ? "Survey" : rest.name;
+  return { ...rest, name, waypoints: made.waypoints, path: made.path ?? [], zones, ...(survey && { survey }) };
 }
 
 function asked(mission: Mission, [spacing, swath, overlap, heading, cross, start, edges, side, run_in, speed]: number[]): Asked {
