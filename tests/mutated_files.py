@@ -236,6 +236,13 @@ def replayed(here: Path) -> Said:
     return refused(play)
 
 
+def inventoried(here: Path) -> Said:
+    """The keys of a boat whose fingerprints are told."""
+    named = {"sshd.host_key": "host_key", "ftpd.certificate": "boat.pem", "mavlink.key": "key"}
+    words = [word for key, name in named.items() for word in ("--set", f'{key}="{here / name}"')]
+    return command("inventory", VEHICLE, *words)
+
+
 def log_verb(*words: str) -> Callable[[Path], Said]:
     def read(here: Path) -> Said:
         verb, *more = words
@@ -500,6 +507,8 @@ READERS = {
     "state log as a tape": Reader("log/*/state/*.state.gz", replayed, deflated((*BINARY, *TEXT))),
     "sidecar of a tape": Reader("log/*/state/*.meta.jsonl", replayed, TEXT),
     "serial line": Reader("log/*/-dev-gnss/*.jsonl", serial_line, TEXT),
+    "chain of a log": Reader("log/*/state/*.chain", log_verb("check"), TEXT),
+    "log with a chain": Reader("log/*/state/*.state.gz", log_verb("check"), BINARY),
     "system log": Reader("log/*/system/*.jsonl", log_verb("cat", "system"), TEXT),
     "last lines of the system log": Reader("system.jsonl", last_lines, TEXT),
     "candump": Reader("box.log", can_replay("box.log"), (*BINARY, *TEXT)),
@@ -516,6 +525,9 @@ READERS = {
     "manifest of a slot": Reader("a/manifest.json", slot, TEXT),
     "user's ssh key": Reader("user.pub", users_key, TEXT),
     "numbers of DroneCAN devices": Reader("numbers", numbers, TEXT),
+    "key in an inventory": Reader("key", inventoried, TEXT),
+    "host key in an inventory": Reader("host_key", inventoried, TEXT),
+    "certificate in an inventory": Reader("boat.pem", inventoried, TEXT),
     "signing key": Reader("key", key, TEXT),
     "password at a caster": Reader("ntrip", casters_password, TEXT),
     "stamps": Reader("stamps", stamps, TEXT),

@@ -27,6 +27,7 @@ from delfim.console.boats.soundings import HEAD
 from delfim.console.link.session import Session
 from delfim.console.tapes.replay import open_tapes
 from delfim.logging import nodelog
+from delfim.logging.chain import Chain
 from delfim.logging.kept.writer import packed
 from delfim.logging.reading import read_log
 from delfim.parts.mavlink.codec.signing import Kept, write_stamps
@@ -116,9 +117,21 @@ def sailed(place: Path, *overrides: str) -> None:
     day.end()
 
 
+def chained(file: Path) -> None:
+    """The chain of a log in lock step, which has none by itself: a link for each twentieth of it."""
+    stem, data = file.with_name(file.name.partition(".")[0]), file.read_bytes()
+    made = Chain(str(file.parents[2]), file.parent.name)
+    made.begin(str(stem))
+    for at in range(0, len(data), len(data) // 20):
+        made.wrote(data[at : at + len(data) // 20])
+        made.link(10**18 + at, kept=True)
+    made.link(2 * 10**18, kept=True, end=True)
+
+
 def logs(folder: Path) -> None:
     sailed(folder / "log")
     (box,) = (folder / "log").rglob("*.log.gz")
+    chained(next((folder / "log").rglob("*.state.gz")))
     shutil.copy(box, folder / "box.log.gz")
     (folder / "box.log").write_bytes(gzip.decompress(box.read_bytes())[:60_000])
     said = b"".join(
@@ -283,6 +296,7 @@ SAMPLES = {
         "CAN database",
     ),
     logs: (
+        *("chain of a log", "log with a chain"),
         *("serial line", "system log", "last lines of the system log"),
         *("state log, deflated", "black box", "sidecar", "run to repeat", "run to repeat, state", "run to repeat, sidecar"),
         *("state log as a tape", "sidecar of a tape", "serial line", "candump", "candump, deflated"),
@@ -297,6 +311,7 @@ SAMPLES = {
     sounded: ("soundings as CSV", "depths that the console heard", "tide"),
     areas: ("survey that goes on", "area", "area, KML", "area, GPX", "area of a plan", "area, shapefile"),
     keys: (
+        *("key in an inventory", "host key in an inventory", "certificate in an inventory"),
         "user's ssh key",
         "numbers of DroneCAN devices",
         "address on NMEA 2000",
@@ -397,6 +412,13 @@ READ_BY = {  # function: the readers above that come by it
     "logging/systemlog/__init__.py: recent": {"last lines of the system log"},
     "logging/ashore/tree.py: _end": {"sidecar"},
     "logging/ashore/tree.py: _starts": {"sidecar"},
+    "logging/ashore/chaincheck.py: _checked": {"log with a chain"},
+    "logging/ashore/chaincheck.py: _read": {"chain of a log"},
+    "services/access/inventory.py: _of_file": {
+        "key in an inventory",
+        "host key in an inventory",
+        "certificate in an inventory",
+    },
     "services/files/ftpd.py: _tls": {"certificate"},
     "commands/description/commission.py: _users": {"user's ssh key"},
     "campaign/runplan.py: _mission": {"mission of a campaign"},
@@ -437,6 +459,8 @@ OTHERS = {  # what the kernel tells, and what is only copied or digested
         "services/supervision/processes.py: _all",
     ),
     "services/voyage_on_disk.py: _boot",
+    *("logging/chain.py: newest", "logging/chain.py: noted"),  # of what this boat wrote itself, its last lines
+    *("services/access/inventory.py: _digest", "commands/description/inventory.py: run"),
     *("services/clock/kernel.py: _read", "services/suite.py: _started", "parts/pwm/sim.py: _part"),
 }
 

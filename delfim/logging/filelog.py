@@ -12,6 +12,7 @@ from typing import Any, Final
 from delfim.base.clock import Clock
 from delfim.base.wholefile import sync_directory
 from delfim.logging import free_space
+from delfim.logging.chain import Chain
 from delfim.logging.liblog import LogSettings, LogStatus
 
 FLUSH_S: Final = 0.6  # with the writer's rhythm and a slow disk's own time a power cut costs less than a second
@@ -25,7 +26,8 @@ _META: Final = ".meta.jsonl"
 
 
 class FileLog:
-    """A log by `write` or `zwrite`. With `durable`, for the child, flushed data is on the disk, and so is the file's name.
+    """A log by `write` or `zwrite`. With `durable`, for the child, flushed data is on the disk, and so is the file's name, and
+    a chain is beside each file.
 
     On ext2 a synced file whose directory is not synced is lost to its name after a power cut, so both are.
     """
@@ -40,6 +42,7 @@ class FileLog:
         self._pending, self._waiting = bytearray(), 0  # bytes for the file; records since the last flush
         self._size = self._kept = 0  # of the file, in whole records: bytes, records
         self._bytes = self._records = self._dropped = 0  # of the files before it: bytes, records; of all
+        self._chain = Chain(settings.directory, settings.id) if durable else None
         self._due_s = -math.inf
         self._wall_s = clock.time_ns() / 1e9 - clock.monotonic_s()  # UTC minus monotonic time
         self._open(clock.monotonic_s())
@@ -65,6 +68,13 @@ class FileLog:
         if self._fd < 0:
             return False
         path = self._stem + _META
+        is_whole = self._appended(path, line)
+        if self._chain:
+            self._chain.noted(path, line, whole=is_whole)
+            self._chain.link(self._clock.time_ns(), kept=self._kept > 0)
+        return is_whole
+
+    def _appended(self, path: str, line: bytes) -> bool:
         try:
             fd = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND | PLAIN, 0o644)
             try:
@@ -118,6 +128,8 @@ class FileLog:
             os.makedirs(self._settings.directory, exist_ok=True)
             self._make_room()
             self._create(self._clock.time_ns(), _new)
+            if self._chain:
+                self._chain.begin(self._stem)
             self._reason = ""
         except OSError as error:
             self._fail(error)
@@ -147,6 +159,8 @@ class FileLog:
                 return
         with contextlib.suppress(OSError):  # nothing was noted yet
             os.replace(stem + _META, self._stem + _META)
+        if self._chain:
+            self._chain.moved(self._stem)
         with contextlib.suppress(OSError):
             os.close(day_fd)
         folder = os.path.dirname(file)
@@ -219,6 +233,10 @@ class FileLog:
             return False
         self._size += len(self._pending)
         self._kept += self._waiting
+        if self._chain:
+            self._chain.wrote(self._pending)
+            if finish:
+                self._chain.link(self._clock.time_ns(), kept=self._kept > 0, sync=True)
         self._waiting = 0
         self._pending.clear()
         if self._kept and self._size >= self._settings.file_bytes:
@@ -258,7 +276,12 @@ class FileLog:
     def _end(self, now_s: float) -> None:
         """End the file; the next record opens another."""
         if self._fd >= 0 and (not self._stream or self._flush(now_s, finish=True)):
+            self._link_end()
             self._close()
+
+    def _link_end(self) -> None:
+        if self._chain and self._fd >= 0:
+            self._chain.link(self._clock.time_ns(), kept=self._kept > 0, end=True, sync=True)
 
     def _fail(self, error: OSError) -> None:
         """Give the file up at the end of its last whole record. Waiting records are lost."""
@@ -272,6 +295,7 @@ class FileLog:
                     os.ftruncate(self._fd, self._size)
                 else:
                     os.unlink(self._file())
+                self._link_end()
         self._close()
 
     def _close(self) -> None:

@@ -59,8 +59,8 @@ def remount(place: Path, how: str) -> None:
 
 
 def files(directory: Path) -> list[Path]:
-    """The log files, oldest first, without their sidecars."""
-    return [path for path in in_order(directory.glob("*/*/*")) if not path.name.endswith(".meta.jsonl")]
+    """The log files, oldest first, without their sidecars and chains."""
+    return [path for path in in_order(directory.glob("*/*/*")) if not path.name.endswith((".meta.jsonl", ".chain"))]
 
 
 def content(directory: Path) -> bytes:

@@ -11,7 +11,8 @@ import pytest
 from delfim import config
 from delfim.base import wholefile
 from delfim.base.clock import ManualClock
-from delfim.logging import filelog, free_space, liblog
+from delfim.logging import chain, filelog, free_space, liblog
+from delfim.logging.ashore import chaincheck
 from delfim.logging.liblog import LogStatus
 from delfim.logging.openlog import open_log
 from delfim.logging.reading import in_order, read_log
@@ -384,6 +385,7 @@ def run_with_faults(directory, monkeypatch, first: int, count: int, **how: bool)
     with monkeypatch.context() as patch:
         patch.setattr(filelog, "os", faulty)
         patch.setattr(wholefile, "os", faulty)
+        patch.setattr(chain, "os", faulty)
         patch.setattr(free_space, "os", faulty)
         patch.setattr(free_space, "shutil", faulty)
         log = filelog.FileLog(settings, clock, **how)
@@ -407,6 +409,9 @@ def test_every_call_may_fail(tmp_path, monkeypatch, count, how):
         directory = tmp_path / str(first)
         faulty, status = run_with_faults(directory, monkeypatch, first, count, **how)
         assert status.records + status.dropped == 60
+        if how.get("durable"):
+            told = chaincheck.check([str(directory)], 0)
+            assert not [each for each in told if each.found == "changed"], "a failing disk is no forger"
         read = numbers(directory)
         assert read == sorted(set(read))
         if count == 1:

@@ -20,6 +20,7 @@ from typing import NamedTuple
 from delfim.base.errors import DelfimError
 from delfim.base.frames import Frame
 from delfim.commands import Formatter, shipped
+from delfim.commands.operation import logproof
 from delfim.logging.ashore import systemlines, tree
 from delfim.logging.ashore.progress import progress, tracked
 from delfim.logging.ashore.tree import LogFile, Run, Span
@@ -397,8 +398,9 @@ def options(parser: argparse.ArgumentParser) -> None:
     replay.add_argument("--bus", metavar="INTERFACE", help="Send the black box onto this bus, as vcan0 or canloop:can0.")
     replay.add_argument("--speed", type=float, default=1.0, help="Multiple of real time; 0 is as fast as the bus takes it.")
     replay.add_argument("--only", choices=["received", "sent"], help="Send only frames that the computer received, or sent.")
-    text = "Judge logs by what the documents promise. Without --run, all of them; exit code 1: something is broken."
-    audit = reader("audit", _audit, text)
+    audit = reader(
+        "audit", _audit, "Judge logs by what the documents promise, all without --run; exit code 1: something is broken."
+    )
     text = "Repair logs that a power cut left incomplete: writes whole copies beside the originals. Without --run, all of them."
     repair = reader("repair", _repair, text)
     repair.add_argument("--in-place", action="store_true", help="Replace the originals.")
@@ -406,6 +408,7 @@ def options(parser: argparse.ArgumentParser) -> None:
     for one in (ls, cat, info, plot, export, replay, audit, repair):  # after the verb's own options
         one.add_argument("path", nargs="*", metavar="PATH", help=told)
         one.set_defaults(many="path")
+    logproof.verbs(verbs)
     text = "Fetch logs from a boat (ftp://user@boat/log, sftp://user@boat/log): verified, and resumed after a lost link."
     fetch = verb("fetch", _fetch, text)
     fetch.add_argument("--summary", action="store_true", help="Fetch only state logs and sidecars, and sum up the last run.")

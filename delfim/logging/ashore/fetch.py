@@ -27,6 +27,7 @@ from typing import Any, Final, NamedTuple, Protocol
 from urllib.parse import SplitResult, unquote, urlsplit
 
 from delfim.base.errors import DelfimError
+from delfim.logging import chain
 from delfim.logging.ashore import tree
 from delfim.logging.ashore.progress import progress
 from delfim.logging.ashore.repair import condition
@@ -39,7 +40,7 @@ BLOCK: Final = 1 << 16
 ENTRIES: Final = 200_000  # of all listings of a boat: a year's logs are fewer
 FREE_BYTES: Final = 1 << 26  # that stay free on this disk
 TIMES_NS: Final = range(1 << 62)  # that a file can have here
-_KINDS: Final = re.compile(r"[0-9-]+(-repaired)?\.(state|log|jsonl|meta\.jsonl)(\.gz)?")
+_KINDS: Final = re.compile(r"[0-9-]+(-repaired)?\.(state|log|jsonl|meta\.jsonl|chain)(\.gz)?")
 
 
 class RemoteFile(NamedTuple):
@@ -242,7 +243,9 @@ def _here(target: Path, size: int) -> int:
 
 
 def _rank(entry: RemoteFile) -> int:
-    return 0 if entry.path.endswith(".jsonl") else 1 if "/state/" in entry.path else 2
+    """Chains come first: what they tell of is then as long, or has grown."""
+    ends = (chain.SUFFIX, ".jsonl")
+    return next((rank for rank, end in enumerate(ends) if entry.path.endswith(end)), 2 if "/state/" in entry.path else 3)
 
 
 def opener(url: str) -> Callable[[], LogSource]:

@@ -17,6 +17,7 @@ from typing import Any, Final, Literal, NamedTuple
 
 from delfim.base.errors import DelfimError, FormatError
 from delfim.base.input.untrusted import parse_json
+from delfim.logging import chain
 from delfim.logging.reading import read_events
 
 PLACES: Final = ("/log", "run/sim*/log")  # searched for logs if no path is named
@@ -233,7 +234,7 @@ def _folder(folder: str, only: str = "") -> Iterator[LogFile]:
     midnight_ns = begins(day, "000000") if _DAY.fullmatch(day) else 0
     for name in [only] if only else entries:
         match = _NAME.fullmatch(name)
-        if not match or name.endswith((_META, ".part")):
+        if not match or name.endswith((_META, chain.SUFFIX, ".part")):
             continue
         hour, minute, second, number, repaired, suffix = match.groups()
         stem = name[: -len(suffix) - len(repaired or "")]

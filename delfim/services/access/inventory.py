@@ -12,6 +12,7 @@ import re
 import sys
 from collections.abc import Iterator, Sequence
 from importlib import metadata
+from importlib.util import find_spec
 from ipaddress import ip_address, ip_network
 from pathlib import Path
 from typing import Any, Final, Literal, NamedTuple
@@ -30,7 +31,7 @@ PROGRAM_BYTES: Final = 1 << 28  # of a payload's program that is hashed
 Kind = Literal["host", "port", "line", "program", "version", "key"]
 
 
-class Item(NamedTuple):
+class InventoryItem(NamedTuple):
     """One row. `what`: in words, and a fingerprint where there is one."""
 
     kind: Kind
@@ -39,19 +40,21 @@ class Item(NamedTuple):
     what: str
 
 
-def inventory(settings: config.Vehicle, written: dict[str, Any]) -> list[Item]:
+def inventory(settings: config.Vehicle, written: dict[str, Any]) -> list[InventoryItem]:
     """List all of a boat. `written`: the tree of the vehicle's file, without its defaults."""
     rows = services(settings)
     running = [row.name for row in rows]
     told = [(key, text) for key, text in _values(written, "") if not key.startswith("simulation.")]
     told += settings.outside("device").items()
     found = [*_hosts(told)]
-    found += [Item("port", door.service, door.place, f"{door.who}: {door.may}") for door in doors(settings, running)]
+    found += [InventoryItem("port", door.service, door.place, f"{door.who}: {door.may}") for door in doors(settings, running)]
     lines = settings.outside("interface") | {key: text for key, text in told if text.startswith("/dev/")}
-    found += [Item("line", key, text, "bus" if key.endswith("interface") else "device") for key, text in lines.items()]
-    found += [Item("program", "supervisor", "process", "delfim.services.suite:supervise")]
-    found += [Item("program", "outlet", "process", "delfim.services.suite:outlet")] if settings.driven("outlet") else []
-    found += [Item("program", row.name, row.place, row.entry) for row in rows]
+    found += [InventoryItem("line", key, text, "bus" if key.endswith("interface") else "device") for key, text in lines.items()]
+    found += [InventoryItem("program", "supervisor", "process", "delfim.services.suite:supervise")]
+    found += (
+        [InventoryItem("program", "outlet", "process", "delfim.services.suite:outlet")] if settings.driven("outlet") else []
+    )
+    found += [InventoryItem("program", row.name, row.place, row.entry) for row in rows]
     found += _payloads(settings)
     found += _versions()
     if "sshd" in running and all(key != "sshd.host_key" for key, _ in told):
@@ -71,14 +74,14 @@ def _values(tree: Any, key: str) -> Iterator[tuple[str, str]]:
         yield key, tree
 
 
-def _hosts(told: Sequence[tuple[str, str]]) -> Iterator[Item]:
+def _hosts(told: Sequence[tuple[str, str]]) -> Iterator[InventoryItem]:
     """Hosts and networks beyond this computer, each once, with the keys that name it."""
     named = dict[str, list[str]]()
     for key, text in told:
         if host := _host(text):
             named.setdefault(host, []).append(key)
     for host, keys in named.items():
-        yield Item("host", host, "network" if "/" in host else "host", ", ".join(dict.fromkeys(keys)))
+        yield InventoryItem("host", host, "network" if "/" in host else "host", ", ".join(dict.fromkeys(keys)))
 
 
 def _host(text: str) -> str:
@@ -93,12 +96,14 @@ def _host(text: str) -> str:
     return "" if alone.is_loopback or alone.is_unspecified or (not found and host.isdecimal()) else host
 
 
-def _payloads(settings: config.Vehicle) -> Iterator[Item]:
+def _payloads(settings: config.Vehicle) -> Iterator[InventoryItem]:
     """The programs of others that the boat starts, each with the digest of its file."""
     for name, its in (settings.table("payload") or {}).items():
         may = f"may {', '.join(its.may)}" if its.may else "may order nothing"
         reach = "network" if its.network else "no network"
-        yield Item("program", f"payload:{name}", its.command[0], f"user {its.user}, {reach}, {may}; {_digest(its.command[0])}")
+        yield InventoryItem(
+            "program", f"payload:{name}", its.command[0], f"user {its.user}, {reach}, {may}; {_digest(its.command[0])}"
+        )
 
 
 def _digest(path: str) -> str:
@@ -108,16 +113,16 @@ def _digest(path: str) -> str:
         return f"its file: {error.strerror or error}"
 
 
-def _versions() -> Iterator[Item]:
+def _versions() -> Iterator[InventoryItem]:
     """Of Delfim, Python, the system, and of each package that the boat's programs need, with those that it needs itself."""
-    yield Item("version", "delfim", str(Path(__file__).parents[2]), __version__)
-    yield Item("version", "python", sys.executable, platform.python_version())
-    yield Item("version", "kernel", platform.machine(), f"{platform.system()} {platform.release()}")
+    yield InventoryItem("version", "delfim", str(Path(__file__).parents[2]), __version__)
+    yield InventoryItem("version", "python", sys.executable, platform.python_version())
+    yield InventoryItem("version", "kernel", platform.machine(), f"{platform.system()} {platform.release()}")
     for name in sorted(_closure("delfim")):
         try:
-            yield Item("version", name, "package", metadata.version(name))
+            yield InventoryItem("version", name, "package", metadata.version(name))
         except metadata.PackageNotFoundError:
-            yield Item("version", name, "package", "not on this computer")
+            yield InventoryItem("version", name, "package", "not on this computer")
 
 
 def _closure(root: str) -> set[str]:
@@ -142,15 +147,15 @@ def _required(name: str, extras: Sequence[str]) -> list[str]:
     return [each.name.lower().replace("_", "-") for each in wanted]
 
 
-def _keys(told: Sequence[tuple[str, str]]) -> Iterator[Item]:
+def _keys(told: Sequence[tuple[str, str]]) -> Iterator[InventoryItem]:
     for key, text in told:
         last = key.rpartition(".")[2]
         if last == "password":
-            yield Item("key", key, "in the file", "a password, hashed")
+            yield InventoryItem("key", key, "in the file", "a password, hashed")
         elif last in PUBLIC and text.startswith(("ssh-", "ecdsa-", "sk-")):
-            yield Item("key", key, "in the file", f"public, {_of_line(text)}")
+            yield InventoryItem("key", key, "in the file", f"public, {_of_line(text)}")
         elif last in SECRETS and text:
-            yield Item("key", key, text, _of_file(text, last))
+            yield InventoryItem("key", key, text, _of_file(text, last))
 
 
 def _of_file(path: str, kind: str) -> str:
@@ -171,9 +176,13 @@ def _fingerprint(path: str, content: bytes, kind: str) -> str:
             return f"shared by all who hold it, {_of_bytes(b'delfim inventory' + read_key(path))}"
         except ConfigError as error:
             return str(error).removeprefix(f"{path}: ")
+    if find_spec("cryptography") is None:
+        return "not read: the package cryptography is not on this computer"
+    from cryptography.exceptions import UnsupportedAlgorithm
+
     try:
         return _of_certificate(content) if b"BEGIN CERTIFICATE" in content else _of_private(content)
-    except (ValueError, ImportError, TypeError) as error:
+    except (ValueError, TypeError, UnsupportedAlgorithm) as error:
         return f"not read: {error}"
 
 

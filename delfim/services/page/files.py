@@ -19,6 +19,7 @@ _KINDS: Final = {
     ".state": "state log",
     ".state.gz": "state log, compressed",
     ".meta.jsonl": "events beside the log",
+    ".chain": "by which a change of log and events shows",
     ".log": "frames, as candump writes them",
     ".log.gz": "frames, as candump writes them, compressed",
     ".jsonl.gz": "messages, as lines of JSON, compressed",
