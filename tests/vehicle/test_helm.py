@@ -376,15 +376,15 @@ def test_long_work_goes_on_and_ends_with_the_mode_that_it_was_for(boat):
     helm.track.restore(((0.0, 0.0), (90.0, 0.0)), 5.0)
     helm.track.call_at(((90.0, 0.0),), 5.0)
     helm.plans.fence, helm._seeking = ROCK, Sliced(endless())
-    helm.detour = SimpleNamespace(step=lambda: (boat.state.setpoint, "a way is found"))
+    helm.detour = SimpleNamespace(step=lambda: (boat.state.setpoint, "a way is found"), held=[])
     helm.stop("enough")
     helm.go_on()
     assert (boat.state.mode, boat.state.reason, helm._seeking) == (Mode.IDLE, "enough", None)
     assert helm.track.end() == (90.0, 0.0), "the harbour was looked for"
-    helm.detour = SimpleNamespace(step=lambda: None)
+    helm.detour = SimpleNamespace(step=lambda: None, held=[])
     helm.go_on()
     assert boat.state.mode is Mode.IDLE
-    helm.detour = SimpleNamespace(step=lambda: (boat.state.setpoint, "a way is found"))
+    helm.detour = SimpleNamespace(step=lambda: (boat.state.setpoint, "a way is found"), held=[])
     helm.go_on()
     assert (boat.state.mode, boat.state.reason) == (Mode.GOTO, "a way is found")
 

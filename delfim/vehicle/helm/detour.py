@@ -2,16 +2,18 @@
 
 A graph of what sees what (T. Lozano-Perez, M. A. Wesley, Communications of the ACM 22(10), 1979), searched by A*. Whether a
 zone lies between two points is looked at only when the search comes to them, and corners count only of zones that were in the
-way: a fence of a hundred zones costs little where two of them are. Pure, in slices, in metres of the local plane.
+way: a fence of a hundred zones costs little where two of them are. What a chart forbids has no corners: with one aboard the way
+is found by `waterway.py`. Pure, in slices, in metres of the local plane.
 """
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from heapq import heappop, heappush
 from typing import Final, NamedTuple
 
 from delfim.base.cooperative import Sliced, Work
 from delfim.vehicle.helm.setpoints import too_far
+from delfim.vehicle.helm.waterway import Shut, way_through
 from delfim.vehicle.plans import fence
 from delfim.vehicle.plans.fence import RECEDES_M, Fence
 from delfim.vehicle.plans.zones import LOOKS, Point, Zone, clearance_m, cost, least
@@ -23,22 +25,27 @@ SHARP: Final = 2.0 * math.sin(math.radians(35.0))  # corners that turn by less h
 ROUND: Final = 8  # points around a circle
 SLICE: Final = 200  # comparisons of one step
 MOST: Final = 100_000  # of one search: nobody waits longer than a minute
+CHARTED_MOST: Final = 1_000_000  # with a chart of 10 km
 
 
 class Detour(NamedTuple):
     """A search under way. `why`: what forbids the straight way, `who`: who asked for it, both in words."""
 
-    work: Sliced[tuple[Point, ...] | None]
+    work: Sliced[tuple[Point, ...] | Shut | None]
     setpoint: Setpoint
     why: str
     who: str
+    most: int  # comparisons
+    held: list[Iterable[object]]  # what the search is made of: whoever drops it lets it go bit by bit
 
     def step(self) -> tuple[Setpoint, str] | None:
         """A slice. The set points of goto, and how it came to them; without a target where there is no way. None: not yet."""
         is_done, to = self.work.step(SLICE), self.setpoint.target
-        if not is_done and self.work.spent < MOST:
+        if not is_done and self.work.spent < self.most:
             return None
-        by = self.work.result if is_done else None
+        by = self.work.result if is_done else Shut("the search took too long") if self.most > MOST else None
+        if isinstance(by, Shut):
+            return self.setpoint._replace(target=None), f"no way leads there, {by.why} ({self.why}): waits for another point"
         if by is None or to is None:
             return self.setpoint._replace(target=None), f"no way round is found ({self.why}): waits for another point"
         via = tuple(to._replace(north_m=north_m, east_m=east_m) for north_m, east_m in by)
@@ -58,15 +65,25 @@ def begun(around: Fence | None, motion: Motion, setpoint: Setpoint, who: str) ->
     rooms_m = limits.margin_m + fence.stopping_m(limits, to.speed_mps), limits.mission_margin_m, limits.margin_m
     open_m = [each for each in rooms_m if each >= limits.margin_m and _has_room(around, target, each)]
     here = motion.north_m, motion.east_m
-    return Detour(Sliced(_widest(around, here, target, open_m)), setpoint, why, who) if open_m else None
+    most = MOST if all(zone.field is None for zone in around.zones) else CHARTED_MOST
+    held = list[Iterable[object]]()
+    return Detour(Sliced(_widest(around, here, target, open_m, held)), setpoint, why, who, most, held) if open_m else None
 
 
-def _widest(around: Fence, a: Point, b: Point, rooms_m: Sequence[float]) -> Work[tuple[Point, ...] | None]:
+def _widest(
+    around: Fence, a: Point, b: Point, rooms_m: Sequence[float], held: list[Iterable[object]]
+) -> Work[tuple[Point, ...] | Shut | None]:
     """The way with the first of these rooms that there is one with."""
+    field = next((zone.field for zone in around.zones if zone.field is not None), None)
+    found: tuple[Point, ...] | Shut | None = None
     for room_m in rooms_m:
-        if (found := (yield from way_round(around, a, b, room_m))) is not None:
+        if field is None:
+            found = yield from way_round(around, a, b, room_m)
+        else:
+            found = yield from way_through(around, field, a, b, room_m, held)
+        if isinstance(found, tuple):
             return found
-    return None
+    return found
 
 
 def _has_room(around: Fence, at: Point, room_m: float) -> bool:

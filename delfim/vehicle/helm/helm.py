@@ -221,7 +221,9 @@ class Helm:
             state.relieve(reason)
         self._remember(mode)
         self.memory, self._seeking, self._retreat = begin(mode, state.motion, state.setpoint, self.limits), None, ()
-        self.detour = None
+        if self.detour is not None:
+            self.plans.remains.add(*self.detour.held)
+            self.detour = None
         if resumed is not None:
             self.memory = resumed._replace(integrals=self.memory.integrals)
         if mode is Mode.HOLD or (mode is Mode.GOTO and state.setpoint.target is None):
