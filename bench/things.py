@@ -22,6 +22,7 @@ from delfim.base.cooperative import Sliced
 from delfim.parts.traffic.encounter import Own
 from delfim.parts.traffic.pastthings import Passage, past
 from delfim.parts.traffic.trialways import RouteAhead
+from delfim.simulator.nodes.worlds import Standing, drawn
 from delfim.vehicle.target import Target
 
 GOAL: Final = (400.0, 0.0)
@@ -30,9 +31,7 @@ NOISE_M: Final = 0.3
 SMOOTH: Final = 0.25  # part of a sighting that moves the place, as aboard
 ARRIVED_M: Final = 8.0
 STOPPED_S, END_S = 120, 1500
-SORTS: Final = ("field", "field", "entrance", "pocket")
-
-Place = tuple[float, float, float]  # north_m, east_m, radius_m
+SORTS: Final = ("field", "moorings", "entrance", "pocket")
 
 
 class Sailed(NamedTuple):
@@ -48,22 +47,13 @@ class Sailed(NamedTuple):
     words: tuple[str, ...]
 
 
-def world(seed: int) -> tuple[str, list[Place]]:
+def world(seed: int) -> tuple[str, list[Standing]]:
     """The sort of a world, and its things."""
-    random, sort = Random(f"things {seed}"), SORTS[seed % len(SORTS)]
-    if sort == "field":
-        count = random.randint(5, 50)
-        sizes = (0.3, 0.5, 1.0, 3.0)
-        return sort, [(random.uniform(40, 360), random.uniform(-100, 100), random.choice(sizes)) for _ in range(count)]
-    at_m, half_m = random.uniform(-60.0, 60.0), random.uniform(14.0, 30.0)
-    if sort == "entrance":  # two walls, and a gap of 28 to 60 m between them
-        ends = range(-150, 150, 5)
-        return sort, [(200.0 + random.uniform(-1, 1), float(e), 0.5) for e in ends if abs(e - at_m) > half_m]
-    back = [(240.0, at_m + e, 0.5) for e in range(-35, 36, 6)]  # three walls, open to the south
-    return sort, back + [(n, at_m + e, 0.5) for n in range(180, 240, 6) for e in (-35.0, 35.0)]
+    sort = SORTS[seed % len(SORTS)]
+    return sort, drawn(sort, Random(f"things {seed}"))
 
 
-def thing(number: int, place: Place) -> Target:
+def thing(number: int, place: tuple[float, float, float]) -> Target:
     """A thing as the boat knows it."""
     name, size_m = f"lidar {number}", 2.0 * place[2]
     return Target(f"thing {number}", name, *place[:2], 0.0, 0.0, math.nan, size_m, size_m, True, 2.0, 0.0, False, "thing", 15)
@@ -72,11 +62,11 @@ def thing(number: int, place: Place) -> Target:
 def sail(seed: int) -> Sailed:
     """Sail a world, second by second."""
     sort, places = world(seed)
-    random, known, own = Random(seed), dict[int, Place](), Own(0.0, 0.0, 0.0, OWN_MPS)
+    random, known, own = Random(seed), dict[int, tuple[float, float, float]](), Own(0.0, 0.0, 0.0, OWN_MPS)
     was: Passage | None = None
     nearest_m, spent, track, words, stopped_s, end = math.inf, 0, list[tuple[float, float, float]](), list[str](), 0, "late"
     for t in range(END_S):
-        for i, (n, e, radius_m) in enumerate(places):
+        for i, (n, e, radius_m, *_) in enumerate(places):
             away_m = math.hypot(n - own.north_m, e - own.east_m)
             nearest_m = min(nearest_m, away_m - radius_m - LIMITS.length_m / 2.0)
             if away_m < REACH_M:
@@ -131,7 +121,7 @@ def draw(rows: Sequence[Sailed], file: Path) -> None:
     for axis in axes.flat:
         axis.axis("off")
     for axis, row in zip(axes.flat, rows, strict=False):
-        for n, e, radius_m in world(row.seed)[1]:
+        for n, e, radius_m, *_ in world(row.seed)[1]:
             axis.add_patch(Circle((e, n), radius_m, color="black"))
             keeps_m = radius_m + LIMITS.thing_clear_m + LIMITS.length_m / 2.0
             axis.add_patch(Circle((e, n), keeps_m, fill=False, color="0.8", linewidth=0.5))

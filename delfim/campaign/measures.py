@@ -181,6 +181,13 @@ MEASURES: Final = (
     ),
     Measure("entered", "INTEGER", "vessels whose domain the boat entered", _entered),
     Measure("collisions", "INTEGER", "vessels nearer than half the lengths of both", _collisions),
+    Measure("things", "INTEGER", "things that stand, and swimmers", lambda s: len(s.run.nodes.things)),
+    Measure(
+        "clear_m",
+        "DOUBLE",
+        "smallest distance from the hull to one of them; negative: it touched",
+        lambda s: min((each.nearest_m for each in s.run.nodes.things), default=None),
+    ),
     Measure("alterations", "INTEGER", "courses that were taken and kept", lambda s: alterations(s.truth.rules.instants)),
     Measure("off_m", "DOUBLE", "farthest from the line of an encounter", lambda s: s.truth.rules.off_m),
     Measure("rules_asked", "INTEGER", "checks of rules 8 and 13 to 17 in an encounter", lambda s: len(_checks(s))),

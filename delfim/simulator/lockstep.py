@@ -30,12 +30,13 @@ from delfim.vehicle import console
 from delfim.vehicle.build import build
 from delfim.vehicle.links import Links
 from delfim.vehicle.orders import voyage
-from delfim.vehicle.orders.entrusting import payload_of
+from delfim.vehicle.orders.entrusting import PAYLOAD, payload_of
 from delfim.vehicle.orders.returning import RESTART
 from delfim.vehicle.state import State, StateLog
 
 CONSOLE_S: Final = 1.0  # the operator's console speaks this often
 WATCHDOG_S: Final = 0.1
+STAYS: Final = frozenset({Mode.IDLE, Mode.MANUAL, Mode.HOLD})  # who comes near then does so by itself, or the operator does
 BURST: Final = 16  # times that an input which stays readable is read again: navigation after a delay, a bus with much to say
 
 
@@ -157,6 +158,8 @@ class Lockstep:
         if self.nodes.instruments is not None:
             for _ in self.nodes.instruments.step(now_s, self.clock.time_ns()):
                 pass  # they measure on, and nobody listens
+        if self.nodes.surroundings is not None:
+            self.nodes.surroundings.step(now_s)
         self._world.queue.clear()
         for _, end in self._beside:
             end.queue.clear()
@@ -221,6 +224,9 @@ class Lockstep:
         if self.nodes.instruments is not None:
             for port, data in self.nodes.instruments.step(now_s, utc_ns):
                 self._ports[port].put(data)
+        if self.nodes.surroundings is not None:
+            for program, sight in self.nodes.surroundings.step(now_s, counts=self.state.mode not in STAYS):
+                self._see(program, sight)
         for source in vehicle.sources:
             vehicle.on_navigation(source)
         if nodes is faults:
@@ -260,6 +266,14 @@ class Lockstep:
             if "outlet_silent" not in faults.on or not self.settings.drives(row).outlet:
                 self.nodes.model.push(row.name, sent.thrust[i], sent.angle_rad[i], sent.run)
         clock.advance(self._cycle_s)
+
+    def _see(self, program: str, sight: console.Sight) -> None:
+        """Tell the boat what a look-out sees, as the program that reads it does."""
+        if "guest_lost" in self.faults.on:
+            return
+        why = self.vehicle.on_command(sight, f"{PAYLOAD}{program}")
+        if self._logbook is not None:
+            self._logbook.command(sight, why, self.state, f"{PAYLOAD}{program}")
 
     def _answer(self, outlet: LockstepLine) -> None:
         """Answer as the outlet does, which holds the last pulses while it is silent."""

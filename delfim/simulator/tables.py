@@ -4,7 +4,7 @@ from typing import Annotated, Literal
 
 import msgspec
 
-from delfim.base.ranges import PORT, Endpoint, Fraction, Interface
+from delfim.base.ranges import PORT, Endpoint, Fraction, Interface, Name
 from delfim.base.tables import Table, text
 
 Coefficient = Annotated[float, msgspec.Meta(ge=-1e7, le=1e7)]
@@ -98,6 +98,36 @@ class SimulatedTraffic(Table, frozen=True):
     vessel: Vessels = ()  # each a table of its own, below
 
 
+class SimulatedThing(Table, frozen=True):
+    """What stands in the simulated water, or a swimmer. Nobody sees it but a look-out."""
+
+    kind: Literal["thing", "person"] = "thing"  # person: a swimmer
+    north_m: Annotated[float, msgspec.Meta(ge=-100_000.0, le=100_000.0)] = 0.0  # from where the boat starts
+    east_m: Annotated[float, msgspec.Meta(ge=-100_000.0, le=100_000.0)] = 0.0  # from there, too
+    radius_m: Annotated[float, msgspec.Meta(ge=0.05, le=50.0)] = 0.5  # all of it is in this circle, and fills it
+    course_deg: Annotated[float, msgspec.Meta(ge=-360.0, le=360.0)] = 0.0  # where it drifts or swims
+    speed_mps: Annotated[float, msgspec.Meta(ge=0.0, le=5.0)] = 0.0  # how fast
+
+
+class SimulatedLookout(Table, frozen=True):
+    """A sensor that looks round four times a second, played in the name of the payload program that would read it. A figure
+    that it does not name is that of its kind."""
+
+    payload: Name  # the program, of this look-out alone, with the right "obstacles"
+    kind: Literal["lidar", "radar", "camera"] = "lidar"  # how far, how exactly, and all round or ahead
+    reach_m: Annotated[float, msgspec.Meta(gt=0.0, le=10_000.0)] | None = None  # how far it sees
+    missed: Fraction | None = None  # part of the looks at a thing in which it does not see it
+    ghosts: Annotated[float, msgspec.Meta(ge=0.0, le=20.0)] | None = None  # things a second that are not there
+
+
+class SimulatedThings(Table, frozen=True):
+    """What stands in the simulated water, and who looks out for it (docs/traffic.md)."""
+
+    world: Literal["", "field", "moorings", "bathers", "entrance", "pocket"] = ""  # more of it to the north, drawn by the seed
+    thing: Annotated[tuple[SimulatedThing, ...], msgspec.Meta(max_length=200)] = ()  # each a table of its own, below
+    lookout: Annotated[tuple[SimulatedLookout, ...], msgspec.Meta(max_length=8)] = ()  # the same
+
+
 class SimulatedHull(Table, frozen=True):
     """The hull that is simulated, where it was measured. Without it, it is that of DelfimX in the size of this boat
     (docs/simulator.md)."""
@@ -151,3 +181,4 @@ class Simulation(Table, frozen=True):
     sea_bed: SimulatedBed = SimulatedBed()
     hull: SimulatedHull = SimulatedHull()
     traffic: SimulatedTraffic = SimulatedTraffic()
+    things: SimulatedThings = SimulatedThings()

@@ -150,11 +150,11 @@ def settings_of(
     }
     values = {
         "boat.id": str(boat_id),
-        "cantcpd.listen": several("cantcpd.listen", vehicle.of(Cantcpd).listen),
-        "cantcpd.slcan": several("cantcpd.slcan", vehicle.of(Cantcpd).slcan),
+        **{f"cantcpd.{key}": several(f"cantcpd.{key}", getattr(vehicle.of(Cantcpd), key)) for key in ("listen", "slcan")},
         "runtime.fifo_priority": "0",
         **({} if "handset.device" in named else {"handset.mandatory": "false"}),
         "simulation.faults": "true",
+        **_lookouts(vehicle, place),
         **({} if truth or "adopted.proven" in named else {"adopted.proven": "true"}),  # its motors are those of the file
     }
     given = tuple(f"{key}." for key in named)  # a table is given with all its keys
@@ -175,6 +175,12 @@ def _world(truth: config.Vehicle | None) -> list[str]:
     if truth is None or not truth.driven("played", False):
         return []
     return [f"thrusters={tables.inline(_by_pulses(truth))}"]
+
+
+def _lookouts(vehicle: config.Vehicle, place: Path) -> dict[str, str]:
+    """The programs of simulated look-outs: each copies out what its pipe brings."""
+    rows = vehicle.of(Simulation).things.lookout
+    return {f"payload.{row.payload}.command": f'["/bin/cat", "{place}/lookout-{row.payload}"]' for row in rows}
 
 
 def _on_buses(vehicle: config.Vehicle) -> list[str]:

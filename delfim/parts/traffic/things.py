@@ -24,10 +24,14 @@ PERSON_S: Final = 120.0  # a swimmer is kept no longer, since it swims ...
 PERSON_MPS: Final = 1.0  # ... as fast as that
 PERSON_MAX_M: Final = 60.0
 MARGIN_M: Final = 2.0  # of the place of a thing, with that of the boat itself
-SAME_M: Final = 3.0  # a sighting so near to a thing is of that one
-SMOOTH: Final = 4  # sightings that make the place of a thing
+SAME_M: Final = 3.0  # a sighting so near to a thing is of that one, ...
+SAME_PERSON_M: Final = 6.0  # ... or to a swimmer: a camera tells poorly how far away a head is
+HEAD_M: Final = 1.0  # radius of what may be a head above the water, seen by who cannot tell it from a buoy, ...
+HEAD_S: Final = 3.0  # ... and for how long after a sighting what is seen where it may be is it
+SMOOTH, SMOOTH_PERSON = 4, 2  # sightings that make the place of a thing, and of a swimmer
 NUMBERS: Final = 999
 LOOKED: Final = 3  # comparisons that where one thing is now costs
+FARTHEST_M: Final = 700.0  # no sighting so far off is of a thing: its radius is 50 m at most, and a swimmer is soon forgotten
 RADIUS_M: Final = 6_378_137.0
 LATITUDE_MAX_RAD: Final = math.radians(89.0)
 
@@ -54,8 +58,8 @@ class Thing:
 
     def take(self, told: ThingSeen, now_s: float) -> None:
         """Take the next sighting."""
-        self.seen += 1
-        part = 1.0 if self.kind == "person" else 1.0 / min(self.seen, SMOOTH)
+        self.seen, self.kind = self.seen + 1, told.kind if told.kind == "person" else self.kind
+        part = 1.0 / min(self.seen, SMOOTH_PERSON if self.kind == "person" else SMOOTH)
         self.latitude_rad += part * (told.latitude_rad - self.latitude_rad)
         self.longitude_rad = wrap(self.longitude_rad + part * wrap(told.longitude_rad - self.longitude_rad))
         self.radius_m += part * (told.radius_m - self.radius_m)
@@ -95,6 +99,8 @@ class Things:
             del self._things[known.number]
         elif known is not None:
             known.take(told, now_s)
+            if known.kind == "person":
+                self._gather(known)
         elif told.confidence > 0.0 and self._has_room(told):
             number = next(each for i in range(NUMBERS) if (each := (self._last + i) % NUMBERS + 1) not in self._things)
             self._last = number
@@ -102,19 +108,21 @@ class Things:
             self._things[number] = Thing(told.kind, name, number, *place, now_s, told.confidence, now_s)
 
     def _at(self, told: ThingSeen, now_s: float) -> Thing | None:
-        """The thing of which this is a sighting, the nearest one; None: it is a new one."""
-        cos, found, least_m = math.cos(told.latitude_rad), None, math.inf
+        """The thing of which this is a sighting, a swimmer first, the nearest one; None: it is a new one."""
+        found, least = None, (True, math.inf)
         for each in self._things.values():
-            north_m = RADIUS_M * (told.latitude_rad - each.latitude_rad)
-            if not -60.0 < north_m < 60.0 or each.kind != told.kind:
-                continue
-            far_m = math.hypot(north_m, RADIUS_M * cos * wrap(told.longitude_rad - each.longitude_rad))
-            near_m = max(SAME_M, each.radius_m)
-            if each.kind == "person":
-                near_m += PERSON_MPS * max(now_s - each.at_s, 0.0)
-            if far_m <= near_m and far_m < least_m:
-                found, least_m = each, far_m
+            far_m = _far_m(each, told)
+            if far_m <= _reach_m(each, told, now_s) and (this := (each.kind != "person", far_m)) < least:
+                found, least = each, this
         return found
+
+    def _gather(self, swimmer: Thing) -> None:
+        """What is so near to a swimmer and as small is that one, which a camera took for another, farther or nearer."""
+        for each in tuple(self._things.values()):
+            is_small = each.kind == "person" or each.radius_m <= HEAD_M
+            if each is not swimmer and is_small and _far_m(each, swimmer) <= SAME_PERSON_M:
+                swimmer.belief = max(swimmer.belief, each.belief)
+                del self._things[each.number]
 
     def _has_room(self, told: ThingSeen) -> bool:
         """Whether there is room for one more: of more than MOST the one that is farthest from the boat goes."""
@@ -145,3 +153,22 @@ class Things:
             elif self._things.get(number) is each:
                 del self._things[number]
         return found
+
+
+def _far_m(each: Thing, told: ThingSeen | Thing) -> float:
+    """From a thing to a sighting, m; infinite: so far north or south that no sighting can be of it."""
+    north_m = RADIUS_M * (told.latitude_rad - each.latitude_rad)
+    if not -FARTHEST_M < north_m < FARTHEST_M:
+        return math.inf
+    return math.hypot(north_m, RADIUS_M * math.cos(told.latitude_rad) * wrap(told.longitude_rad - each.longitude_rad))
+
+
+def _reach_m(each: Thing, told: ThingSeen, now_s: float) -> float:
+    """How near to a thing a sighting is of that one, m; negative: of another kind. Who is called a swimmer by one program is
+    one, though another sees something small there."""
+    swum_m = PERSON_MPS * max(now_s - each.at_s, 0.0)
+    if each.kind == told.kind:
+        return SAME_PERSON_M + swum_m if each.kind == "person" else max(SAME_M, each.radius_m)
+    if (each.radius_m if each.kind == "thing" else told.radius_m) > HEAD_M:
+        return -1.0
+    return SAME_PERSON_M if each.kind == "thing" or swum_m <= HEAD_S * PERSON_MPS else -1.0

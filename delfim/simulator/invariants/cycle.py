@@ -27,6 +27,7 @@ class Before(NamedTuple):
     cycles: int
     navigation_s: float
     order: object  # of the guard, who steers then
+    shaped: bool  # others than the mode have a hand in its steps
     handed: object  # the boat's program; a restart makes another
 
 
@@ -47,6 +48,7 @@ def before(run: Lockstep) -> Before:
         state.cycles,
         state.navigation_s,
         state.traffic.order,
+        bool(helm.shapes),
         vehicle,
     )
 
@@ -68,6 +70,7 @@ class CycleSeen:
         )
         is_heard = state.cycles == was.cycles + 1 and state.navigation_s == was.now_s
         is_steady = was.now_s - was.navigation_s < 0.4 and self.dt_s <= 1.0 and state.traffic.order is was.order is None
+        is_steady = is_steady and not (was.shaped or run.vehicle.helm.shapes)
         self.steered = is_steady and ("position" in state.motion.has if is_order else is_same and is_heard)
 
 

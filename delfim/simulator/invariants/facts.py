@@ -127,6 +127,16 @@ class Batteries:
                 yield f"{name} is told to be at {charge}, and is at {drive.charge}"
 
 
+class Struck:
+    """A boat that goes somewhere by itself touches nothing that stands in the water, nor a swimmer."""
+
+    def __init__(self, run: Lockstep) -> None:
+        self._things = run.nodes.things
+
+    def look(self, cycle: CycleSeen) -> Iterator[str]:
+        yield from (f"struck {each.name}" for each in self._things if each.nearest_m <= 0.0)
+
+
 class NotedChanges:
     """Each change of mode, and each trouble that comes or goes, is noted when it happens, with its reason; nothing else is."""
 

@@ -7,7 +7,7 @@ from typing import Final
 from delfim.base.geodesy import from_plane
 from delfim.base.modes import Mode
 from delfim.simulator.invariants.cycle import CycleSeen, Invariant, before
-from delfim.simulator.invariants.facts import Batteries, NotedChanges, Plausible, Reported
+from delfim.simulator.invariants.facts import Batteries, NotedChanges, Plausible, Reported, Struck
 from delfim.simulator.invariants.guidance import Beginnings, Guidance
 from delfim.simulator.invariants.orders import Orders
 from delfim.simulator.invariants.restart import Returns
@@ -74,7 +74,7 @@ class TruePlace:
 
 
 RULES: Final[tuple[Callable[[Lockstep], Invariant], ...]] = (CommandedThrust, ControlLaw, DerivedGains, Guidance)
-FACTS: Final[tuple[Callable[[Lockstep], Invariant], ...]] = (Plausible, Batteries, NotedChanges, Reported)
+FACTS: Final[tuple[Callable[[Lockstep], Invariant], ...]] = (Plausible, Batteries, NotedChanges, Reported, Struck)
 
 
 class Onlooker:

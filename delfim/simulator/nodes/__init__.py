@@ -17,6 +17,7 @@ from delfim.simulator.measured import model_of
 from delfim.simulator.model import Model
 from delfim.simulator.nodes.cansensors import CanSensors
 from delfim.simulator.nodes.devices import Devices
+from delfim.simulator.nodes.lookouts import Surroundings, surroundings_of
 from delfim.simulator.nodes.navigation import NavigationNode
 from delfim.simulator.nodes.other_vessels import Shipping
 from delfim.simulator.nodes.talkers import SimulatedInstruments, instruments_of
@@ -59,8 +60,8 @@ class Reporting(Protocol):
 
 
 class Nodes:
-    """All nodes of a boat around one model, which they advance; the devices of other buses and the instruments on lines are
-    stepped by the caller."""
+    """All nodes of a boat around one model, which they advance; the devices of other buses, the instruments on lines and what
+    stands in the water are stepped by the caller."""
 
     def __init__(
         self,
@@ -68,8 +69,10 @@ class Nodes:
         named: dict[str, SimulatedNode],
         beside: tuple[BusDevices, ...] = (),
         instruments: SimulatedInstruments | None = None,
+        surroundings: Surroundings | None = None,
     ) -> None:
         self.model, self.named, self.beside, self.instruments = model, named, beside, instruments
+        self.surroundings, self.things = surroundings, surroundings.things if surroundings else []
         self.shipping = next((each for each in beside if isinstance(each, Shipping)), None)
         self.vessels = self.shipping.vessels if self.shipping else []  # other vessels
         devices = [each for each in beside if isinstance(each, Devices | CanSensors)]
@@ -123,5 +126,8 @@ def nodes_of(settings: config.Vehicle, seed: int, model: Model | None = None) ->
     others = (import_module(f"{__name__}.{kind}").devices_of(settings, model, seed) for kind in OTHER_BUSES)
     on_buses = (each.devices_of(settings, model, seed) for each in of_parts if hasattr(each, "devices_of"))
     beside = tuple(each for each in (*others, *on_buses) if each is not None)
-    ais = next((each.sentences for each in beside if isinstance(each, Shipping)), None)
-    return Nodes(model, named, beside, instruments_of(settings, model, seed, ais))
+    shipping = next((each for each in beside if isinstance(each, Shipping)), None)
+    instruments = instruments_of(settings, model, seed, shipping.sentences if shipping else None)
+    return Nodes(
+        model, named, beside, instruments, surroundings_of(settings, model, seed, shipping.vessels if shipping else ())
+    )

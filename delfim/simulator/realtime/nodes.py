@@ -6,7 +6,6 @@ buses only, instruments of NMEA 0183 on the ports of `delfim sim` only: the othe
 """
 
 import contextlib
-import math
 import select
 import signal
 from types import FrameType
@@ -22,6 +21,7 @@ from delfim.simulator.nodes import BusDevices, Nodes, nodes_of
 from delfim.simulator.realtime.external_model import ExternalModel
 from delfim.simulator.realtime.fault_socket import NODES, listening, obey, place
 from delfim.simulator.realtime.instrument_lines import InstrumentLines
+from delfim.simulator.realtime.lookout_pipes import LookoutPipes
 
 BUS_RETRY_S = 0.5
 
@@ -47,11 +47,15 @@ def run_nodes(settings: config.Vehicle, seed: int) -> int:
         beside = _beside(nodes.nodes, opened)
         instruments = nodes.nodes.instruments
         lines = opened.enter_context(InstrumentLines(settings, instruments.ports if instruments else ()))
+        surroundings = nodes.nodes.surroundings
+        pipes = opened.enter_context(LookoutPipes(settings, surroundings))
         bus.bind(*nodes.nodes.hears)
         for handle in (bus.fileno(), requests.fileno(), *(socket.fileno() for _, socket in beside)):
             poll.register(handle, select.POLLIN)
         while not ended:
-            apart = (*(devices.due_s for devices, _ in beside), instruments.due_s if instruments else math.inf)
+            apart = [
+                each.due_s for each in (*(devices for devices, _ in beside), instruments, surroundings) if each is not None
+            ]
             wait_s = max(min(nodes.due_s, *apart) - clock.monotonic_s(), 0.0)
             poll.poll(min(wait_s, 1.0) * 1000.0)
             if model is not None:
@@ -63,6 +67,8 @@ def run_nodes(settings: config.Vehicle, seed: int) -> int:
                     _send(socket, devices.step(clock.monotonic_s(), clock.time_ns()))
                 for port, data in instruments.step(clock.monotonic_s(), clock.time_ns()) if instruments else ():
                     lines.say(port, data, clock.monotonic_s())
+                if surroundings is not None:
+                    pipes.say(surroundings.step(clock.monotonic_s()))
             except BusError:  # the bus failed; boats survive that, so do the nodes
                 select.select([], [], [], BUS_RETRY_S)
                 bus.rebind()

@@ -19,7 +19,7 @@ from delfim.simulator.handset import HandsetAt
 from delfim.vehicle import console
 
 DAY_S: Final = 86_400.0
-EXPECTED: Final = ("mode", "notice", "propellers", "waypoints", "nearest", "nearest_m")
+EXPECTED: Final = ("mode", "notice", "propellers", "waypoints", "nearest", "nearest_m", "clear_m")
 Words = Annotated[tuple[str, ...], msgspec.Meta(min_length=1)]
 Time = Annotated[float, msgspec.Meta(ge=0.0, le=DAY_S)]
 
@@ -43,6 +43,7 @@ class Expect(tables.Table, frozen=True):
     waypoints: Annotated[int, msgspec.Meta(ge=0)] = 0  # number of the mission's waypoints passed within their radius
     nearest: Annotated[float, msgspec.Meta(ge=0.0)] = 0.0  # domains of other vessels, at least; 1 is the edge
     nearest_m: Annotated[float, msgspec.Meta(ge=0.0)] = 0.0  # to the middle of other vessels, at least
+    clear_m: Annotated[float, msgspec.Meta(ge=0.0)] = 0.0  # from the hull to what stands in the water, and swimmers, at least
     reason: str = ""  # contained in the reason of the mode or the notice
     after: float | str = 0.0  # a time in s, a kind of fault, or a command of the operator; its last occurrence
     within_s: float = math.inf  # after that

@@ -20,6 +20,7 @@ from delfim.base.errors import ConfigError
 from delfim.base.modes import Mode
 from delfim.simulator.invariants.onlooker import TURNS, Onlooker, TruePlace
 from delfim.simulator.lockstep import Lockstep, uncollected
+from delfim.simulator.nodes import Nodes
 from delfim.simulator.nodes.other_vessels import Vessel
 from delfim.simulator.payloadprogram import PayloadProgram
 from delfim.simulator.scenarios.encounters import OWN_MPS, RANDOM, drawn, staged, staged_of
@@ -131,7 +132,7 @@ def sail(
                 look(run, watch.place)
             if counts_waypoints:
                 recorder.passes(watch.place)
-    missed = [words for expected in scenario.expect if (words := _missed(expected, recorder, run.elapsed_s, run.nodes.vessels))]
+    missed = [words for expected in scenario.expect if (words := _missed(expected, recorder, run.elapsed_s, run.nodes))]
     run.close()
     return Result(recorder.events, [*watch.failures, *operator.failures, *missed], run.elapsed_s)
 
@@ -184,13 +185,16 @@ class Operator:
         return True
 
 
-def _missed(expected: Expect, recorder: Recorder, end_s: float, vessels: Sequence[Vessel]) -> str | None:
+def _missed(expected: Expect, recorder: Recorder, end_s: float, nodes: Nodes) -> str | None:
     """The reason, in words, why a run misses an expected result; None: it does not."""
     if expected.waypoints:
         reached = sum(away_m <= 1.0 for away_m in recorder.nearest_m)
         return None if reached >= expected.waypoints else f"{reached} of {expected.waypoints} waypoints reached"
     if expected.nearest or expected.nearest_m:
-        return _too_near(expected, vessels)
+        return _too_near(expected, nodes.vessels)
+    if expected.clear_m:
+        near = [f"{each.nearest_m:.1f} m from {each.name}" for each in nodes.things if each.nearest_m < expected.clear_m]
+        return ", ".join(near) or None
     kind, name = next((k, n) for k in ("mode", "notice", "propellers") if (n := getattr(expected, k)))
     since_s = _since(expected.after, recorder.events)
     what = f"{kind} {name}" + (f" ({expected.reason})" if expected.reason else "")

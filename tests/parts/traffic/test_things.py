@@ -120,6 +120,29 @@ def test_a_swimmer_may_have_swum() -> None:
     assert not looked(things, 99.0 + 121.0)
 
 
+def test_what_one_program_calls_a_swimmer_is_one_whoever_else_sees_it() -> None:
+    things = Things(config.TrafficTable())
+    for i in range(5):  # a lidar sees something small
+        things.hear(seen(0.0, 0.1 * i, radius_m=0.3), "lidar 5", float(i))
+    things.hear(seen(4.0, 0.5, kind="person", radius_m=2.0), "camera 1", 5.0)
+    (one,) = looked(things, 5.0)
+    assert (one.key, one.kind) == ("person 1", "person")
+    for i in range(6, 60):  # the camera has turned away, and the lidar sees it yet
+        things.hear(seen(0.0, 0.1 * i, radius_m=0.3), "lidar 5", float(i))
+    (one,) = looked(things, 60.0)
+    assert (one.kind, one.margin_m) == ("person", 3.0)
+    assert abs(one.east_m - 5.9) < 0.5
+
+
+def test_a_moored_boat_beside_a_swimmer_stays_a_thing_and_heads_near_each_other_are_one() -> None:
+    things = Things(config.TrafficTable())
+    things.hear(seen(radius_m=5.0), "lidar 1", 0.0)
+    things.hear(seen(5.0, kind="person"), "camera 1", 0.0)
+    things.hear(seen(12.0, kind="person"), "camera 2", 0.0)
+    things.hear(seen(8.4, kind="person"), "camera 1", 1.0)
+    assert sorted(each.kind for each in looked(things, 1.0)) == ["person", "thing"]
+
+
 def test_clear_water_needs_no_other_way() -> None:
     assert way() is None
     assert way(thing(1, 100.0, 20.0)) is None
