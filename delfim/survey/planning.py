@@ -35,7 +35,9 @@ LENGTHS: Final = 2.5  # of a boat that steers by a rudder or an outboard: its sm
 CROSS: Final = 3.0  # spacings: a cross line is no shorter
 DRAWN_RAD: Final = 0.2  # of an arc, from place to place
 STEPS: Final = 16  # places of an arc, where its chords are no water
-PARTS: Final = 1.0, 0.75, 0.5, 0.25, 0.0  # of a run-in, the longest for which there is water
+STUB_M: Final = 4.0  # of the room for turns, that run-ins and ways may take
+BESIDE_M: Final = 2.0  # beyond what missions keep off, they keep off by so much
+PARTS: Final = 1.0, 0.75, 0.5, 1.0 / 3.0, 0.25, 0.0  # of a run-in, the longest for which there is water
 SIDES: Final = {"": 0, "port": -1, "starboard": 1}
 CORNERS: Final = {"sw": (0, 1), "se": (2, 1), "nw": (0, 3), "ne": (2, 3)}  # of the area's box: where in its bounds they stand
 
@@ -50,6 +52,7 @@ class LinesWanted(NamedTuple):
     edges: bool = True  # the area is covered up to its edges; False: lines end where they leave it
     run_in_m: float = RUN_IN_M  # straight, before and behind each line
     room_m: float = config.FenceTable().mission_margin_m + TURN_M  # from holes and the fence
+    stub_m: float = 0.0  # of the room, that run-ins and ways may take: where a line ends at a hole, the boat turns beyond it
     radius_m: float = 0.0  # of the boat's smallest turn; 0: it turns on the spot
     turn_s: float = 0.0  # what a turn takes beyond its length
     cross_m: float = 0.0  # spacing of the cross lines; 0: none
@@ -87,12 +90,18 @@ def wanted_of(settings: config.Vehicle, **asked: Any) -> LinesWanted:
         raise DelfimError("the swath is narrower than the spacing: water between lines stays uncovered")
     if wanted.speed_mps > control.speed.max_mps:
         raise DelfimError(f"faster than this boat goes: up to {control.speed.max_mps} m/s")
-    return wanted
+    least_m = max(settings.fence.mission_margin_m + BESIDE_M, _stopped_m(settings.fence, wanted.speed_mps))
+    stub_m = 0.0 if wanted.radius_m else min(max(wanted.room_m - least_m, 0.0), STUB_M)  # arcs need all of the room
+    return wanted._replace(stub_m=stub_m)
 
 
 def _room_m(limits: config.FenceTable, speed_mps: float) -> float:
     """From holes and the fence: what missions keep and the room for a turn, and what the boat needs to stop before them."""
-    return max(limits.mission_margin_m + TURN_M, math.ceil(limits.margin_m + stopping_m(limits, speed_mps)))
+    return max(limits.mission_margin_m + TURN_M, _stopped_m(limits, speed_mps))
+
+
+def _stopped_m(limits: config.FenceTable, speed_mps: float) -> int:
+    return math.ceil(limits.margin_m + stopping_m(limits, speed_mps))
 
 
 class PlannedPiece(NamedTuple):
@@ -161,8 +170,10 @@ def planned(ground: Ground, wanted: LinesWanted, fence: config.Zones, come: Plac
         across = ordered(found, max(1, math.ceil(2.0 * wanted.radius_m / wanted.cross_m)), lines[-1][1] if lines else None)
     if not lines:
         raise DelfimError("the area is smaller than a line")
-    ways = OpenWater(open_water)
-    begin, way = _sailed([*lines, *across], ways, wanted, open_water, come)
+    turning = water(ground, fence, wanted.room_m - wanted.stub_m, around_m)
+    ways = OpenWater(turning)
+    lines, across = _settled(lines, ways, wanted), _settled(across, ways, wanted)
+    begin, way = _sailed([*lines, *across], ways, wanted, turning, come)
     if len(way) + 1 > ROWS:
         raise DelfimError(f"{len(lines)} lines make {len(way) + 1} places, and a mission has {ROWS}: take the area in parts")
     return SurveyPlan(ground, wanted, free, ways, heading_deg, [*lines, *across], len(across), begin, way)
@@ -187,8 +198,10 @@ def plan_of(
     crossed = _again(across, heading_deg + 90.0, cross_m, wanted.radius_m, there)
     if not lines and not crossed:
         raise DelfimError("no line is left")
-    ways = OpenWater(open_water)
-    begin, way = _sailed([*lines, *crossed], ways, wanted, open_water, start)
+    turning = water(ground, fence, wanted.room_m - wanted.stub_m, around_m)
+    ways = OpenWater(turning)
+    lines, crossed = _settled(lines, ways, wanted), _settled(crossed, ways, wanted)
+    begin, way = _sailed([*lines, *crossed], ways, wanted, turning, start)
     free = ground.area.intersection(open_water)
     return SurveyPlan(ground, wanted, free, ways, heading_deg, [*lines, *crossed], len(crossed), begin, way)
 
@@ -248,6 +261,19 @@ def _corner(free: BaseGeometry, name: str) -> Place | None:
 
 def _is_long(line: Segment, wanted: LinesWanted) -> bool:
     return math.dist(*line) >= CROSS * wanted.spacing_m
+
+
+def _settled(lines: list[Segment], ways: OpenWater, wanted: LinesWanted) -> list[Segment]:
+    """Lines that are shorter than a run-in begin where there is room for one: turned back they cost less than their length
+    twice. Those of a sensor that looks to one side keep their way."""
+    if wanted.side:
+        return lines
+    found = list[Segment]()
+    for begin, end in lines:
+        before, behind = (_beyond(ways, a, b, wanted.run_in_m) for a, b in ((end, begin), (begin, end)))
+        is_turned = math.dist(begin, end) < wanted.run_in_m and math.dist(before, begin) < math.dist(behind, end)
+        found.append((end, begin) if is_turned else (begin, end))
+    return found
 
 
 def _sailed(

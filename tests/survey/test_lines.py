@@ -13,6 +13,7 @@ from shapely.geometry import LineString, MultiPolygon, Polygon, box
 
 from delfim import config
 from delfim.base.errors import DelfimError
+from delfim.survey.areafile import read_area
 from delfim.survey.ground import Ground, laid, simplified, swaths, union, water
 from delfim.survey.lines import Cut, strips
 from delfim.survey.order import alternating, ordered
@@ -116,6 +117,28 @@ def test_lines_are_apart_as_asked_and_as_long_as_their_strips() -> None:
     assert wide.covered()[0] == pytest.approx(1.0)
     assert len(survey(SQUARE, heading_deg=30.0).lines) > 12
     assert survey(SQUARE).heading_deg % 90.0 == 0.0, "along a side is quickest"
+
+
+def test_lines_that_begin_or_end_at_a_hole_have_a_piece_of_run_in_and_short_ones_begin_where_there_is_room_for_all_of_it() -> (
+    None
+):
+    ground = laid(read_area(Path(__file__).parents[2] / "etc/areas/basin.geojson"))
+    wanted = wanted_of(config.load("etc/delfimx.toml"), spacing_m=10.0)
+    plan = planned(ground, wanted, config.Zones())
+    places, short = [plan.begin, *(each.bend.to for each in plan.way)], 0
+    for number, each in enumerate(plan.way):
+        if each.line is None:
+            continue
+        begin, end = plan.lines[each.line]
+        assert math.dist(begin, places[number]) < 0.01
+        run_in_m, run_out_m = math.dist(places[number - 1], begin), math.dist(end, places[number + 2])
+        assert min(run_in_m, run_out_m) >= 3.0 - 0.01
+        if math.dist(begin, end) < wanted.run_in_m:
+            short += 1
+            assert run_in_m == pytest.approx(wanted.run_in_m)
+    assert short >= 4
+    rocks = shapely.unary_union([Polygon(each.exterior) for each in ground.holes.geoms])
+    assert rocks.distance(LineString(places)) >= 8.0 - 0.05  # missions keep off 6 m
 
 
 def test_inside_lines_end_where_they_leave_the_area() -> None:
