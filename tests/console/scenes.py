@@ -213,12 +213,18 @@ async def silent(page: Page, gateway: Standin, day: Day, picture: Picture) -> No
     gateway.boat(2).update(mode="idle", forced="battery low: 18 %")
     gateway.boat(2)["mission"]["state"] = "differs"
     gateway.boat(2)["battery_pct"] = 18
-    stop = {"id": 2, "boat": 2, "severity": 2, "text": "battery low: 18 %: stop"}
-    lost = {"id": 1, "boat": 1, "severity": 4, "text": "link lost: nothing is heard from it"}
-    alarms = [each | {"at_s": gateway.at_s, "lasts": True, "seen": each is lost} for each in (stop, lost)]
-    await gateway.tell({"t": "alarms", "alarms": alarms})
+    began = {"at_s": gateway.at_s - 40}
+    stop = began | alert(2, 2, "alarm", "battery low: 18 %: stop", "unacknowledged")
+    lost = began | alert(1, 1, "warning", "link lost: nothing is heard from it", "acknowledged", "Ana")
+    await gateway.tell({"t": "alerts", "alerts": [stop, lost]})
     await gateway.frame()
     await picture("night")
+
+
+def alert(number: int, boat: int | None, priority: str, text: str, state: str, by: str = "") -> Message:
+    """As the gateway tells it, but for its time."""
+    told = {"id": number, "boat": boat, "priority": priority, "text": text, "state": state, "by": by}
+    return told | {"sounds": priority == "alarm" and state == "unacknowledged"}
 
 
 async def choose(page: Page, *titles: str) -> None:

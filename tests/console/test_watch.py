@@ -18,7 +18,8 @@ from tests.console.scenes import choose
 from tests.console.test_operating import drawn, pressed, sent
 from tests.services.browser import shrink
 
-ALARM = "[...document.querySelectorAll('#alarms:not([hidden]) p')].filter((each) => each.textContent.includes({!r}))"
+ALERTS = "delfim.alerts().filter(([text]) => text.includes({!r}))"
+FIRST = "document.querySelector('#bar p').textContent"
 SAID = "document.getElementById('said').children.length"
 
 Picture = Callable[[str], Awaitable[None]]
@@ -28,10 +29,20 @@ def of(number: int, what: str) -> str:
     return f"document.querySelector('[data-boat=\"{number}\"] {what}')"
 
 
-async def alarm(sea: Sea, words: str, state: str) -> None:
-    """`state`: lasts, over or seen; "": it is not there any more."""
-    found = ALARM.format(words)
-    await sea.page.until(f"{found}[0]?.dataset.state === {state!r}" if state else f"!{found}.length", PATIENCE_S)
+async def alert(sea: Sea, words: str, state: str) -> None:
+    """`state`: as IEC 62923 names it; "": it is not there any more."""
+    found = ALERTS.format(words)
+    await sea.page.until(f"{found}[0]?.[1] === {state!r}" if state else f"!{found}.length", PATIENCE_S)
+
+
+async def noted(sea: Sea, words: str) -> None:
+    """K takes the alerts one by one, the gravest first, until this one has been taken note of."""
+    first = await sea.page.value(FIRST)
+    while words not in first:
+        await sea.page.press("k")
+        await sea.page.until(f"{FIRST} !== {first!r}", PATIENCE_S)
+        first = await sea.page.value(FIRST)
+    await sea.page.press("k")
 
 
 async def a_boat_falls_silent(sea: Sea, picture: Picture) -> None:
@@ -42,14 +53,13 @@ async def a_boat_falls_silent(sea: Sea, picture: Picture) -> None:
     await sent(page)
     await pressed(page, boat, "y", "play")
     await page.until(f"{of(1, '.left')}.textContent.endsWith('to go')")
-    await page.press("k")
     sea.radios[0].cut()
-    await alarm(sea, "link lost", "lasts")
+    await alert(sea, "link lost", "unacknowledged")
     await page.value("new Promise(done => setTimeout(done, 1100))")
     assert await page.value("delfim.frames()") > 0, "of the last second"
     await picture("silent")
-    await page.press("k")
-    await alarm(sea, "link lost", "seen")
+    await noted(sea, "link lost")
+    await alert(sea, "link lost", "acknowledged")
 
 
 async def a_boat_goes_home(sea: Sea, picture: Picture) -> None:
@@ -75,27 +85,32 @@ async def a_boat_loses_a_propeller(sea: Sea, picture: Picture) -> None:
     await boat.until(lambda state: state["mode"] == "idle")
     await page.until(f"{of(3, '.trouble.bad')}?.textContent.startsWith('stopped: ')")
     why = await page.value(f"{of(3, '.trouble.bad')}.textContent.slice(9, 30)")
-    await alarm(sea, why, "lasts")
+    await alert(sea, why, "unacknowledged")
     for key in ("g", "p", "y", "x", "g"):  # it has no mission: each is refused
         await page.press(key)
     await page.until(f"{SAID} > 2")
-    await alarm(sea, why, "lasts")
+    await alert(sea, why, "unacknowledged")
     await picture("stopped")
     await page.reload()
     await sea.page.until("window.delfim?.online() && document.querySelectorAll('.chip').length === 3")
-    await alarm(sea, why, "lasts")
+    await alert(sea, why, "unacknowledged")
     assert await page.value(f"{of(3, '.trouble.bad')}.textContent.includes({why!r})")
-    await page.press("k")
-    await alarm(sea, why, "seen")
-    await picture("seen")
+    await page.press("s")
+    await alert(sea, why, "silenced")
+    await noted(sea, why)
+    await alert(sea, why, "acknowledged")
+    await page.press("a")
+    await page.until(f"[...document.querySelectorAll('#alerts tr')].some((each) => each.textContent.includes({why!r}))")
+    await picture("alerts")
+    await page.press("Escape")
     await boat.delfim("fault", "end")
-    await alarm(sea, why, "")
+    await alert(sea, why, "")
 
 
 async def the_log_has_it_all(sea: Sea, picture: Picture) -> None:
     page = sea.page
     sea.radios[0].mend()
-    await alarm(sea, "link lost", "")
+    await alert(sea, "link lost", "")
     await page.mouse((640.0, 700.0))
     await choose(page, "Screen", "Log of the watch")
     rows = await page.value(
@@ -103,8 +118,8 @@ async def the_log_has_it_all(sea: Sea, picture: Picture) -> None:
     )
     had = {(boat, what, text) for _, boat, _, what, text in rows[1:]}
     assert {("boat1", "order", "play"), ("boat2", "order", "home"), ("boat1", "notice", "heard again")} <= had
-    assert {what for _, what, text in had if "link lost" in text} == {"warning", "acknowledged"}
-    assert {what for boat, what, _ in had if boat == "boat3"} >= {"alarm", "refused", "acknowledged"}
+    assert {what for _, what, text in had if "link lost" in text} == {"warning", "acknowledged", "over"}
+    assert {what for boat, what, _ in had if boat == "boat3"} >= {"alarm", "refused", "silenced", "acknowledged", "over"}
     await picture("log")
     table = await page.value("fetch(document.querySelector('#log a').href).then((answer) => answer.text())")
     assert re.search(r"boat2,page \d+ at 127\.0\.0\.1,order,home", table)
@@ -119,7 +134,6 @@ async def watch(folder: Path, keep: Path | None = None) -> None:
                 taken = await sea.page.call("Page.captureScreenshot", format="png")
                 (keep / f"watch-{name}.png").write_bytes(base64.b64decode(taken["data"]))
 
-        await sea.page.press("k")
         await a_boat_falls_silent(sea, picture)
         await a_boat_goes_home(sea, picture)
         await a_boat_loses_a_propeller(sea, picture)

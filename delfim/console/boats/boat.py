@@ -18,6 +18,7 @@ from delfim.vehicle.plans.mission import ROWS
 
 COLOURS: Final = ("#d1495b", "#2e86ab", "#e8b04a", "#5b9a68", "#8e5ea2", "#d97b29", "#3a7d7c", "#b0567f", "#6b705c", "#1b4965")
 SILENT_S: Final = 3.5
+WEAK_PCT, WEAK_MS = 10.0, 1000.0  # lost, round trip: from there on a stop may come late
 CHECKSUM_S: Final = 6.0  # the time for a boat to send the checksum of its plans before they are read
 NAME_MAX: Final = 32
 TRACK_MAX: Final = 36_000  # points: ten hours at one a second
@@ -74,6 +75,7 @@ class Boat:
         self.track: deque[tuple[float, float, float]] = deque(maxlen=TRACK_MAX)
         self.heard_track = HeardTrack()
         self.rtt_ms: float | None = None
+        self.link_was_weak = False
         self.synced_s = -math.inf
         self.released = False
         self.before = ""  # the name that it had until now, as another boat
@@ -84,6 +86,12 @@ class Boat:
         self.read: int | None = None  # the same, when they were read
         self.read_due_s = now_s + CHECKSUM_S
         self._reception = Reception(now_s)
+
+    def has_weak_link(self, now_s: float) -> bool:
+        """Whether a stop may come late (docs/operator.md). It ends when the link is twice as good as where it began."""
+        part = 0.5 if self.link_was_weak else 1.0
+        self.link_was_weak = self._reception.loss_pct(now_s) >= part * WEAK_PCT or (self.rtt_ms or 0.0) >= part * WEAK_MS
+        return self.link_was_weak
 
     def receive(self, message: Any, now_s: float, utc_s: float) -> None:
         """Takes any message of this boat."""

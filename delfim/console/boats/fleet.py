@@ -14,7 +14,6 @@ from delfim.base.clock import Clock
 from delfim.base.errors import FormatError, Refused
 from delfim.base.modes import Mode
 from delfim.console.boats.affording import EnergyAsks
-from delfim.console.boats.alarms import is_trouble
 from delfim.console.boats.boat import SILENT_S, Boat
 from delfim.console.boats.depths import DepthGrid
 from delfim.console.boats.drivers import INPUT_S, Drivers
@@ -24,6 +23,7 @@ from delfim.console.boats.profiles import Profiles
 from delfim.console.boats.requests import HALTS, LIFE_S, NO_ANSWER, Answer, Requests, entered
 from delfim.console.boats.routes import Address, Ways, in_words
 from delfim.console.link.mavlink import BOAT_NAME, BOAT_RUN, SYSTEM, TROUBLES, Codec, Key, mavlink, ownorders
+from delfim.console.watch.alerts import is_trouble
 
 HEARTBEAT_S: Final = 1.0
 TIMESYNC_S: Final = 5.0

@@ -35,6 +35,7 @@ from delfim.console.link.session import Session
 from delfim.console.link.udp import Udp
 from delfim.console.tapes.replay import TapePlayer
 from delfim.console.tapes.tape import Tape
+from delfim.console.watch.alerts import WARNING
 from delfim.parts.fleet.broker import DOWN, BrokerLine
 
 PAGE: Final = Path(__file__).parents[1] / "page"
@@ -119,7 +120,7 @@ class Gateway:
             self.fleet = Fleet(clock, self._transmit, self.tell, key, self.me)
             if self.session is not None:
                 self.fleet.record = self.session.put
-            self.fleet.troubles = self.watch.alarms.troubles
+            self.fleet.troubles = self.watch.alerts.troubles
             if self.soundings is not None:
                 for heard in self.soundings.read():
                     self.fleet.depths.add(*heard[1:])
@@ -227,9 +228,9 @@ class Gateway:
         self.tell(self._text(f"{name}: {reason}") | {"alarm": "console"} if reason else well)
         for words, is_so in ((before, False), (reason, True)):
             if words:
-                self.watch.alarms.hold(None, 4, f"{name}: {words}", self._utc_s(), is_so)
+                self.watch.alerts.hold(None, WARNING, f"{name}: {words}", is_so)
 
-    def _text(self, words: str, severity: int = 4) -> dict[str, Any]:
+    def _text(self, words: str, severity: int = WARNING) -> dict[str, Any]:
         """Words of the console itself."""
         return {"t": "text", "boat": None, "severity": severity, "text": words, "at_s": self._utc_s()}
 
@@ -390,7 +391,7 @@ class Gateway:
                 fleet.command(number, "profile", {"profile": profile}, answer)
             case page_messages.Forget(boat=number):
                 fleet.forget(number)
-                self.watch.alarms.forget(number)
+                self.watch.alerts.forget(number, page.who)
                 self.tell({"t": "forgotten", "boat": number})
                 answer(True, "")
             case page_messages.Home(boat=number):
@@ -400,6 +401,9 @@ class Gateway:
                 fleet.afford(number, answer)
             case page_messages.Acknowledge(ids=ids):
                 self.watch.acknowledge(page.who, ids)
+                answer(True, "")
+            case page_messages.Quiet(ids=ids):
+                self.watch.silence(page.who, ids)
                 answer(True, "")
             case page_messages.Replay():
                 if not isinstance(fleet, TapePlayer):

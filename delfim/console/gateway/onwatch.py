@@ -1,16 +1,17 @@
-"""Keeps the watch: its log and its alarms, and what pages hear of both."""
+"""Keeps the watch: its log and its alerts, and what pages hear of both."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any, Final
 
-from delfim.console.boats.alarms import GRAVE, Alarms
 from delfim.console.boats.boat import SILENT_S, Boat
 from delfim.console.gateway import page_messages
 from delfim.console.gateway.watchlog import WatchLine, WatchLog
+from delfim.console.watch.alerts import CAUTION, WARNING, AlertList, StandingAlert, priority_of
 
 GREETED: Final = 200  # lines for a page that opens
 LOST: Final = "link lost: nothing is heard from it"
 BACK: Final = "heard again"
+WEAK: Final = "link weak: a stop may come late"
 DEEDS: Final = ("upload", "save")  # to a mission, that the log has
 Answer = Callable[[bool, str], None]
 
@@ -19,21 +20,22 @@ class WatchKeeper:
     """`tell` informs the pages, `utc_s` is the time that they show, `name` that of a boat."""
 
     def __init__(self, tell: Callable[[dict[str, Any]], None], utc_s: Callable[[], float], name: Callable[[int], str]) -> None:
-        self.alarms, self.log = Alarms(), WatchLog()
+        self.alerts, self.log = AlertList(utc_s, self._over), WatchLog()
         self._tell, self._utc_s, self._name = tell, utc_s, name
 
     def greet(self, tell: Callable[[dict[str, Any]], None]) -> None:
         """What a page that opens has missed."""
         tell({"t": "log", "all": True, "lines": self.log.told(GREETED)})
-        tell({"t": "alarms", "alarms": self.alarms.shown()})
+        tell({"t": "ended", "all": True, "alerts": list(self.alerts.history)})
+        tell({"t": "alerts", "alerts": self.alerts.shown()})
 
     def hear(self, text: dict[str, Any]) -> None:
         """What pages were told in words."""
         boat, severity, words = text["boat"], text["severity"], text["text"]
-        what = "alarm" if severity <= GRAVE else "warning" if severity == 4 else "notice"
+        what = priority_of(severity).name.lower() if severity <= WARNING else "notice"
         self.note(boat, "console" if boat is None else "boat", what, words)
         if whose := text.get("alarm"):
-            self.alarms.hear(boat, severity, words, text["at_s"], is_boats=whose == "boat")
+            self.alerts.hear(boat, severity, words, is_boats=whose == "boat")
 
     def note(self, boat: int | None, who: str, what: str, text: str) -> None:
         """Puts a line into the log."""
@@ -41,9 +43,16 @@ class WatchKeeper:
         self.log.put(line)
         self._tell({"t": "log", "lines": [line._asdict()]})
 
-    def acknowledge(self, who: str, ids: list[int]) -> None:
-        for boat, text in self.alarms.note(ids):
-            self.note(boat, who, "acknowledged", text)
+    def acknowledge(self, who: str, ids: Sequence[int]) -> None:
+        for each in self.alerts.acknowledge(who, ids):
+            self.note(each.boat, who, "acknowledged", each.text)
+
+    def silence(self, who: str, ids: Sequence[int]) -> None:
+        for each in self.alerts.silence(who, ids):
+            self.note(each.boat, who, "silenced", each.text)
+
+    def _over(self, alert: StandingAlert) -> None:
+        self.note(alert.boat, "boat" if alert.bits else "console", "over", alert.text)
 
     def ordered(self, who: str, asked: page_messages.Message, words: dict[str, Any], answer: Answer) -> Answer:
         """Keeps what a page asks of a boat, if that is an order, and its refusal, which the answer brings."""
@@ -63,6 +72,8 @@ class WatchKeeper:
                 order = f"depths: {deed}"
             case page_messages.Adopt(do=deed):
                 order = f"adopt: {deed}"
+            case page_messages.Forget():
+                order = "forget the boat"
             case _:
                 return answer
         self.note(number, who, "order", order)
@@ -75,13 +86,20 @@ class WatchKeeper:
         return answered
 
     def tick(self, boats: Iterable[Boat], now_s: float) -> None:
-        """Often: who is silent, and what has changed."""
+        """Often: who is silent, whose link is weak, and what has changed."""
         for boat in boats:
             silent = now_s - boat.heard_s > SILENT_S
-            if self.alarms.hold(boat.number, 4, LOST, self._utc_s(), silent):
+            if self.alerts.hold(boat.number, WARNING, LOST, silent):
                 self.note(boat.number, "console", "warning" if silent else "notice", LOST if silent else BACK)
                 if not silent:
                     self._tell({"t": "text", "boat": boat.number, "severity": 6, "text": BACK, "at_s": self._utc_s()})
-        if self.alarms.changed:
-            self.alarms.changed = False
-            self._tell({"t": "alarms", "alarms": self.alarms.shown()})
+            weak = not silent and boat.has_weak_link(now_s)
+            if self.alerts.hold(boat.number, CAUTION, WEAK, weak) and weak:
+                self.note(boat.number, "console", "caution", WEAK)
+        self.alerts.tick()
+        if self.alerts.ended:
+            self._tell({"t": "ended", "alerts": list(self.alerts.ended)})
+            self.alerts.ended.clear()
+        if self.alerts.changed:
+            self.alerts.changed = False
+            self._tell({"t": "alerts", "alerts": self.alerts.shown()})

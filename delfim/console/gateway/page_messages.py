@@ -70,10 +70,19 @@ class Replay(Said, frozen=True):
     rate: float | None = None  # of real time; 0 stands still
 
 
-class Acknowledge(Said, frozen=True):
-    """Somebody has taken note of these alarms."""
+Ids = Annotated[list[int], msgspec.Meta(max_length=100)]
 
-    ids: Annotated[list[int], msgspec.Meta(max_length=100)]
+
+class Acknowledge(Said, frozen=True):
+    """Somebody has taken note of these alerts."""
+
+    ids: Ids
+
+
+class Quiet(Said, frozen=True):
+    """No sound of these alerts for half a minute, on any page; nobody has taken note of them."""
+
+    ids: Ids
 
 
 class Place(msgspec.Struct, frozen=True):
@@ -175,6 +184,19 @@ class Adopt(Said, frozen=True):
 
 
 Message = (
-    Command | Input | Release | Profile | Forget | Home | Afford | Replay | Acknowledge | Mission | Survey | Depths | Adopt
+    Command
+    | Input
+    | Release
+    | Profile
+    | Forget
+    | Home
+    | Afford
+    | Replay
+    | Acknowledge
+    | Quiet
+    | Mission
+    | Survey
+    | Depths
+    | Adopt
 )
 NO_NUMBERS = frozenset({"t", "seq", "boat", "command"})

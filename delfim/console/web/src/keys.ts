@@ -25,7 +25,9 @@ const SCREEN: Group = [
   [
     ["+ −", "zoom"],
     ["W", "crosshair: arrows move the map, Enter opens the menu of the place"],
-    ["K", "acknowledge the alarms on the screen, and vessels in danger: the sound stops"],
+    ["K", "acknowledge the alert in the bar, and vessels in danger"],
+    ["S", "silence: no sound of alarms for half a minute"],
+    ["A", "the list of alerts, with what was"],
     ["Esc", "close"],
     ["F6", "the next button on the screen; Enter presses it"],
     ["F1", "this card"],
@@ -110,8 +112,10 @@ export interface Screen {
   follow(): void;
   zoom(by: number): void;
   undo(): void;
-  /** Somebody has taken note of the alarms and of the vessels in danger: the sound stops. */
+  /** Somebody has taken note of the alert in the bar, and of the vessels in danger. */
   acknowledge(): void;
+  silence(): void;
+  alerts(): void;
   replayTakes(key: string): boolean;
 }
 
@@ -162,6 +166,8 @@ export class Keys {
     if (event.key === "Tab" && !event.ctrlKey && !event.altKey) this.next(event.shiftKey ? -1 : 1);
     else if (event.key.toUpperCase() === "W" && !event.ctrlKey && !event.altKey) this.screen.aim();
     else if (event.key.toUpperCase() === "K" && !event.ctrlKey && !event.altKey) this.screen.acknowledge();
+    else if (event.key.toUpperCase() === "S" && !event.ctrlKey && !event.altKey) this.screen.silence();
+    else if (event.key.toUpperCase() === "A" && !event.ctrlKey && !event.altKey) this.screen.alerts();
     else if (event.key === "F6") this.reach(event.shiftKey ? -1 : 1);
     else if (event.key === "Enter" && this.reached?.getClientRects().length && document.activeElement === this.reached) this.reached.click();
     else if (event.key === "F1") this.screen.toggleCard();

@@ -4,7 +4,7 @@ import "./style.css";
 import { Actions } from "./actions";
 import { Adopt } from "./adopt";
 import { Aim } from "./aim";
-import { Alarms } from "./alarms";
+import { Alerts } from "./alerts";
 import type { Pixel } from "./chart";
 import { Chart } from "./chart";
 import { Check } from "./check";
@@ -47,7 +47,7 @@ const state = new State();
 const sound = new Sound();
 const messages = new Messages(element("said"), state, sound);
 const net = new Net(heard, online);
-const alarms = new Alarms(element("alarms"), state, net, sound);
+const alerts = new Alerts(element("bar"), state, net, sound);
 const watchLog = new WatchLog(document.body);
 const drive = new Drive(net, state, () => strips.draw(false));
 const actions = new Actions(net, state, drive, (boat, severity, words) => messages.say(boat, severity, words), () => corner.draw());
@@ -72,7 +72,7 @@ const strips = new Strips(element("strips"), state, drive, actions, (boat, at) =
 const corner = new Corner(element("stop"), element("stop-all"), state, actions, () => popup.close(), nobody);
 const replay = new Replay(element("replay"), state, actions, (place) => chart.follow(place, 0));
 new Keys(state, actions, {
-  menuTakes: (key) => popup.takes(key) || (key === "Escape" && (keyCard.close() || watchLog.close())) || aim.takes(key),
+  menuTakes: (key) => popup.takes(key) || (key === "Escape" && (keyCard.close() || watchLog.close() || alerts.close())) || aim.takes(key),
   closeMenu: escape,
   openMenu,
   toggleCard: () => {
@@ -93,8 +93,10 @@ new Keys(state, actions, {
   undo,
   acknowledge: () => {
     watch.acknowledge();
-    alarms.acknowledge();
+    alerts.acknowledge();
   },
+  silence: () => alerts.silence(),
+  alerts: () => alerts.toggle(),
   replayTakes: (code) => replay.takes(code),
 });
 dryRunCard(element("dryrun"), state);
@@ -107,6 +109,7 @@ let [placed, fitted, moved] = [false, false, false]; // a boat was brought into 
 chart.paint();
 state.on(["theme"], () => chart.paint());
 state.on(["boats", "plan"], show);
+state.on(["boats"], () => tellTime(element("utc")));
 for (const event of ["pointerdown", "wheel"]) element("map").addEventListener(event, () => (moved = true), { capture: true, passive: true });
 state.on(["selection"], () => document.querySelector(".chip.selected")?.scrollIntoView({ block: "nearest", inline: "nearest" }));
 setInterval(listen, 500);
@@ -150,8 +153,10 @@ function heard(message: Heard): void {
       return state.forget(message.boat);
     case "text":
       return message.alarm ? undefined : messages.say(message.boat, message.severity, message.text);
-    case "alarms":
-      return alarms.take(message.alarms);
+    case "alerts":
+      return alerts.take(message.alerts);
+    case "ended":
+      return alerts.takeEnded(message.alerts, message.all);
     case "log":
       return watchLog.take(message.lines, message.all);
     case "mission":
@@ -282,6 +287,13 @@ function hover(place: Place, pixel: Pixel): void {
   element("map").style.cursor = plans.measuring || survey.isDrawing ? "crosshair" : over ? "pointer" : "";
 }
 
+/** The time of the console, or of the replay. Ships and logs keep UTC; whoever looks out of the window has the local time. */
+function tellTime(at: HTMLElement): void {
+  const now = new Date(1000 * state.at_s);
+  text(at.firstElementChild!, state.at_s ? `${now.toISOString().slice(11, 19)} UTC` : "");
+  text(at.lastElementChild!, state.at_s ? now.toLocaleTimeString("en-GB", { hour: "2-digit", minute: "2-digit" }) : "");
+}
+
 /** How long ago the gateway was heard. */
 function listen(): void {
   if (!net.online) text(element("offline").lastElementChild!, `last message ${ageWords(state.frameAge_s)} ago`);
@@ -298,9 +310,9 @@ function show(): void {
 
 function pad(): void {
   const { offsetWidth, offsetHeight } = element("strips");
-  const bar = element("replay").offsetHeight;
+  const [bar, top] = [element("replay").offsetHeight, element("bar").offsetHeight];
   document.documentElement.style.setProperty("--bar", `${bar}px`);
-  chart.setPadding(innerWidth <= 700 ? [offsetHeight + 20, 30, bar || 130, 30] : [40, 110, 60 + bar, offsetWidth + 30]);
+  chart.setPadding(innerWidth <= 700 ? [offsetHeight + top + 20, 30, bar || 130, 30] : [40 + top, 110, 60 + bar, offsetWidth + 30]);
 }
 
 /** For tests and for the curious. `frames`: how often the map was drawn in the last second. */
@@ -339,6 +351,7 @@ Object.assign(window, {
     loadArea: (name: string, words: string) => survey.load(new File([words], name)),
     wayHome: (boat: number) => wayHome.words(boat),
     reach: (boat: number) => wayHome.reaches(state.byId(boat)),
+    alerts: () => alerts.states,
     vessels: () => state.vessels.map((each) => [each.name, watch.gravity(each)]),
   },
 });

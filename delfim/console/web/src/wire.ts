@@ -217,14 +217,20 @@ export interface TimeLine {
 }
 
 /** What is wrong, or was, and was not acknowledged. */
-export interface Alarm {
+export interface Alert {
   id: number;
   boat: number | null;
-  severity: number; // MAVLink's: 0 emergency .. 7 debug
+  priority: "emergency" | "alarm" | "warning" | "caution";
   text: string;
-  at_s: number;
-  lasts: boolean; // its cause is there now
-  seen: boolean; // acknowledged
+  at_s: number; // it began
+  state: "unacknowledged" | "silenced" | "acknowledged" | "transferred" | "rectified";
+  by: string; // who acknowledged it, silenced it, or answers for it
+  sounds: boolean;
+}
+
+/** One that is over and was acknowledged. */
+export interface Ended extends Alert {
+  until_s: number;
 }
 
 /** Of the log of the watch. */
@@ -233,7 +239,7 @@ export interface WatchLine {
   boat: number | null;
   name: string;
   who: string;
-  what: string; // "alarm", "warning", "notice", "order", "refused", "acknowledged", "page"
+  what: string; // a priority, "notice", "over", "order", "refused", "acknowledged", "silenced", "page"
   text: string;
 }
 
@@ -257,7 +263,8 @@ export type Heard =
   | { t: "graphs"; boat: number; graphs: Graphs }
   | { t: "forgotten"; boat: number }
   | { t: "text"; boat: number | null; severity: number; text: string; at_s: number; alarm?: string }
-  | { t: "alarms"; alarms: Alarm[] }
+  | { t: "alerts"; alerts: Alert[] }
+  | { t: "ended"; alerts: Ended[]; all?: boolean }
   | { t: "log"; lines: WatchLine[]; all?: boolean }
   | { t: "answer"; seq: number; ok: boolean; reason: string; stage?: string }
   | { t: "mission"; boat: number; where: "here" | "aboard"; mission: Mission }
@@ -281,7 +288,7 @@ export type Said =
   | { t: "forget"; boat: number }
   | { t: "home"; boat: number }
   | { t: "afford"; boat: number }
-  | { t: "acknowledge"; ids: number[] }
+  | { t: "acknowledge" | "quiet"; ids: number[] }
   | { t: "replay"; at_s?: number; rate?: number };
 
 // Sent without a number: nobody waits for an answer.

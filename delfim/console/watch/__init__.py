@@ -1,0 +1,1 @@
+"""The watch: alerts, operators, who commands."""
