@@ -352,6 +352,15 @@ def _plot_options(plot: argparse.ArgumentParser) -> None:
     plot.add_argument("--output", metavar="DIRECTORY", help="Put the pictures here (default: a folder named after the run).")
 
 
+def _replay_options(replay: argparse.ArgumentParser) -> None:
+    replay.add_argument(
+        "--vehicle", metavar="FILE", type=shipped, help="Use this vehicle's file instead of the settings in the log."
+    )
+    replay.add_argument("--bus", metavar="INTERFACE", help="Send the black box onto this bus, as vcan0 or canloop:can0.")
+    replay.add_argument("--speed", type=float, default=1.0, help="Multiple of real time; 0 is as fast as the bus takes it.")
+    replay.add_argument("--only", choices=["received", "sent"], help="Send only frames that the computer received, or sent.")
+
+
 def options(parser: argparse.ArgumentParser) -> None:
     verbs = parser.add_subparsers(title="verbs", required=True, metavar="VERB")
 
@@ -392,12 +401,7 @@ def options(parser: argparse.ArgumentParser) -> None:
     export.add_argument("--output", metavar="FILE", help="Write this file (default: one named after the run).")
     words = "Replay a run through the vehicle's program and compare its commands bit by bit; or send its frames (--bus)."
     replay = reader("replay", _replay, words)
-    replay.add_argument(
-        "--vehicle", metavar="FILE", type=shipped, help="Use this vehicle's file instead of the settings in the log."
-    )
-    replay.add_argument("--bus", metavar="INTERFACE", help="Send the black box onto this bus, as vcan0 or canloop:can0.")
-    replay.add_argument("--speed", type=float, default=1.0, help="Multiple of real time; 0 is as fast as the bus takes it.")
-    replay.add_argument("--only", choices=["received", "sent"], help="Send only frames that the computer received, or sent.")
+    _replay_options(replay)
     audit = reader(
         "audit", _audit, "Judge logs by what the documents promise, all without --run; exit code 1: something is broken."
     )
