@@ -460,7 +460,7 @@ OTHERS = {  # what the kernel tells, and what is only copied or digested
     ),
     "services/voyage_on_disk.py: _boot",
     *("logging/chain.py: newest", "logging/chain.py: noted"),  # of what this boat wrote itself, its last lines
-    *("services/access/inventory.py: _digest", "commands/description/inventory.py: run"),
+    *("services/access/inventory.py: _digest", "desk/evidence.py: _digest", "commands/description/inventory.py: run"),
     *("services/clock/kernel.py: _read", "services/suite.py: _started", "parts/pwm/sim.py: _part"),
 }
 

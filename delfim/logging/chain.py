@@ -89,7 +89,7 @@ class Chain:
             self._meta, self._meta_bytes = hashlib.sha256(content), len(content)
 
     def link(self, t_ns: int, *, kept: bool, end: bool = False, sync: bool = False) -> None:
-        """Write a link, if something is new. `kept`: the log's file holds a record, and so it stays. `sync`: onto the disk."""
+        """Write a link, if something is new. `kept`: the log's file stays, with a record or ended. `sync`: onto the disk."""
         sizes = (self._log_bytes if kept else 0), self._meta_bytes
         if sizes == (0, 0) or (sizes == self._linked and not end) or not self._is_beside():
             return

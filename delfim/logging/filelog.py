@@ -276,12 +276,12 @@ class FileLog:
     def _end(self, now_s: float) -> None:
         """End the file; the next record opens another."""
         if self._fd >= 0 and (not self._stream or self._flush(now_s, finish=True)):
-            self._link_end()
+            self._link_end(kept=True)
             self._close()
 
-    def _link_end(self) -> None:
+    def _link_end(self, *, kept: bool) -> None:
         if self._chain and self._fd >= 0:
-            self._chain.link(self._clock.time_ns(), kept=self._kept > 0, end=True, sync=True)
+            self._chain.link(self._clock.time_ns(), kept=kept, end=True, sync=True)
 
     def _fail(self, error: OSError) -> None:
         """Give the file up at the end of its last whole record. Waiting records are lost."""
@@ -295,7 +295,7 @@ class FileLog:
                     os.ftruncate(self._fd, self._size)
                 else:
                     os.unlink(self._file())
-                self._link_end()
+                self._link_end(kept=self._kept > 0)
         self._close()
 
     def _close(self) -> None:

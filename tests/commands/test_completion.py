@@ -36,7 +36,10 @@ def completed(script: str, *words: str) -> list[str]:
         (("delfim", "--v"), ["--version"]),
         (("delfim", "sim", "--lock"), ["--lockstep"]),
         (("delfim", "sim", "etc/delfimx.toml", "--no"), ["--no-browser"]),
-        (("delfim", "log", ""), ["ls", "cat", "info", "plot", "export", "replay", "repair", "audit", "check", "fetch"]),
+        (
+            ("delfim", "log", ""),
+            ["ls", "cat", "info", "plot", "export", "replay", "repair", "audit", "check", "evidence", "fetch"],
+        ),
         (("delfim", "log", "re"), ["replay", "repair"]),
         (("delfim", "survey", ""), ["lines", "rest", "chart", "report"]),
         (("delfim", "can", "dump", "-t", ""), ["a", "d", "z", "A"]),

@@ -198,6 +198,14 @@ def test_while_it_is_written_it_is_running(tmp_path: Path) -> None:
     log.close()
 
 
+def test_a_file_that_ends_with_a_header_and_an_event_alone_is_whole(tmp_path: Path) -> None:
+    clock = ManualClock(100.0)
+    log = opened(tmp_path, clock)
+    log.note(event_line(clock, "end"))
+    log.close()
+    assert found(tmp_path) == ["whole"]
+
+
 def test_links_are_few(tmp_path: Path) -> None:
     """An hour without an event: a link each ten seconds and at each file's end."""
     clock = ManualClock(100.0)

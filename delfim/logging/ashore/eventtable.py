@@ -15,6 +15,12 @@ LONG: Final = 60  # of what was ordered; a mission's text is longer
 def table(events: Iterable[Mapping[str, Any]]) -> Iterator[str]:
     """The lines of the table, oldest first. Orders of a joystick that follow each other are one line."""
     yield _line(*HEADS)
+    for row in rows(events):
+        yield _line(*row)
+
+
+def rows(events: Iterable[Mapping[str, Any]]) -> Iterator[tuple[str, str, str, str]]:
+    """Time, who, what and result of each event, as `table` has them."""
     before: tuple[str, str, str] | None = None
     for event in sorted(events, key=lambda each: each["t_ns"]):
         if event["event"] in LEFT_OUT:
@@ -23,7 +29,7 @@ def table(events: Iterable[Mapping[str, Any]]) -> Iterator[str]:
         name = event["value"]["command"] if event["event"] == "command" else ""
         same = (row[0], name, row[2]) if name == BY_HAND else None
         if same is None or same != before:
-            yield _line(utc(event["t_ns"]), *row)
+            yield utc(event["t_ns"]), *row
         before = same
 
 
