@@ -124,13 +124,17 @@ class Guidance:
         yield from self._leg(cycle, to, stops=is_last or to.hold_s > 0.0, then=None if is_last else leg + 1)
 
     def _home(self, cycle: CycleSeen) -> Iterator[str]:
+        """To save energy the boat slows down after a step: it may have taken this one at the speed before."""
         track, leg, control = cycle.state.setpoint.track, cycle.was.memory.leg, cycle.run.vehicle.helm.limits.control
         if 0 <= leg < len(track):
             to = Waypoint(*track[leg], control.home.speed_mps, control.path.acceptance_m)
-            yield from self._leg(cycle, to, stops=leg == 0, then=leg - 1 if leg else None)
+            before_mps = cycle.was.setpoint.override_mps
+            is_before = not differs(cycle.state.reference.speed_mps, to.speed_mps if before_mps is None else before_mps)
+            yield from self._leg(cycle, to, stops=leg == 0, then=leg - 1 if leg else None, is_before=is_before)
 
-    def _leg(self, cycle: CycleSeen, to: Waypoint, *, stops: bool, then: int | None) -> Iterator[str]:
-        """Take one step on a leg; `then` is the leg that begins at its end. None: it is the last."""
+    def _leg(self, cycle: CycleSeen, to: Waypoint, *, stops: bool, then: int | None, is_before: bool = False) -> Iterator[str]:
+        """Take one step on a leg; `then` is the leg that begins at its end, None: it is the last. `is_before`: at the speed
+        that was ordered before the step."""
         state, was, after = cycle.state, cycle.was.memory, cycle.memory
         motion, reference, control = state.motion, state.reference, cycle.run.vehicle.helm.limits.control
         mode, begin, end = state.mode.name.lower(), (was.north_m, was.east_m), (to.north_m, to.east_m)
@@ -141,10 +145,8 @@ class Guidance:
             begin = motion.north_m, motion.east_m
             bearing_rad, cross_m, left_m = onto(begin, end, motion)
         course, heading_rad = line_of_sight(was.course, motion, bearing_rad, cross_m, cycle)
-        speed_mps = to.speed_mps if state.setpoint.override_mps is None else state.setpoint.override_mps
-        before_mps = cycle.was.setpoint.override_mps
-        if state.mode is Mode.HOME and not differs(reference.speed_mps, to.speed_mps if before_mps is None else before_mps):
-            speed_mps = to.speed_mps if before_mps is None else before_mps  # to save energy the boat slows down after a step
+        override_mps = (cycle.was if is_before else state).setpoint.override_mps
+        speed_mps = to.speed_mps if override_mps is None else override_mps
         if stops:
             speed_mps = min(speed_mps, max(math.sqrt(control.speed.ramp_mps2 * far_m), CREEP_MPS))
         yield from self._steers(cycle, heading_rad, speed_mps)
