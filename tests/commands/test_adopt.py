@@ -48,6 +48,13 @@ def test_who_says_no_starts_nothing(capsys: pytest.CaptureFixture[str], monkeypa
     assert "Each motor" not in capsys.readouterr().out
 
 
+def test_the_copy_for_a_drawn_boat_finds_the_mission_from_its_own_folder(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("sys.stdin", io.StringIO())
+    assert main(["adopt", str(ROOT / "etc/boats/heron.toml"), "--sim", "6"]) == 1
+    copy = "adopt/heron-6.toml"
+    assert config.mission_place(copy, config.load(copy)).samefile(ROOT / "etc/missions/doca.toml")
+
+
 def test_at_the_berth_each_motor_turns_and_nothing_else(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["adopt", "heron.toml", "--sim", "6", "--berth", "--yes"]) == 0
     assert "Both motors turn and stop." in capsys.readouterr().out

@@ -16,7 +16,7 @@ from delfim.adoption.trial.proof import ProofBoat, RunningProof, SimulatedProof,
 from delfim.adoption.trial.session import TrialProgress, keep
 from delfim.adoption.writing import Key, changed, put_back
 from delfim.base.errors import DelfimError
-from delfim.base.input.untrusted import read_text
+from delfim.base.input.untrusted import parse_toml, read_text
 from delfim.base.wholefile import replace_file
 from delfim.services.bench import keys, pressed
 from delfim.vehicle.operator.link import Link
@@ -175,8 +175,12 @@ def copied(file: str, place: Path, *, afresh: bool) -> str:
     """A copy of the vehicle's file for a boat that is drawn, whose sensors are not good; the name of it."""
     if afresh or not place.exists():
         place.parent.mkdir(parents=True, exist_ok=True)
-        poor: dict[Key, tuple[Any, str]] = {("simulation", key): (float(of), "of a drawn boat") for key, of in NOISE.items()}
-        replace_file(place, changed(read_text(file), poor, file))
+        text, words = read_text(file), "of a drawn boat"
+        other: dict[Key, tuple[Any, str]] = {("simulation", key): (float(of), words) for key, of in NOISE.items()}
+        if mission := parse_toml(text).get("simulation", {}).get("mission"):
+            beside = os.path.relpath(Path(file).parent / mission, place.parent)  # from where the copy is
+            other["simulation", "mission"] = beside, words
+        replace_file(place, changed(text, other, file))
     return str(place)
 
 
