@@ -282,6 +282,12 @@ def surveyed(name: str) -> Callable[[Path], Said]:
     return lambda here: refused(lambda: planned(laid(read_area(here / name)), LinesWanted(20.0, 1.5), config.Zones()))
 
 
+def way_of(name: str) -> Callable[[Path], Said]:
+    from delfim.console.plans.planfile import read_plan
+
+    return lambda here: refused(lambda: read_plan(here / name))
+
+
 def official_chart(here: Path) -> Said:
     """In this process, and not in one of its own for each mutation."""
     from delfim.survey.enc.dangers import LAYERS, Need, charted
@@ -476,6 +482,10 @@ READERS = {
     "address on NMEA 2000": Reader("address", own_address, TEXT),
     "scenario's mission": Reader("lake.toml", scenarios_mission, TEXT),
     "encounters": Reader("imazu22-real.json", encounters, TEXT),
+    **{
+        f"way, {kind}": Reader(f"way.{kind}", way_of(f"way.{kind}"), BINARY if kind == "shp" else TEXT)
+        for kind in ("geojson", "kml", "gpx", "plan", "waypoints", "shp")
+    },
     "area": Reader("dock.geojson", surveyed("dock.geojson"), TEXT),
     "area, KML": Reader("dock.kml", surveyed("dock.kml"), TEXT),
     "area, GPX": Reader("dock.gpx", surveyed("dock.gpx"), TEXT),

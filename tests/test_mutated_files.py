@@ -38,6 +38,8 @@ from delfim.vehicle.plans.mission import load_mission
 from delfim.vehicle.voyagestate import VoyageState
 from tests.console.fakeboat import FakeBoat
 from tests.console.test_charts import _points, chart, geotiff, mbtiles, png, world
+from tests.console.test_planfile import PLAN as WAY_PLAN
+from tests.console.test_planfile import file_of
 from tests.logging.sailing import MISSION, Day
 from tests.mutated_files import READERS, ROOT, command, refused
 from tests.services.test_slots import Yard
@@ -210,6 +212,14 @@ def areas(folder: Path) -> None:
     assert begun == []
 
 
+WAYS = "geojson", "kml", "gpx", "plan", "waypoints", "shp"
+
+
+def ways(folder: Path) -> None:
+    for kind in WAYS:
+        file_of(folder, f".{kind}", WAY_PLAN).rename(folder / f"way.{kind}")
+
+
 def keys(folder: Path) -> None:
     new_key(folder / "key")
     (folder / "ntrip").write_text("ana:secret\n")
@@ -309,6 +319,7 @@ SAMPLES = {
     tiles: ("MBTiles",),
     official: ("official chart", "update of an official chart", "catalogue of official charts", "field of clearances"),
     sounded: ("soundings as CSV", "depths that the console heard", "tide"),
+    ways: tuple(f"way, {kind}" for kind in WAYS),
     areas: ("survey that goes on", "area", "area, KML", "area, GPX", "area of a plan", "area, shapefile"),
     keys: (
         *("key in an inventory", "host key in an inventory", "certificate in an inventory"),
@@ -400,6 +411,7 @@ READ_BY = {  # function: the readers above that come by it
     "survey/progress.py: read_survey": {"survey that goes on"},
     "survey/chart/soundings.py: _rows": {"soundings as CSV"},
     "survey/chart/tide.py: read_tide": {"tide"},
+    "console/plans/planfile.py: read_plan": {f"way, {kind}" for kind in WAYS},
     "survey/areafile.py: read_area": {"area", "area, KML", "area, GPX", "area of a plan", "area, shapefile"},
     "console/charts/georeference.py: _header": {"PNG", "JPEG", "GeoTIFF"},
     "console/charts/georeference.py: _world": {"world file"},

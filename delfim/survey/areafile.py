@@ -9,14 +9,13 @@ from collections.abc import Callable, Iterable, Iterator
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, Final, NamedTuple
-from xml.parsers import expat
 
 from delfim.base.errors import FormatError
+from delfim.base.input.elements import Elements
 from delfim.base.input.untrusted import parse_json, read_file
 
 BYTES: Final = 1 << 23
 CORNERS: Final = 10_000  # of all polygons together
-DEEP: Final = 64  # elements of XML within each other
 LATITUDE_DEG: Final = 89.0
 ROUND: Final = 32  # corners of a circle, which lies within them
 SHAPES: Final = 9994  # what a shapefile begins with
@@ -110,42 +109,6 @@ def _circle(told: dict[str, Any]) -> Ring:
     east_deg = north_deg / max(math.cos(math.radians(latitude)), 0.01)
     turns = [math.tau * step / ROUND for step in range(ROUND)]
     return [(latitude + north_deg * math.cos(turn), longitude + east_deg * math.sin(turn)) for turn in turns]
-
-
-class Elements:
-    """What a file of XML says within an element: `begin`, `end` and `text` are called with its name, without its namespace.
-    Nothing is kept, and a document that declares anything is refused, because entities may grow without bound."""
-
-    def __init__(self, begin: Callable[[str, dict[str, str]], None], end: Callable[[str, str], None]) -> None:
-        self._begin, self._end, self._deep, self._text = begin, end, 0, list[str]()
-        self._parser = expat.ParserCreate()
-        self._parser.buffer_text = True
-        self._parser.StartElementHandler = self._started
-        self._parser.EndElementHandler = self._ended
-        self._parser.CharacterDataHandler = self._text.append
-        self._parser.StartDoctypeDeclHandler = self._declared
-
-    def read(self, data: bytes) -> None:
-        """Read it all. Raises FormatError."""
-        try:
-            self._parser.Parse(data, True)
-        except expat.ExpatError as error:
-            raise FormatError(f"not XML: {error}") from None
-
-    def _started(self, name: str, keys: dict[str, str]) -> None:
-        self._deep += 1
-        if self._deep > DEEP:
-            raise FormatError("not XML: nested too deep")
-        self._text.clear()
-        self._begin(name.rpartition(":")[2], keys)
-
-    def _ended(self, name: str) -> None:
-        self._deep -= 1
-        self._end(name.rpartition(":")[2], "".join(self._text))
-        self._text.clear()
-
-    def _declared(self, *_: object) -> None:
-        raise FormatError("not XML of an area: it declares entities")
 
 
 def _kml(data: bytes) -> Found:

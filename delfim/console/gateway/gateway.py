@@ -26,6 +26,7 @@ from delfim.console.gateway import foxglove, page_messages
 from delfim.console.gateway.admission import Admission, own_number
 from delfim.console.gateway.adopting import Adoption
 from delfim.console.gateway.onwatch import WatchKeeper
+from delfim.console.gateway.plan_files import PlanFiles
 from delfim.console.gateway.plan_tools import Desk
 from delfim.console.gateway.surveys import SurveyDesk
 from delfim.console.gateway.watchlog import table
@@ -138,6 +139,7 @@ class Gateway:
         self.app.router.add_get("/foxglove.json", self._layout)
         self.app.router.add_get("/watch.csv", self._table)
         self.app.router.add_post("/area", self._surveys.read)
+        PlanFiles().routes(self.app)
         if self.adoption is not None:
             self.app.router.add_get("/adoption.html", self.adoption.serve_report)
             self.app.router.add_get("/adopted.toml", self.adoption.serve_file)

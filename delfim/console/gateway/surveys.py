@@ -19,14 +19,15 @@ from typing import Any, Final
 import msgspec
 from aiohttp import web
 
+from delfim.base.errors import Refused
 from delfim.console.gateway import page_messages
+from delfim.console.gateway.plan_files import sent_file
 from delfim.console.plans.plan import page_of
 from delfim.vehicle.plans.mission import Mission
 
 LIMIT_S: Final = 20.0  # of one request; a usual one takes a tenth of a second
 NEWER_S: Final = 2.0  # a newer request ends one that has taken so long
 USUAL: Final = Path(__file__).parents[2] / "etc/delfimx.toml"  # the boat, where no file was given
-FILE_BYTES: Final = 1 << 23
 READS_MAX: Final = 2  # files at a time
 TOO_LONG: Final = f"no lines within {LIMIT_S:.0f} s: simplify the area, or take a larger spacing"
 REPLACED: Final = "replaced by a newer form"
@@ -121,13 +122,10 @@ class SurveyDesk:
             return web.json_response({"refused": "other files are being read"})
         self._reads += 1
         try:
-            data = bytearray()
-            async for chunk in asked.content.iter_chunked(1 << 16):
-                data += chunk
-                if len(data) > FILE_BYTES:
-                    return web.json_response({"refused": f"more than {FILE_BYTES >> 20} MiB"})
-            name = Path(asked.query.get("name", "")).name[-80:]
-            told = await asyncio.get_running_loop().run_in_executor(None, self._read, name, bytes(data))
+            name, data = await sent_file(asked)
+            told = await asyncio.get_running_loop().run_in_executor(None, self._read, name, data)
+        except Refused as error:
+            told = {"refused": str(error)}
         finally:
             self._reads -= 1
         return web.json_response(told)

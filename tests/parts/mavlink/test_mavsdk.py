@@ -21,6 +21,7 @@ from mavsdk.plugins.mission import MissionItem as PlanItem
 from mavsdk.plugins.mission import MissionPlan
 from mavsdk.plugins.mission_raw import MissionItem, MissionRawError
 
+from delfim.console.plans.planwriting import written
 from delfim.vehicle.operator.link import Link
 from tests.afloat import running
 
@@ -54,6 +55,24 @@ async def changed(mission: MissionRawAsync) -> None:
     assert len(await mission.download_mission()) == 4
     with pytest.raises(MissionRawError, match="DENIED"):
         await mission.upload_mission(items([(38.6915, -9.2149), *PLACES[1:]]))
+
+
+async def read_by_others(mission: MissionRawAsync) -> None:
+    """Plans that the console writes, as this program imports those of QGroundControl and Mission Planner."""
+    stops = [{"latitude_deg": north, "longitude_deg": east, "acceptance_m": 3.0} for north, east in PLACES]
+    fence = [[38.68, -9.23], [38.70, -9.23], [38.70, -9.20]]
+    plan = {"name": "a", "waypoints": stops, "fence": fence, "home": stops[0]}
+    importers = {
+        ".plan": mission.import_qgroundcontrol_mission_from_string,
+        ".waypoints": mission.import_mission_planner_mission_from_string,
+    }
+    for kind, imported in importers.items():
+        told = await imported(written(kind, plan)[1].decode())
+        ways = [(each.x / 1e7, each.y / 1e7, each.param2) for each in told.mission_items if each.command == 16]
+        assert ways[-len(PLACES) :] == [(*place, 3.0) for place in PLACES]
+        if kind == ".plan":
+            assert [(each.x / 1e7, each.y / 1e7) for each in told.geofence_items] == [tuple(corner) for corner in fence]
+            assert [(each.x / 1e7, each.y / 1e7) for each in told.rally_items] == PLACES[:1]
 
 
 async def sailed(path: Path) -> list[str]:
@@ -126,6 +145,7 @@ async def planned(path: Path, home: bool) -> None:
         system = await sdk.first_autopilot(timeout_s=60.0)
         assert system is not None
         mission, action = MissionAsync(system), ActionAsync(system)
+        await read_by_others(MissionRawAsync(system))
 
         async def fit() -> bool:
             with Link(path) as link:

@@ -8,6 +8,7 @@ import type { Messages } from "./messages";
 import * as M from "./mission";
 import { KINDS, newPattern, patternAt, withPattern } from "./patterns";
 import type { Found } from "./patterns";
+import type { PlanFiles } from "./planfiles";
 import type { Handle, Plans } from "./plans";
 import type { Entry, Item, Popup } from "./popup";
 import type { Survey } from "./survey";
@@ -42,6 +43,7 @@ export class Planning {
     private readonly edit: (boat: number, mission: Mission) => void,
     private readonly undo: () => void,
     private readonly survey: Survey,
+    private readonly files: PlanFiles,
   ) {}
 
   /** Enter a mode. If it sails the mission aboard and the plan on the screen differs, the operator is asked which one. */
@@ -146,6 +148,7 @@ export class Planning {
       { title: "Save", note: mission.name, refuse: none, do: () => this.save(boat, mission.name) },
       { title: "Save under a new name…", refuse: none, do: () => this.saveAs(boat) },
       { title: "Load", sub: () => this.stored(boat) },
+      { title: "Files of other programs", sub: () => this.files.menu() },
       "line",
       { title: "Undo", key: "Ctrl Z", refuse: undoable ? undefined : "nothing to undo", do: this.undo },
       { title: "All waypoints…", refuse: none, do: () => this.allForm(boat) },
