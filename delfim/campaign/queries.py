@@ -53,7 +53,7 @@ def connect(folder: Path) -> duckdb.DuckDBPyConnection:
     try:
         database.execute(f"create view runs as select * from {parts(folder)}")
         database.execute("set allowed_directories = [?]", [f"{folder}/"])
-    except duckdb.Error as error:
+    except (duckdb.Error, UnicodeDecodeError) as error:
         raise DelfimError(str(error).partition("\n")[0]) from None
     return _locked(database)
 
@@ -73,7 +73,7 @@ def selected(database: duckdb.DuckDBPyConnection, sql: str) -> tuple[list[str], 
             raise DelfimError("not one SELECT: nothing else is done")
         answer = database.execute(sql)
         return [each[0] for each in answer.description or ()], answer.fetchall()
-    except duckdb.Error as error:
+    except (duckdb.Error, UnicodeDecodeError) as error:
         raise DelfimError(str(error).partition("\n")[0]) from None
 
 

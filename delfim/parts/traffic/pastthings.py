@@ -33,8 +33,9 @@ IN_M: Final = 2.0  # so far inside of a circle the boat goes slowly
 STAYS_M: Final = 20.0  # so near to a narrow place it is gone through
 EXIT_M: Final = 5.0  # beyond what is in the way a survey's line is taken again
 NEAR_M: Final = 2.0  # a point of the way so near is passed
-SPENT: Final = 6000  # comparisons of one search
-CIRCLES: Final = 3  # that take the time of one comparison
+SPENT: Final = 8000  # comparisons of the searches of one decision, ...
+LEAST: Final = 1000  # ... and of each
+CIRCLES: Final = 6  # that take the time of one comparison
 ZONES: Final = 5  # far ones, likewise
 
 Circle = tuple[float, float, float]  # north_m, east_m, radius_m
@@ -81,16 +82,18 @@ def past(
     leg, along_m, number = first
     if leg and not (route.is_line and along_m < STAYS_M):
         return None  # that leg is not sailed yet
-    found, thing = list[tuple[float, Passage]](), things[number]
+    found, thing, left = list[tuple[float, Passage]](), things[number], SPENT
     is_in = any(_away_m(own, each) < core(limits, each) + clear_m(limits, each.kind) - IN_M for each in things)
     is_late = was is not None and was.is_narrow and along_m < STAYS_M  # there is no other way any more
     for part in PARTS[is_late:]:
-        circles = _circles(limits, here, things, part, less_m)
-        yield len(things)
+        if part < 1.0:
+            circles = _circles(limits, here, things, part, less_m)
+            yield len(things)
         goal = (yield from _beyond((here, *route.points), leg, circles)) if route.is_line else None
         rest = route.points[leg + (goal is None) :]
         goal = goal or route.points[leg]
-        way = yield from _way(here, goal, _about(limits, things, circles, goal), around, kept)
+        way, spent = yield from _way(here, goal, _about(limits, things, circles, goal), around, kept, max(left, LEAST))
+        left -= spent
         if way is None:
             continue
         long_m, points, labels = way
@@ -100,7 +103,7 @@ def past(
         is_slow = is_in or (part < 1.0 and along_m < NARROW_M)
         passage = _passage((*points, *rest), thing, side, part < 1.0, is_slow)
         found.append((long_m, passage._replace(sides=frozenset((things[i].key, side) for i, side in labels))))
-        if part < 1.0 or long_m < 1.2 * math.dist(here, goal) + NARROW_M:
+        if part < 1.0 or left <= 0 or long_m < 1.2 * math.dist(here, goal) + NARROW_M:
             break
     if found:
         return min(found)[1]
@@ -227,18 +230,18 @@ def _tangent(p: Point, circle: Circle, side: int) -> Point:
 
 
 def _way(
-    start: Point, goal: Point, circles: Sequence[Circle], around: Fence | None, kept: Collection[Label]
-) -> Work[tuple[float, list[Point], list[Label]] | None]:
-    """(m, points, circles rounded): the shortest way; None: there is none. `kept`: on which sides the boat went before. Where
-    the search takes too long, the way to the most hopeful place, and from there straight on."""
+    start: Point, goal: Point, circles: Sequence[Circle], around: Fence | None, kept: Collection[Label], most: int
+) -> Work[tuple[tuple[float, list[Point], list[Label]] | None, int]]:
+    """(m, points, circles rounded): the shortest way; None: there is none. And what the search cost. `kept`: on which sides the
+    boat went before. Where it takes more than `most`, the way to the most hopeful place, and from there straight on."""
     nodes = [(start, -1, (-1, 0))]
     ends: Label = (-1, 1)
     heap, best, spent = [(math.dist(start, goal), 0, 0.0)], dict[tuple[int, int, int], float](), 0
     while heap:
         _, i, long_m = heappop(heap)
         p, _, label = nodes[i]
-        if label == ends or spent > SPENT:
-            return (long_m + math.dist(p, goal), *_back(nodes, i))
+        if label == ends or spent > most:
+            return (long_m + math.dist(p, goal), *_back(nodes, i)), spent
         aims, seen = [(goal, ends)], set[Label]()
         while aims:
             to, its = aims.pop()
@@ -261,7 +264,7 @@ def _way(
                         heappush(heap, (far_m + math.dist(to, goal), len(nodes) - 1, far_m))
             spent += looked
             yield looked
-    return None
+    return None, spent
 
 
 def _octant(at: Point, circle: Circle) -> int:

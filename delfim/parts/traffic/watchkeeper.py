@@ -43,7 +43,8 @@ from delfim.vehicle.target import NEVER_S, CourseOrder, Target
 
 NAME: Final = "traffic"  # of its shape of the mode's steps
 LATE_S: Final = 5.0  # an older order does not count
-SLICE: Final = 200  # comparisons of one step
+SLICE: Final = 200  # comparisons of one step, ...
+AMONG_THINGS: Final = 300  # ... and where there are things, whose way past may need many
 SILENT_S: Final = 360.0  # a lost vessel is kept clear of until its last report is so old
 SLOW: Final = 0.5  # of the speed, where the guard cannot work
 TURN_MIN_RADPS, TURN_MAX_RADPS = 0.05, 0.5
@@ -94,6 +95,7 @@ class Watchkeeper:
         self._passes, self._route = tuple[PassedBy, ...](), RouteAhead((), 0.0)
         self._looked_s = NEVER_S  # `Traffic.at_s` of the present round
         self._round: Sliced[None] | None = None
+        self._has_things = False
         self._failing, self._awaits = "", settings.traffic.mmsi > 0
 
     def look(self, helm: Helm, now_s: float) -> bool:
@@ -104,11 +106,11 @@ class Watchkeeper:
             self._state.traffic = self._state.traffic._replace(order=None)
             helm.shapes.pop(NAME, None)
         if self._round is None and self._looked_s < self._state.traffic.at_s:
-            self._looked_s = self._state.traffic.at_s
+            self._looked_s, self._has_things = self._state.traffic.at_s, bool(self._things())
             self._round = Sliced(self._watch(helm, now_s))
         if self._round is None:
             return False
-        if self._round.step(SLICE):
+        if self._round.step(AMONG_THINGS if self._has_things else SLICE):
             self._round = None
         return True
 
