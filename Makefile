@@ -60,6 +60,10 @@ mutants: $(MORE) ## change the safety core, one place at a time, and see that a 
 safety: $(READY) ## prove what is new or stale in the safety case, and write its page (docs/safety-case.md; ARGS=--all: prove everything again)
 	PYTHONPATH=. $(BIN)/python -m safety $(ARGS)
 
+.PHONY: compliance
+compliance: $(MORE) ## run the tests by which rules are answered, and write the page of it (docs/compliance.md)
+	PYTHONPATH=. $(BIN)/python -m compliance $(ARGS)
+
 .PHONY: encounters
 encounters: $(MORE) ## sail DNV's encounters and Imazu's with and without the guard (docs/encounters.md; ARGS="--seeds 100")
 	$(BIN)/python -m bench.record $(ARGS)

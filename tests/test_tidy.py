@@ -19,7 +19,7 @@ from delfim.vehicle.state import State
 
 ROOT = Path(__file__).parents[1]
 MODULES = sorted((ROOT / "delfim").rglob("*.py"))
-PLACES = "tests", "bench", "docker", "etc", "manual", "safety"  # of programs beside the package
+PLACES = "tests", "bench", "compliance", "docker", "etc", "manual", "safety"  # of programs beside the package
 PROGRAMS = [*MODULES, *sorted(path for folder in PLACES for path in (ROOT / folder).rglob("*.py"))]
 LINES_PER_FUNCTION = 60
 LINES_PER_FILE = 500

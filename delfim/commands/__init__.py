@@ -39,6 +39,7 @@ GROUPS: Final[dict[str, dict[str, str]]] = {  # commands by task, each with a se
         "commission": "Make the files of a boat for the sea: its vehicle's file, keys and users (docs/sea.md).",
         "check": "Check a vehicle's file and list all its faults.",
         "inventory": "List a boat's hosts, ports, programs, versions and keys (docs/sea.md).",
+        "declare": "Write a boat's declaration under MGN 702 or 705 as a form to print (docs/compliance.md).",
         "parts": "List a laboratory's own parts, write the package of a new one, try one (docs/own-parts.md).",
         "describe": "List every key of a vehicle's file with its default, range and meaning.",
         "password": "Ask for a password and print its hash, for a vehicle's file.",
