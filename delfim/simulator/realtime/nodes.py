@@ -56,7 +56,7 @@ def run_nodes(settings: config.Vehicle, seed: int) -> int:
             apart = [
                 each.due_s for each in (*(devices for devices, _ in beside), instruments, surroundings) if each is not None
             ]
-            wait_s = max(min(nodes.due_s, *apart) - clock.monotonic_s(), 0.0)
+            wait_s = max(min((nodes.due_s, *apart)) - clock.monotonic_s(), 0.0)
             poll.poll(min(wait_s, 1.0) * 1000.0)
             if model is not None:
                 model.listen()
