@@ -300,6 +300,12 @@ def official_chart(here: Path) -> Said:
     return refused(told)
 
 
+def dangers(here: Path) -> Said:
+    from delfim.console.charts.charts import Charts
+
+    return list(Charts(here).faults)
+
+
 def clearances(here: Path) -> Said:
     from delfim import config
     from delfim.vehicle.plans.clearancefile import load
@@ -493,6 +499,7 @@ READERS = {
     "official chart": Reader("XX5TEST1.000", official_chart, (*BINARY, *TEXT)),
     "update of an official chart": Reader("XX5TEST1.001", official_chart, (*BINARY, *TEXT)),
     "catalogue of official charts": Reader("CATALOG.031", official_chart, (*BINARY, *TEXT)),
+    "dangers for the page": Reader("pelee.geojson", dangers, TEXT),
     "field of clearances": Reader("harbour.clearance", clearances, BINARY),
     "survey that goes on": Reader("dock.survey.json", survey_rest, TEXT),
     "soundings as CSV": Reader("soundings.csv", charted, TEXT),

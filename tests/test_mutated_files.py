@@ -286,7 +286,16 @@ def official(folder: Path) -> None:
     (folder / "harbour.clearance").write_bytes(chart_of(origin(0.67, -0.16), [(0.0, 0.0, 50.0)]))
 
 
+def shown(folder: Path) -> None:
+    """What delfim charts makes for the page."""
+    rock = {"type": "Point", "coordinates": [-9.2, 38.69]}
+    land = {"type": "MultiPolygon", "coordinates": [[[[-9.2, 38.69], [-9.1, 38.69], [-9.1, 38.7], [-9.2, 38.69]]]]}
+    rows = [{"type": "Feature", "properties": {"kind": "danger", "why": "rock"}, "geometry": each} for each in (rock, land)]
+    (folder / "pelee.geojson").write_text(json.dumps({"type": "FeatureCollection", "delfim": {}, "features": rows}))
+
+
 SAMPLES = {
+    shown: ("dangers for the page",),
     settings: (
         "vehicle",
         "vehicle to commission",
@@ -408,6 +417,7 @@ READ_BY = {  # function: the readers above that come by it
     "console/terminal/drive.py: _file": {"mission to send"},
     "survey/enc/reading.py: _whole": {"official chart", "update of an official chart", "catalogue of official charts"},
     "vehicle/plans/clearancefile.py: load": {"field of clearances"},
+    "console/charts/charts.py: _add_dangers": {"dangers for the page"},
     "survey/progress.py: read_survey": {"survey that goes on"},
     "survey/chart/soundings.py: _rows": {"soundings as CSV"},
     "survey/chart/tide.py: read_tide": {"tide"},

@@ -72,8 +72,10 @@ class Console:
 
 
 @contextlib.asynccontextmanager
-async def console(folder: Path, tapes: list[Tape] | None = None) -> AsyncIterator[Console]:
-    gateway = Gateway(SystemClock(), folder / "missions", tapes=tapes or (), charts=folder / "charts")
+async def console(
+    folder: Path, tapes: list[Tape] | None = None, vehicle: Path | None = None, *, dark: bool = False
+) -> AsyncIterator[Console]:
+    gateway = Gateway(SystemClock(), folder / "missions", tapes=tapes or (), vehicle=vehicle, charts=folder / "charts")
     ready = asyncio.get_running_loop().create_future()
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         probe.bind(("127.0.0.1", 0))
@@ -82,7 +84,7 @@ async def console(folder: Path, tapes: list[Tape] | None = None) -> AsyncIterato
         task = group.create_task(serve(gateway, None if tapes else ("127.0.0.1", port), ("127.0.0.1", 0), ready.set_result))
         it = Console(gateway, port, await ready, page, folder)
         try:
-            await page.open(it.url, width=1200, height=760, scale=1.0)
+            await page.open(it.url, width=1200, height=760, scale=1.0, dark=dark)
             await it.page.until("delfim.online()")
             yield it
             assert await page.value(SMALL_TEXT) == []

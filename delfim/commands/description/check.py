@@ -2,6 +2,7 @@
 
 import argparse
 import contextlib
+import math
 import os
 import sys
 from collections.abc import Iterator
@@ -81,8 +82,13 @@ def _at_sea(vehicle: config.Vehicle, running: list[str]) -> bool:
 
 
 def _doubts(file: str, vehicle: config.Vehicle) -> Iterator[str]:
-    """The devices and files that the file names and this computer lacks, in words."""
-    from delfim.base.errors import ConfigError
+    """The devices and files that the file names and this computer lacks, in words. Raises ConfigError for a chart that is not
+    whole, or for another boat."""
+    from delfim.base.cooperative import Sliced
+    from delfim.base.errors import ConfigError, Refused
+    from delfim.base.geodesy import origin
+    from delfim.vehicle.helm.planning import laid
+    from delfim.vehicle.plans.clearancefile import load
     from delfim.vehicle.plans.mission import load_mission
 
     for key, bus in vehicle.outside("interface").items():
@@ -101,11 +107,22 @@ def _doubts(file: str, vehicle: config.Vehicle) -> Iterator[str]:
     for name, payload in vehicle.table("payload").items():
         if not os.access(payload.command[0], os.X_OK):
             yield f"payload.{name}.command: there is no program {payload.command[0]} on this computer"
+    named, chart = vehicle.fence.chart, None
+    if named and not Path(named).exists():
+        yield f"fence.chart: there is no file {named} on this computer"
+    elif named:
+        chart = load(vehicle)
     if vehicle.of(Simulation).mission:
         try:
-            load_mission(config.mission_place(file, vehicle))
+            mission = load_mission(config.mission_place(file, vehicle))
+            first = mission.waypoint[0]
+            at = origin(math.radians(first.latitude_deg), math.radians(first.longitude_deg))
+            if chart is not None:
+                Sliced(laid(mission, at, vehicle.control, vehicle.fence, chart=chart)).finish()
         except ConfigError as error:
             yield str(error)
+        except Refused as error:
+            yield f"simulation.mission: {error}"
 
 
 def _on_the_bus(vehicle: config.Vehicle) -> Iterator[str]:

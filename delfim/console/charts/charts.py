@@ -1,4 +1,4 @@
-"""The operator's own charts: georeferenced images and MBTiles from one folder, served to the page.
+"""The operator's own charts: georeferenced images, MBTiles and what `delfim charts` makes from one folder, served to the page.
 
 An image that lies north up in degrees is served as it is; a child process (`delfim.console.charts.warp`)
 redraws any other one, once, when a page first asks for it.
@@ -9,14 +9,16 @@ import sqlite3
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing
 from pathlib import Path
 from typing import Any, Final
 
+import msgspec
 from aiohttp import web
 
-from delfim.base.errors import ConfigError
+from delfim.base.errors import ConfigError, FormatError
+from delfim.base.input.untrusted import UNREADABLE, read_file
 
 WARP_S: Final = 60.0
 ZOOM_MAX: Final = 24
@@ -26,13 +28,37 @@ TILE_STEPS: Final = 10_000_000  # of SQLite for one tile; a file's "tiles" may b
 IMAGES: Final = (".png", ".jpg", ".jpeg", ".tif", ".tiff")
 WORLD: Final = (-180.0, -85.05, 180.0, 85.05)
 KINDS: Final = ((b"\x89PNG", "image/png"), (b"\xff\xd8", "image/jpeg"), (b"RIFF", "image/webp"))
+DANGERS_BYTES: Final = 20 << 20
+DEEP: Final = 5  # lists within lists, of a shape
 _AGE: Final = {"Cache-Control": "max-age=3600"}
+
+
+class DangerShape(msgspec.Struct):
+    """A shape of GeoJSON."""
+
+    type: str
+    coordinates: list[Any] = []
+
+
+class DangerRow(msgspec.Struct):
+    """No-go water, an area of depth or a danger."""
+
+    properties: dict[str, str | float | None]
+    geometry: DangerShape
+
+
+class Dangers(msgspec.Struct):
+    """What `delfim charts` makes for the page."""
+
+    delfim: dict[str, Any]
+    features: list[DangerRow]
 
 
 class Charts:
     """The charts in the folder when the console starts. `faults` lists the files left out, and why."""
 
     def __init__(self, folder: Path | None) -> None:
+        self.path = folder
         self.folder = str(folder.resolve()) if folder is not None else "charts"  # for people
         self.backgrounds: list[dict[str, Any]] = []
         self.faults: list[str] = []
@@ -59,6 +85,8 @@ class Charts:
             add = self._add_image
         elif file.suffix.lower() == ".mbtiles":
             add = self._add_tiles
+        elif file.suffix.lower() == ".geojson":
+            add = self._add_dangers
         else:
             return
         try:
@@ -80,6 +108,20 @@ class Charts:
         if shown:
             self._drawn[file.stem] = file
         return {"kind": "image", "extent": image.extent(), "minzoom": None, "maxzoom": None}
+
+    def _add_dangers(self, file: Path) -> dict[str, Any]:
+        """What `delfim charts` makes. The page gets its text as it is, which is known to be its own."""
+        try:
+            told = msgspec.json.decode(read_file(file, DANGERS_BYTES), type=Dangers)
+        except (OSError, FormatError, *UNREADABLE) as error:
+            raise ConfigError(str(file), "file", f"not of delfim charts: {error}") from None
+        self._drawn[file.stem] = self._images[file.stem] = file
+        corners = [corner for each in told.features for corner in _corners(each.geometry.coordinates)]
+        if not corners:
+            raise ConfigError(str(file), "file", "it has no place")
+        longitudes, latitudes = zip(*corners, strict=True)
+        extent = min(longitudes), min(latitudes), max(longitudes), max(latitudes)
+        return {"kind": "dangers", "extent": extent, "minzoom": None, "maxzoom": None}
 
     def _add_tiles(self, file: Path) -> dict[str, Any]:
         try:
@@ -133,6 +175,16 @@ class Charts:
             return web.Response(status=204, headers=_AGE)
         kind = next((words for magic, words in KINDS if row[0].startswith(magic)), "application/octet-stream")
         return web.Response(body=row[0], content_type=kind, headers=_AGE)
+
+
+def _corners(shape: list[Any], deep: int = DEEP) -> Iterator[tuple[float, float]]:
+    """The places of a shape, degrees: longitude, latitude."""
+    if len(shape) >= 2 and all(isinstance(each, int | float) for each in shape[:2]):
+        yield shape[0], shape[1]
+        return
+    for each in shape if deep else ():
+        if isinstance(each, list):
+            yield from _corners(each, deep - 1)
 
 
 def _started(words: Sequence[str]) -> "subprocess.Popen[bytes]":

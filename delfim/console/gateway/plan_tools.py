@@ -17,7 +17,7 @@ from delfim.console.charts.charts import Charts
 from delfim.console.gateway import page_messages
 from delfim.console.plans.dry_run import dry_run
 from delfim.console.plans.library import Library
-from delfim.console.plans.plan_check import verdict
+from delfim.console.plans.plan_check import Crossed, chart_of, verdict
 from delfim.console.tapes.replay import TapePlayer
 
 JOBS_MAX: Final = 4  # files and dry runs under way, of all pages
@@ -34,6 +34,7 @@ class Desk:
     def __init__(self, fleet: Fleet | TapePlayer, missions: Path, vehicle: Path | None, charts: Charts) -> None:
         self._fleet, self._library, self._vehicle, self._charts = fleet, Library(missions), vehicle, charts
         self._settings = config.load(vehicle) if vehicle is not None else None
+        self._chart = chart_of(self._settings, charts.path) if self._settings is not None else None
         self._jobs = self._checks = 0
 
     def ask(self, asked: page_messages.Mission, plan: dict[str, Any] | None, tell: Tell, answer: Answer) -> None:
@@ -52,7 +53,7 @@ class Desk:
             case "download" | "compare":
                 fleet.download(number, answer)
             case "check":
-                self._check(number, plan or {}, answer)
+                self._check(number, plan or {}, tell, answer)
             case "dryrun":
                 self._dry_run(number, plan or {}, asked.seq, tell, answer)
             case "save":
@@ -69,21 +70,25 @@ class Desk:
         tell({"t": "mission", "boat": number, "where": "here", "mission": mission})
         answer(True, "")
 
-    def _check(self, number: int, plan: dict[str, Any], answer: Answer) -> None:
+    def _check(self, number: int, plan: dict[str, Any], tell: Tell, answer: Answer) -> None:
         if self._checks >= CHECKS_MAX:
             raise Refused("other checks are under way: wait until one has ended")
         self._checks += 1
-        self._go_on(Sliced(verdict(plan, self._place(number), self._settings, self._charts.backgrounds)), answer)
+        tell({"t": "crossed", "boat": number, "place": None})
+        asked = verdict(plan, self._place(number), self._settings, self._charts.backgrounds, self._chart and self._chart[1])
+        self._go_on(Sliced(asked), number, tell, answer)
 
-    def _go_on(self, work: Sliced[str], answer: Answer) -> None:
-        """A slice of a check in each turn of the loop."""
+    def _go_on(self, work: Sliced[str], number: int, tell: Tell, answer: Answer) -> None:
+        """A slice of a check in each turn of the loop. Where the chart forbids the plan, the page is told the place, too."""
         try:
             if not work.step(SLICE):
-                asyncio.get_running_loop().call_soon(self._go_on, work, answer)
+                asyncio.get_running_loop().call_soon(self._go_on, work, number, tell, answer)
                 return
             well, words = True, work.result
         except DelfimError as error:
             well, words = False, str(error)
+            if isinstance(error, Crossed):
+                tell({"t": "crossed", "boat": number, "place": error.place})
         self._checks -= 1
         answer(well, words)
 
@@ -95,7 +100,7 @@ class Desk:
             tell({"t": "dryrun", "boat": number, "seq": sequence, **result})
             answer(result["well"], "" if result["well"] else result["end"])
 
-        self._aside(partial(dry_run, self._vehicle, plan, self._place(number)), ended, answer)
+        self._aside(partial(dry_run, self._vehicle, plan, self._place(number), self._chart and self._chart[0]), ended, answer)
 
     def _place(self, number: int) -> tuple[float, float] | None:
         """Of the boat, degrees, as far as it is known."""

@@ -13,10 +13,15 @@ from delfim.vehicle.plans.mission import canonical
 LIMIT_S: Final = 600.0  # of this computer: two days at sea take it three minutes
 
 
-def dry_run(vehicle: Path, plan: dict[str, Any], start: tuple[float, float] | None) -> dict[str, Any]:
-    """The result of `delfim.simulator.scenarios.dryrun` for a plan of the page, from the boat's position. Blocks for seconds;
+def dry_run(
+    vehicle: Path, plan: dict[str, Any], start: tuple[float, float] | None, chart: Path | None = None
+) -> dict[str, Any]:
+    """The result of `delfim.simulator.scenarios.dryrun` for a plan of the page, from the boat's position. `chart`:
+    what the boat's file calls so, where it lies on this computer. Blocks for seconds;
     never raises for a bad plan."""
     command = [sys.executable, "-m", "delfim.simulator.scenarios.dryrun", str(vehicle)]
+    if chart is not None:
+        command += ["--set", f"fence.chart={json.dumps(str(chart))}"]
     if start is not None:
         command += ["--set", f"simulation.latitude_deg={start[0]!r}", "--set", f"simulation.longitude_deg={start[1]!r}"]
     try:

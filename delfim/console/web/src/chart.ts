@@ -16,6 +16,7 @@ import { fromLonLat, toLonLat, transformExtent } from "ol/proj";
 import ImageStatic from "ol/source/ImageStatic";
 import XYZ from "ol/source/XYZ";
 import { Fill, Stroke, Text } from "ol/style";
+import { DangerLayer } from "./dangers";
 import { palette } from "./palette";
 import type { Background, Place } from "./wire";
 
@@ -47,6 +48,7 @@ export class Chart {
   readonly map: OlMap;
   private readonly view = new View({ ...lastView(), maxZoom: 24, enableRotation: false });
   private charts = new Map<string, BaseLayer>();
+  private extents = new Map<string, Extent>();
   private graticule: Graticule | null = null;
   private pressed = false;
 
@@ -93,7 +95,10 @@ export class Chart {
       latLabelStyle: ink("end", "bottom"),
     });
     this.map.addLayer(this.graticule);
-    for (const layer of this.charts.values()) layer.setOpacity(palette.chart);
+    for (const layer of this.charts.values()) {
+      if (layer instanceof DangerLayer) layer.changed(); // it has colours for the night
+      else layer.setOpacity(palette.chart);
+    }
     this.showGraticule();
   }
 
@@ -105,6 +110,7 @@ export class Chart {
   setBackgrounds(backgrounds: Background[]): void {
     for (const layer of this.charts.values()) this.map.removeLayer(layer);
     this.charts = new Map(backgrounds.map((each) => [each.name, background(each)]));
+    this.extents = new Map(backgrounds.map((each) => [each.name, transformExtent(each.extent, "EPSG:4326", "EPSG:3857")]));
     for (const layer of this.charts.values()) this.map.addLayer(layer);
     this.paint();
   }
@@ -121,6 +127,12 @@ export class Chart {
   /** Whether any chart is drawn. */
   get charted(): boolean {
     return [...this.charts.values()].some((layer) => layer.getVisible());
+  }
+
+  /** Why the official charts that are shown forbid a place, in words; null: they do not. */
+  why(place: Place, within_m = 1): string | null {
+    const shown = [...this.charts.values()].filter((layer): layer is DangerLayer => layer instanceof DangerLayer && layer.getVisible());
+    return shown.map((layer) => layer.why(point(place), this.view.getResolution() ?? 1, within_m)).find((each) => each) ?? null;
   }
 
   /** Calls back with the zoom whenever that changes. */
@@ -213,7 +225,7 @@ export class Chart {
 
   private chartExtent(): Extent {
     const all = createEmpty();
-    for (const layer of this.charts.values()) if (layer.getVisible()) extend(all, layer.getExtent() ?? createEmpty());
+    for (const [name, layer] of this.charts) if (layer.getVisible()) extend(all, this.extents.get(name) ?? createEmpty());
     return all;
   }
 
@@ -225,6 +237,8 @@ export class Chart {
 
   private showGraticule(): void {
     document.documentElement.classList.toggle("charted", this.charted); // words lie on plates there
+    const official = [...this.charts.values()].some((layer) => layer instanceof DangerLayer && layer.getVisible());
+    document.documentElement.classList.toggle("official", official);
     this.graticule?.setVisible(!this.charted);
   }
 }
@@ -238,6 +252,7 @@ function lastView(): { center: number[]; zoom: number } {
 function background(chart: Background): BaseLayer {
   const extent = transformExtent(chart.extent, "EPSG:4326", "EPSG:3857");
   const name = encodeURIComponent(chart.name);
+  if (chart.kind === "dangers") return new DangerLayer(chart.name);
   if (chart.kind === "tiles") {
     const source = new XYZ({ url: `tiles/${name}/{z}/{x}/{y}`, minZoom: chart.minzoom ?? 0, maxZoom: chart.maxzoom ?? 18, wrapX: false });
     return new TileLayer({ source, extent, zIndex: 0 });

@@ -1,12 +1,15 @@
 // The plan as the boat would judge it, asked of the gateway after each change: the boat's own code and file, with no boat needed.
 import type { Actions } from "./actions";
 import { counted, isSurvey } from "./area";
+import type { Chart } from "./chart";
 import { make } from "./dom";
 import { metres } from "./geo";
 import { length_m } from "./mission";
 import type { Answer } from "./net";
 import type { State } from "./state";
 import type { Mission } from "./wire";
+
+const NEAR_M = 30; // of the map: from the place where missions come too near to the no-go water
 
 export class Check {
   private asked: Mission | null = null; // the answer to this is shown, or is under way
@@ -17,6 +20,7 @@ export class Check {
     private readonly box: HTMLElement,
     private readonly state: State,
     private readonly actions: Actions,
+    private readonly chart: Chart,
   ) {
     state.on(["hello"], () => (this.asked = null)); // the gateway may be another one
     state.on(["hello", "plan", "selection", "boats"], () => this.look());
@@ -50,7 +54,9 @@ export class Check {
     if (!mission || !answer) return;
     const size = `${counted(mission)} · ${metres(length_m(mission))}`;
     const words = answer.ok ? `in order${answer.reason ? `; ${answer.reason}` : ""}` : answer.reason.replace(/^mission refused: /, "");
+    const place = this.state.crossed.get(this.state.planning);
+    const why = place && !answer.ok && this.chart.why({ latitude_deg: place[0], longitude_deg: place[1] }, NEAR_M);
     this.box.dataset["state"] = answer.ok ? "well" : "wrong";
-    this.box.replaceChildren(make("b", `${isSurvey(mission) ? "survey" : "plan"}: ${size}`), make("span", words));
+    this.box.replaceChildren(make("b", `${isSurvey(mission) ? "survey" : "plan"}: ${size}`), make("span", why ? `${words} (${why})` : words));
   }
 }

@@ -103,7 +103,7 @@ new Keys(state, actions, {
 });
 dryRunCard(element("dryrun"), state);
 new Traffic(element("traffic"), state, watch, (vessel, at) => tell(vessel, at));
-new Check(element("check"), state, actions);
+new Check(element("check"), state, actions, chart);
 new Pad(state, actions, drive, (boat, severity, words) => messages.say(boat, severity, words));
 
 let [placed, fitted, moved] = [false, false, false]; // a boat was brought into view; a mission too; the operator has chosen the view
@@ -178,6 +178,10 @@ function heard(message: Heard): void {
       if (message.part >= 1) state.progress.delete(message.boat);
       else state.progress.set(message.boat, message);
       return state.tell("progress");
+    case "crossed":
+      if (message.place) state.crossed.set(message.boat, message.place);
+      else state.crossed.delete(message.boat);
+      return state.tell("dryrun");
     case "dryrun":
       state.dryruns.set(message.boat, message);
       return state.tell("dryrun");
@@ -225,6 +229,7 @@ function undo(): void {
 /** The gateway keeps the plan: the page may be closed. */
 function planned(boat: number): void {
   state.dryruns.delete(boat);
+  state.crossed.delete(boat);
   state.tell("dryrun");
   state.tell("plan");
   if (boat !== NOBODY) void actions.mission(boat, "put");
@@ -346,6 +351,8 @@ Object.assign(window, {
     frames: ofLastSecond,
     numbers: () => plans.numbers,
     lines: () => plans.progress,
+    crossed: () => state.crossed.get(state.planning) ?? null,
+    why: (latitude_deg: number, longitude_deg: number) => chart.why({ latitude_deg, longitude_deg }),
     stations: () => plans.stations,
     depths: () => depths.counts,
     areas: () => surveyed(state.plan(state.planning).mission).length,

@@ -79,7 +79,7 @@ export class Menus {
   /** The menu of the bare map. */
   map(place: Place, at: Pixel): void {
     const boat = this.state.replaying ? null : (this.state.boat ?? NONE);
-    this.popup.menu(at, { title: position(place) }, [...(boat ? this.planning.here(boat, place) : []), ...this.view(place)]);
+    this.popup.menu(at, { title: position(place), note: this.chart.why(place) ?? "" }, [...(boat ? this.planning.here(boat, place) : []), ...this.view(place)]);
   }
 
   handle(handle: Handle, at: Pixel): void {

@@ -23,6 +23,8 @@ export interface Palette {
   port: string;
   starboard: string;
   chart: number; // opacity of the background
+  depths: string[]; // of official charts: shallow to deep
+  forbidden: string; // water that an official chart forbids
 }
 
 const DAY: Palette = {
@@ -44,6 +46,8 @@ const DAY: Palette = {
   port: "#b02a37",
   starboard: "#0f7a4d",
   chart: 1,
+  depths: ["#9cc3de", "#b9d6e8", "#d2e5f0", "#e6f1f6"],
+  forbidden: "rgba(180,35,47,.24)",
 };
 
 const NIGHT: Palette = {
@@ -65,6 +69,8 @@ const NIGHT: Palette = {
   port: "#c8646c",
   starboard: "#4f9e78",
   chart: 0.2,
+  depths: ["#1c4259", "#153548", "#0f2838", "#0a1d28"],
+  forbidden: "rgba(208,82,90,.22)",
 };
 
 const KEPT = "delfim.theme";

@@ -209,6 +209,8 @@ export class Plans {
       const track = new LineString(run.track.map((each) => point(cornerPlace(each))));
       this.over.addFeature(styled(track, cased(palette.soft, 2, [2, 5])));
     }
+    const crossed = this.state.crossed.get(this.state.planning);
+    if (crossed) this.over.addFeature(drawnCrossing(cornerPlace(crossed)));
     const pending: [Place, Place][] = this.ruler ? [[this.ruler, to ?? this.ruler]] : [];
     for (const [from, end] of [...this.rulers, ...pending]) this.over.addFeatures(drawnRuler(from, end));
   }
@@ -358,6 +360,14 @@ function drawnWaypoint(place: Waypoint, index: number, current: boolean, { colou
 function drawnCorner(place: Place, colour: string, radius: number): Feature {
   const feature = new Feature(new Point(point(place)));
   feature.setStyle(new Style({ image: new Disc({ radius, fill: new Fill({ color: palette.handle }), stroke: new Stroke({ color: colour, width: 2 }) }) }));
+  return feature;
+}
+
+/** Where a chart forbids the plan. */
+function drawnCrossing(place: Place): Feature {
+  const feature = new Feature(new Point(point(place)));
+  const ring = (color: string, width: number) => new Style({ image: new Disc({ radius: 12, stroke: new Stroke({ color, width }) }) });
+  feature.setStyle([ring(palette.halo, 6), ring(palette.danger, 3)]);
   return feature;
 }
 

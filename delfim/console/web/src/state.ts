@@ -23,6 +23,7 @@ export class State {
   names: string[] = [];
   progress = new Map<number, { what: string; part: number }>();
   dryruns = new Map<number, DryRun>();
+  crossed = new Map<number, [number, number]>(); // where the chart forbids a plan
   readonly fetching = new Set<number>(); // boats whose mission is being read, to become the plan
   readonly plans = new Map<number, Plan>(); // NOBODY's before a boat is heard
   private readonly aboard = new Map<number, Mission>(); // as they were read from the boats
@@ -89,7 +90,7 @@ export class State {
   /** A silent boat that the operator no longer wants to see, until it is heard again. */
   forget(id: number): void {
     this.boats = this.boats.filter((each) => each.id !== id);
-    for (const kept of [this.plans, this.aboard, this.progress, this.dryruns]) kept.delete(id);
+    for (const kept of [this.plans, this.aboard, this.progress, this.dryruns, this.crossed]) kept.delete(id);
     this.tell("forgotten");
     if (this.selected === id) this.select(this.boats[0]?.id ?? null);
     this.tell("boats");

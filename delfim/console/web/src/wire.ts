@@ -181,7 +181,7 @@ export interface Vessel extends Place {
 
 export interface Background {
   name: string;
-  kind: "image" | "tiles";
+  kind: "image" | "tiles" | "dangers"; // dangers: what `delfim charts` makes
   extent: [number, number, number, number];
   minzoom?: number;
   maxzoom?: number;
@@ -274,6 +274,7 @@ export type Heard =
   | { t: "depths"; tile: [row: number, column: number]; extent: [number, number, number, number]; whole?: string; cells?: [cell: number, depth_cm: number][] }
   | { t: "no_depths" }
   | { t: "progress"; boat: number; what: string; part: number }
+  | { t: "crossed"; boat: number; place: [number, number] | null } // where the chart forbids a plan first
   | { t: "dryrun"; boat: number; time_s: number; distance_m: number; track: [number, number][] };
 
 export type MissionDeed = "put" | "upload" | "download" | "check" | "dryrun" | "save" | "load" | "list" | "compare";
