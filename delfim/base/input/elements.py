@@ -26,6 +26,8 @@ class Elements:
         """Read it all. Raises FormatError."""
         try:
             self._parser.Parse(data, True)
+        except (KeyError, IndexError):  # of who is called
+            raise
         except (expat.ExpatError, LookupError) as error:  # also an encoding that nobody knows
             raise FormatError(f"not XML: {error}") from None
 

@@ -20,7 +20,7 @@ from typing import NamedTuple
 from delfim.base.errors import DelfimError
 from delfim.base.frames import Frame
 from delfim.commands import Formatter, shipped
-from delfim.commands.operation import logproof
+from delfim.commands.operation import _logproof
 from delfim.logging.ashore import systemlines, tree
 from delfim.logging.ashore.progress import progress, tracked
 from delfim.logging.ashore.tree import LogFile, Run, Span
@@ -412,7 +412,7 @@ def options(parser: argparse.ArgumentParser) -> None:
     for one in (ls, cat, info, plot, export, replay, audit, repair):  # after the verb's own options
         one.add_argument("path", nargs="*", metavar="PATH", help=told)
         one.set_defaults(many="path")
-    logproof.verbs(verbs)
+    _logproof.verbs(verbs)
     text = "Fetch logs from a boat (ftp://user@boat/log, sftp://user@boat/log): verified, and resumed after a lost link."
     fetch = verb("fetch", _fetch, text)
     fetch.add_argument("--summary", action="store_true", help="Fetch only state logs and sidecars, and sum up the last run.")
