@@ -108,7 +108,7 @@ async def beside_the_area(you: Visit, boat: Boat) -> None:
 async def another_operator(you: Visit, boat: Boat, lines: int) -> None:
     """A page that knows the mission alone, as it was read from the boat."""
     page = you.page
-    await page.value("location.reload()")
+    await page.reload()
     await page.until("window.delfim && delfim.drawn().plan > 6 && delfim.areas() === 0", PATIENCE_S)
     await beside_the_area(you, boat)
     await you.chooses("Survey")

@@ -94,7 +94,7 @@ async def sent(you: Visit, boat: Boat) -> None:
     await page.until(f"delfim.drawn().aboard === {count}", PATIENCE_S)
     await you.sees("same")
     await you.picture("survey-aboard")
-    await page.value("location.reload()")
+    await page.reload()
     await page.until(f"window.delfim && delfim.areas() === 9 && delfim.drawn().plan === {count}", PATIENCE_S)
 
 
