@@ -16,6 +16,7 @@ from typing import Final
 
 from delfim.base.errors import FormatError
 from delfim.base.input.untrusted import parse_json
+from delfim.base.wholefile import sync_directory
 from delfim.logging.reading import in_order
 
 SUFFIX: Final = ".chain"
@@ -68,6 +69,8 @@ class Chain:
         try:
             if self._aside and self._begun:
                 os.replace(self._aside + SUFFIX, self._stem + SUFFIX)
+                with contextlib.suppress(OSError):
+                    sync_directory(os.path.dirname(self._stem))
         except OSError:
             return False
         self._aside = ""
@@ -112,8 +115,10 @@ class Chain:
             try:
                 is_there = os.write(fd, data) == len(data)
                 self._torn = not is_there
-                if sync:
+                if sync or not self._begun:
                     os.fsync(fd)
+                if not self._begun:  # ext2 loses the name of a file that was synced alone: a human would be asked for
+                    sync_directory(os.path.dirname(self._stem))
             finally:
                 os.close(fd)
         return is_there
