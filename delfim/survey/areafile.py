@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 from delfim.base.errors import FormatError
+from delfim.base.input import shapefile
 from delfim.base.input.elements import Elements
 from delfim.base.input.untrusted import parse_json, read_file
 
@@ -18,9 +19,6 @@ BYTES: Final = 1 << 23
 CORNERS: Final = 10_000  # of all polygons together
 LATITUDE_DEG: Final = 89.0
 ROUND: Final = 32  # corners of a circle, which lies within them
-SHAPES: Final = 9994  # what a shapefile begins with
-SHAPES_AT: Final = 100  # bytes before its first record
-POLYGONS: Final = 5, 15, 25  # kinds of record; two of them have heights or measures behind the corners
 
 Corner = tuple[float, float]
 """Latitude and longitude, degrees."""
@@ -151,24 +149,9 @@ def _gpx(data: bytes) -> Found:
 
 
 def _shapefile(data: bytes) -> Found:
-    """The polygons of a shapefile, each record with its length before it. Outlines go clockwise, holes the other way."""
-    if struct.unpack_from(">i", data) != (SHAPES,):
-        raise ValueError
-    at = SHAPES_AT
-    while at < len(data):
-        _, words = struct.unpack_from(">ii", data, at)
-        (kind,) = struct.unpack_from("<i", data, at + 8)
-        if kind in POLYGONS:
-            parts, points = struct.unpack_from("<ii", data, at + 44)
-            if 44 + 4 * parts + 16 * points > 2 * words:  # records that overlap would be read for ever
-                raise ValueError
-            firsts = [*struct.unpack_from(f"<{parts}i", data, at + 52), points]
-            numbers = struct.unpack_from(f"<{2 * points}d", data, at + 52 + 4 * parts)
-            places = list(zip(numbers[1::2], numbers[::2], strict=True))
-            for first, end in pairwise(firsts):
-                ring = places[first:end]
-                yield (ring, []) if len(firsts) == 2 or _is_clockwise(ring) else ([], [ring])
-        at += 8 + 2 * max(words, 2)
+    """The polygons of a shapefile. Outlines go clockwise, holes the other way."""
+    for _, rings in shapefile.records(data, shapefile.POLYGONS):
+        yield from ((ring, []) if len(rings) == 1 or _is_clockwise(ring) else ([], [ring]) for ring in rings)
 
 
 def _is_clockwise(ring: Ring) -> bool:

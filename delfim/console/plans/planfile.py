@@ -15,6 +15,7 @@ import msgspec
 
 from delfim import config
 from delfim.base.errors import DelfimError, FormatError, in_words
+from delfim.base.input import shapefile
 from delfim.base.input.elements import Elements
 from delfim.base.input.untrusted import parse_json, read_file
 from delfim.console.link.mavlink import Item, plans
@@ -27,8 +28,6 @@ MEMORY_BYTES, CPU_S = 1 << 30, 20  # of the process that reads
 WORDS: Final = 5  # items that are left out and named
 PLACED: Final = 3  # MAV_FRAME_GLOBAL_RELATIVE_ALT, of an item that says none
 WPL: Final = "QGC WPL 110"  # what Mission Planner's files begin with
-SHAPES, SHAPES_AT = 9994, 100  # what a shapefile begins with, and where its records do
-POINT_KINDS, LINE_KINDS = (1, 11, 21), (3, 13, 23)  # of shapefiles; some have heights or measures behind
 
 Place = tuple[float, float]
 """Latitude and longitude, degrees."""
@@ -207,25 +206,13 @@ def _gpx(data: bytes) -> Found:
 
 
 def _shapefile(data: bytes) -> Found:
-    """The lines of a shapefile in degrees, or else its points, each record with its length before it."""
-    if struct.unpack_from(">i", data) != (SHAPES,):
-        raise ValueError
-    lines, points, at = list[list[Place]](), list[Place](), SHAPES_AT
-    while at < len(data):
-        _, words = struct.unpack_from(">ii", data, at)
-        (kind,) = struct.unpack_from("<i", data, at + 8)
-        if kind in POINT_KINDS:
-            east, north = struct.unpack_from("<2d", data, at + 12)
-            points.append((north, east))
-        elif kind in LINE_KINDS:
-            parts, count = struct.unpack_from("<ii", data, at + 44)
-            if 44 + 4 * parts + 16 * count > 2 * words:  # records that overlap would be read for ever
-                raise ValueError
-            firsts = [*struct.unpack_from(f"<{parts}i", data, at + 52), count]
-            numbers = struct.unpack_from(f"<{2 * count}d", data, at + 52 + 4 * parts)
-            places = list(zip(numbers[1::2], numbers[::2], strict=True))
-            lines += [places[first:end] for first, end in pairwise(firsts)]
-        at += 8 + 2 * max(words, 2)
+    """The lines of a shapefile in degrees, or else its points."""
+    lines, points = list[list[Place]](), list[Place]()
+    for kind, parts in shapefile.records(data, shapefile.POINTS + shapefile.LINES):
+        if kind in shapefile.POINTS:
+            points += parts[0]
+        else:
+            lines += parts
     return _of_places(lines, points)
 
 

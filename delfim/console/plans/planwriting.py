@@ -15,9 +15,10 @@ from typing import Any, Final, NamedTuple
 from xml.sax.saxutils import escape
 
 from delfim.base.errors import FormatError
+from delfim.base.input.shapefile import MAGIC
 from delfim.console.link.mavlink import Item, plans
 from delfim.console.plans.plan import checked_tables, items_of
-from delfim.console.plans.planfile import OF_POINTS, SHAPES, WPL
+from delfim.console.plans.planfile import OF_POINTS, WPL
 from delfim.vehicle.plans.mission import Mission
 
 XML: Final = '<?xml version="1.0" encoding="UTF-8"?>'
@@ -94,7 +95,7 @@ def _shapefile(plan: Planned) -> bytes:
     line = struct.pack("<i", POLYLINE) + box + struct.pack("<3i", 1, count, 0) + struct.pack(f"<{2 * count}d", *numbers)
 
     def head(size: int) -> bytes:
-        words = struct.pack(">7i", SHAPES, 0, 0, 0, 0, 0, (100 + size) // 2)
+        words = struct.pack(">7i", MAGIC, 0, 0, 0, 0, 0, (100 + size) // 2)
         return words + struct.pack("<2i", 1000, POLYLINE) + box + struct.pack("<4d", 0.0, 0.0, 0.0, 0.0)
 
     name = plan.name.encode()[:80].ljust(80)
