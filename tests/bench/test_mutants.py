@@ -132,6 +132,11 @@ def test_the_commit_up_to_which_all_was_tried_is_kept(tmp_path: Path) -> None:
     assert path.read_text() == '# Why.\nmeasured = "def"\n\n["delfim/gate.py"]\n"f | return" = "the same"\n'
 
 
+def test_the_commit_up_to_which_all_was_tried_is_one_of_this_history() -> None:
+    git = ["git", "-C", str(ROOT), "merge-base", "--is-ancestor", measured(), "HEAD"]
+    assert subprocess.run(git, check=False).returncode == 0, "a rebase renamed it: write that into tests/survivors.toml"
+
+
 def row(**calls: list[str]) -> dict[str, Any]:
     """A test that takes so long, by what it calls of one file."""
     return {"calls": {"delfim/vehicle/propulsion/gate.py": calls["calls"]}, "cpu_s": float(calls["cpu_s"][0])}

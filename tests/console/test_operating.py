@@ -192,6 +192,7 @@ async def test_each_key_of_the_thesis_is_seen_at_the_vehicle(sea: Sea) -> None:
     await sent(page)
     for key, mode in (("h", "heading"), ("g", "goto"), ("p", "path"), ("y", "play"), ("i", "idle")):
         await pressed(page, boat, key, mode)
+    await boat.until(lambda state: all(abs(each["rpm"] or 0.0) < 50.0 for each in state["thrusters"].values()))  # they coast
     await page.press("r")
     await page.press("x")
     await page.until("document.getElementById('messages').textContent.includes('grex refused: ')")

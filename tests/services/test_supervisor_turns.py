@@ -188,10 +188,11 @@ STORIES = """
 0.00 runtime: started as process 100
 0.50 sshd: started as process 101
 3.00 runtime asked; stop
-3.10 runtime killed; stop; runtime: beat stopped for 1.0 s: dead-man; it did not say where it stood: D (disk sleep); started
-     again in 0 s; stop; runtime: started as process 102
-3.20 to 3.60 stop (5)
-3.60 calm
+3.10 to 3.50 stop (5)
+3.50 runtime killed; runtime: beat stopped for 1.0 s: dead-man; it did not say where it stood: D (disk sleep); started again
+     in 0 s; stop; runtime: started as process 102
+3.60 to 4.00 stop (5)
+4.00 calm
 5.02 runtime term
 5.22 runtime: ended: exit code 0; stop; stop; sshd term
 5.32 to 5.42 stop (2)
@@ -200,14 +201,15 @@ STORIES = """
 0.00 runtime: started as process 100
 0.50 sshd: started as process 101
 3.00 runtime asked; stop
-3.10 runtime killed; stop
-3.20 to 4.10 stop (10)
-4.10 runtime: does not answer, and cannot be killed: D (disk sleep)
-4.20 to 6.10 stop (20)
-6.10 runtime: beat stopped for 1.0 s: dead-man; it did not say where it stood: D (disk sleep); started again in 0 s; stop;
+3.10 to 3.50 stop (5)
+3.50 runtime killed
+3.60 to 4.50 stop (10)
+4.50 runtime: does not answer, and cannot be killed: D (disk sleep)
+4.60 to 6.50 stop (20)
+6.50 runtime: beat stopped for 1.0 s: dead-man; it did not say where it stood: D (disk sleep); started again in 0 s; stop;
      runtime: started as process 102
-6.20 to 6.60 stop (5)
-6.60 calm
+6.60 to 7.00 stop (5)
+7.00 calm
 7.02 runtime term
 7.22 runtime: ended: exit code 0; stop; stop; sshd term
 7.32 to 7.42 stop (2)
@@ -537,7 +539,7 @@ def test_a_program_that_closes_its_pipe_is_silent_and_costs_no_turns(make: Make)
     boat = make(Kernel(runtime=[Played(stands=b"")]), "runtime")
     boat.kernel.at(1.02, lambda: boat.kernel.hang_up(boat.kernel.processes[0]))
     boat.run(2.52)
-    assert "2.00 runtime asked; stop\n2.10 runtime killed" in boat.told()
+    assert "2.00 runtime asked; stop\n2.10 to 2.50 stop (5)\n2.50 runtime killed" in boat.told()
     assert boat.kernel.closed.count(boat.kernel.processes[0].fd) == 1
     assert len(boat.kernel.waits_s) < 60
 

@@ -2,9 +2,9 @@
 
 It starts the programs, each in a session of its own, and restarts those that die. Every program gets `--beat-fd N`, the
 write end of a pipe, and beats on it. When the beat stops, whatever the reason, the supervisor has the program write into the
-pipe where its threads stand and die of it, kills it STACKS_S later if it did not, and starts it again. That is the dead-man of
-the critical one, whose propellers it stops first, and of a guard; any other may be silent for longer. A guard that even the
-kernel cannot end has its motors cut off. A program whose pipe breaks knows that the supervisor is gone.
+pipe where its threads stand and die of it, kills it STACKS_S later if it did not (a guard sooner), and starts it again. That
+is the dead-man of the critical one, whose propellers it stops first, and of a guard; any other may be silent for longer. A
+guard that even the kernel cannot end has its motors cut off. A program whose pipe breaks knows that the supervisor is gone.
 
 It ends on a signal or on a word at its socket (delfim.services.supervision.shutdown), the critical program first; the caller
 does the rest. It does not handle dependencies or logs. It never waits for anything but time and its children.
@@ -41,7 +41,8 @@ START_OTHERS_S: Final = 300.0  # the others come up together, and have what the 
 SILENT_S: Final = 30.0  # then one of these is killed and started again
 HEAD_START_S: Final = 5.0  # the others wait so long for its first beat: until then it has the processor to itself
 STOP_EVERY_S: Final = 0.1  # between two stop frames while nothing beats
-STACKS_S: Final = 0.1  # for a silent program to write where its threads stand, while stop frames are already sent
+STACKS_S: Final = 0.5  # for a silent program to write where its threads stand (busy machines); stop frames are already sent
+GUARD_STACKS_S: Final = 0.1  # for one whose motors nobody else stops
 TICK_S: Final = 0.1  # the longest wait: the hardware watchdog is fed this often, and a later wake-up was forced on us
 END_CRITICAL_S: Final = 5.0  # for the critical program to end in order
 END_S: Final = 2.0  # for another program
@@ -260,7 +261,7 @@ class Supervisor:
             silent_s = now_s - (child.start_s if child.beat_s is None else child.beat_s)
             words = "dead-man" if child.is_urgent else "killed"
             child.verdict = f"{'no beat' if child.beat_s is None else 'beat stopped'} for {silent_s:.1f} s: {words}"
-            child.kill_s = now_s + STACKS_S
+            child.kill_s = now_s + (GUARD_STACKS_S if child.program.guard else STACKS_S)
             if child.program.critical:
                 self._stop_due_s = now_s
             os.kill(child.pid, STACKS_SIGNAL)
