@@ -1,13 +1,14 @@
 """Whether boats that go home for their energy come home, and with how much.
 
-    python -m bench.energy [SEEDS [BOAT [CAPACITY_WH]]] [--rows FILE] [--steady]
+    python -m bench.energy [SEEDS [BOAT [CAPACITY_WH]]] [--first SEED] [--rows FILE] [--steady]
 
 A boat sails drawn places, out and about, in a drawn sea: wind to 8 m/s, waves, a current to 0.4 m/s that turns by up to 120
 degrees an hour. Its batteries last for some 40 to 60 minutes. Prints how many came home with a tenth of the capacity at least,
 how many had gone home with more than a tenth left beside the reserve, and by how much the prediction of the way was off.
 
---rows: a line for each sea; those that are in the file already are not sailed again. --steady: on the way home an operator
-holds the speed, so that the boat does not slow down to save energy: the prediction is judged by that.
+--first: the seeds from this one on, up to SEEDS. --rows: a line for each sea; those that are in the file already are not sailed
+again. --steady: on the way home an operator holds the speed, so that the boat does not slow down to save energy: the prediction
+is judged by that.
 """
 
 import argparse
@@ -125,12 +126,14 @@ def main() -> None:
     asked.add_argument("seeds", nargs="?", type=int, default=100)
     asked.add_argument("boat", nargs="?", default="etc/delfimx.toml")
     asked.add_argument("capacity_wh", nargs="?", type=float, default=800.0)
+    asked.add_argument("--first", type=int, default=1)
     asked.add_argument("--rows", type=Path)
     asked.add_argument("--steady", action="store_true")
     told = asked.parse_args()
     lines = told.rows.read_text().splitlines() if told.rows is not None and told.rows.exists() else []
     rows: dict[int, dict[str, float]] = {int(line["seed"]): line for line in map(json.loads, lines)}
-    for seed in range(1, told.seeds + 1):
+    seeds = range(told.first, told.seeds + 1)
+    for seed in seeds:
         if seed in rows:
             continue
         rows[seed] = {"seed": seed, **Sailed(told.boat, seed, told.capacity_wh, told.steady).row()}
@@ -138,7 +141,7 @@ def main() -> None:
         if told.rows is not None:
             with told.rows.open("a") as file:
                 file.write(json.dumps(rows[seed]) + "\n")
-    _told([rows[seed] for seed in range(1, told.seeds + 1)], config.load(told.boat, []).of(EnergyTable).reserve)
+    _told([rows[seed] for seed in seeds], config.load(told.boat, []).of(EnergyTable).reserve)
 
 
 if __name__ == "__main__":

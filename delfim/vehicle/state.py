@@ -274,6 +274,7 @@ class State:
     announced: tuple[Announced, ...] = ()  # the newest, oldest first
     sample: SampleAsked = field(default_factory=SampleAsked)  # that payload programs are asked for now
     station: str = ""  # the last that is to be told of the stations of the mission, in words
+    stations: tuple[tuple[int, bool], ...] = ()  # of the mission, by waypoints from 1: those sampled; False: without a sample
     computer: StartConditions = field(default_factory=StartConditions)  # the computer at the program's start
     cycles: int = 0
     parts: dict[str, PartHealth] = field(default_factory=dict)  # of a laboratory, by name

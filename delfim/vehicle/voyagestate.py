@@ -6,6 +6,7 @@ import msgspec
 
 from delfim.base.modes import mode_named
 from delfim.vehicle.control.memory import Memory
+from delfim.vehicle.plans.mission import ROWS
 from delfim.vehicle.state import Killed, Setpoint, Waypoint
 from delfim.vehicle.target import BESIDE_MAX
 
@@ -35,6 +36,7 @@ class VoyageState(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     track: Annotated[tuple[tuple[float, float], ...], msgspec.Meta(max_length=TRACK_MAX)] = ()  # driven, oldest first
     spacing_m: Annotated[float, msgspec.Meta(gt=0.0)] = 5.0  # of its points
     behind: tuple[Rows, Rows] = (0, 0)  # legs and pieces of the mission that the fence forbids, and the boat had behind it
+    stations: Annotated[tuple[tuple[Rows, bool], ...], msgspec.Meta(max_length=ROWS)] = ()  # as in `State`
     beside: Annotated[tuple[str, ...], msgspec.Meta(max_length=BESIDE_MAX)] = ()  # keys of vessels that came along
 
     def __post_init__(self) -> None:
@@ -43,8 +45,11 @@ class VoyageState(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     def ended(self) -> "VoyageState":
         """What is left of a voyage that is over: who commands, a kill, the transponder aboard, what a fence forbade of the
-        mission, and nothing that moves."""
-        return VoyageState(operator=self.operator, killed=self.killed, behind=self.behind, beside=self.beside)
+        mission, its samples, and nothing that moves."""
+        stations = self.stations
+        return VoyageState(
+            operator=self.operator, killed=self.killed, behind=self.behind, stations=stations, beside=self.beside
+        )
 
     def wanted(self, now: Setpoint) -> Setpoint:
         """The set points of the voyage, with the plan that is aboard now."""

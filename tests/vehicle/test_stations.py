@@ -2,12 +2,15 @@
 
 from pathlib import Path
 
+import msgspec
 import pytest
 
 from delfim import config
 from delfim.base.errors import ConfigError
 from delfim.base.modes import Mode
-from delfim.parts.mavlink.codec import plans
+from delfim.console.boats.boat import Boat
+from delfim.parts.mavlink.codec import plans, wire
+from delfim.parts.mavlink.telemetry import TelemetryView, arrays
 from delfim.simulator.lockstep import Lockstep
 from delfim.vehicle import console
 from delfim.vehicle.plans.mission import Mission, Waypoint, canonical, parse_mission
@@ -98,6 +101,50 @@ def test_a_mission_played_again_asks_again(sea) -> None:
     assert sea.command(console.Play()) is None
     sail(sea, 9.0)
     assert sea.state.sample.number == 2
+
+
+def test_a_console_that_was_not_there_learns_what_became_of_each_station(sea) -> None:
+    heard = Boat(1, 0.0)
+    assert heard_of(sea, heard) == {}
+    assert sampled(sea, 1) is None
+    sail(sea, 120.0)
+    assert sea.state.reason == "play done"
+    assert sea.state.stations == ((1, True), (2, False))
+    assert heard_of(sea, heard) == {1: "sampled", 2: "failed"}
+    assert sea.command(console.Play()) is None
+    for _ in sea.cycles(120.0):
+        if sea.state.sample.number:
+            break
+    assert sea.state.stations == ((2, False),), "the first one is asked again"
+
+
+def test_samples_are_those_of_the_mission_aboard_also_after_a_restart(sea) -> None:
+    assert sampled(sea, 1) is None
+    sail(sea, 1.0)
+    sea.restart(2.0)
+    sail(sea, 3.0)
+    assert sea.state.stations == ((1, True),)
+    other = canonical(msgspec.structs.replace(MISSION, waypoint=MISSION.waypoint[::-1]))
+    assert sea.command(console.LoadMission(other)) is None
+    sail(sea, 1.0)
+    assert sea.state.stations == ()
+
+
+def test_of_many_stations_an_array_tells_a_part_each_time(sea) -> None:
+    sea.state.stations = tuple((number, number % 3 > 0) for number in range(1, 101))
+    heard = Boat(1, 0.0)
+    assert len(heard_of(sea, heard)) == 58
+    assert len(heard_of(sea, heard, turn=1)) == 100
+    heard.take_stations([0, 5000, -5000])
+    assert len(heard.stations) == 100
+
+
+def heard_of(sea: Lockstep, boat: Boat, turn: int = 0) -> dict[int, str]:
+    """The stations as a console has them that heard one telling, and nothing before."""
+    view = TelemetryView(sea.vehicle, sea.settings.mavlink, 0, lambda leg: 0, lambda kind: None, sea.elapsed_s, turn)
+    for message in arrays(view):
+        boat.receive(wire.decode(wire.Sender(1, 1, None, lambda: 0).pack(message)), 0.0, 0.0)
+    return {number: each["state"] for number, each in boat.stations.items()}
 
 
 def test_a_station_is_in_its_file_and_goes_over_the_link() -> None:

@@ -11,7 +11,7 @@ import msgspec
 from delfim.base.modes import Mode
 from delfim.console.boats.othervessels import VesselsTold
 from delfim.console.boats.wayhome import HeardTrack
-from delfim.console.link.mavlink import BOAT_NAME, ENERGY, GUARDED, LINE, ORDERED, Offer, mavlink, own_offers
+from delfim.console.link.mavlink import BOAT_NAME, ENERGY, GUARDED, LINE, ORDERED, STATIONS, Offer, mavlink, own_offers
 from delfim.console.link.reception import Reception
 from delfim.console.link.statustext import Words
 from delfim.vehicle.plans.mission import ROWS
@@ -157,6 +157,14 @@ class Boat:
             state = "waiting" if " is asked for" in words else "failed" if words.startswith("no sample") else "sampled"
             if state != "sampled" or " has sample " in words:  # why a try failed: the next one is asked for at once
                 self.stations[number] = {"state": state, "words": words}
+
+    def take_stations(self, numbers: list[int]) -> None:
+        """Takes the waypoints that have their sample, and below 0 those without: what was said when nobody heard it."""
+        for number in numbers:
+            state = "sampled" if number > 0 else "failed"
+            if 0 < abs(number) <= ROWS and self.stations.get(abs(number), {}).get("state") != state:
+                words = "it has its sample" if number > 0 else "no sample"
+                self.stations[abs(number)] = {"state": state, "words": words}
 
     def age_s(self, kind: str, now_s: float) -> float | None:
         """Time since a message of this kind; None if there was none."""
@@ -375,10 +383,16 @@ def _depth(boat: Boat, m: Any) -> None:
     boat.measure("depth_m", m.distance, m.time_boot_ms)
 
 
+def _array(boat: Boat, m: Any) -> None:
+    name = m.name.rstrip("\0")
+    if name == ENERGY:
+        _energy(boat, m)
+    elif name == STATIONS:
+        boat.take_stations([int(each) for each in m.data if math.isfinite(each)])
+
+
 def _energy(boat: Boat, m: Any) -> None:
     """What the boat has left and how far it gets with it; a boat that reckons nothing says nothing."""
-    if m.name.rstrip("\0") != ENERGY:
-        return
     left, home, plan, reserve, *ranges_m = (round(each, 1) if math.isfinite(each) else None for each in m.data)
     ranges_m = [max(each or 0.0, 0.0) for each in ranges_m[:DIRECTIONS]]
     boat.energy = {"left_wh": left, "home_wh": home, "plan_wh": plan, "reserve_wh": reserve, "range_m": ranges_m}
@@ -443,7 +457,7 @@ _HANDLERS: Final[dict[str, Callable[[Boat, Any], None]]] = {
     "NAMED_VALUE_INT": _named,
     "NAMED_VALUE_FLOAT": _float,
     "WATER_DEPTH": _depth,
-    "DEBUG_FLOAT_ARRAY": _energy,
+    "DEBUG_FLOAT_ARRAY": _array,
     "PARAM_EXT_VALUE": _text,
     "AVAILABLE_MODES": _available,
     "MISSION_CHECKSUM": _checksum,

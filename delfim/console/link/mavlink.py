@@ -15,7 +15,17 @@ from delfim.parts.mavlink.codec import ownorders, plans, wire
 from delfim.parts.mavlink.codec.aisvessel import GUARD, GUARDED, NUMBERS, ORDERED, facts_of, kind_of, number_of, position_of
 from delfim.parts.mavlink.codec.ardupilot import WaterDepth
 from delfim.parts.mavlink.codec.ownorders import Offer, own_offers
-from delfim.parts.mavlink.codec.params import BOAT_NAME, BOAT_RUN, ENERGY, LINE, SAILS_BY, SENSED, SENSED_VALUES, TROUBLES
+from delfim.parts.mavlink.codec.params import (
+    BOAT_NAME,
+    BOAT_RUN,
+    ENERGY,
+    LINE,
+    SAILS_BY,
+    SENSED,
+    SENSED_VALUES,
+    STATIONS,
+    TROUBLES,
+)
 from delfim.parts.mavlink.codec.plans import FENCE, ITEMS, MISSION, RALLY, Item
 from delfim.parts.mavlink.codec.signing import FrameVerdict, Signing, read_stamps, write_stamps
 
@@ -35,6 +45,7 @@ __all__ = [  # what the console needs of the link's other end, beside what is be
     "SAILS_BY",
     "SENSED",
     "SENSED_VALUES",
+    "STATIONS",
     "TROUBLES",
     "Item",
     "Offer",

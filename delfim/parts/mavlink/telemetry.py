@@ -13,7 +13,7 @@ from delfim.base.modes import PAYLOADS, Mode
 from delfim.canproxy.dsor.messages import BatteriesStatus, Node
 from delfim.parts.mavlink.codec.aisvessel import guard, ordered, vessels
 from delfim.parts.mavlink.codec.ardupilot import WaterDepth, Wind
-from delfim.parts.mavlink.codec.params import ENERGY, LINE, SENSED, SENSED_VALUES, TROUBLES
+from delfim.parts.mavlink.codec.params import ENERGY, LINE, SENSED, SENSED_VALUES, STATIONS, TROUBLES
 from delfim.parts.mavlink.codec.plans import ALL
 from delfim.parts.mavlink.codec.wire import Message, dialect
 from delfim.parts.mavlink.table import Mavlink
@@ -292,12 +292,24 @@ def sensed(view: TelemetryView) -> Iterator[Message]:
 
 
 def arrays(view: TelemetryView) -> Iterator[Message]:
-    """The energy; in a trial, which asks for it often, what the sensors said, and the energy now and then."""
+    """The energy, and stations that are done; in a trial, which asks for it often, what the sensors said, and the others now
+    and then."""
     is_trial = view.boat.state.mode is Mode.TRIAL
     if is_trial:
         yield from sensed(view)
     if not is_trial or view.turn % SELDOM == 0:
         yield from energy(view)
+        yield from stations(view)
+
+
+def stations(view: TelemetryView) -> Iterator[Message]:
+    """DEBUG_FLOAT_ARRAY of the name STATIONS: waypoints from 1 that have their sample; below 0: that go without one. Of more
+    than an array holds, a part each time. Nothing while there are none."""
+    state = view.boat.state
+    told = [float(number if ok else -number) for number, ok in state.stations] if state.setpoint.plan is not None else []
+    parts = [told[at : at + ARRAY] for at in range(0, len(told), ARRAY)]
+    if parts:
+        yield _array(view, STATIONS, parts[view.turn % len(parts)])
 
 
 def _array(view: TelemetryView, name: str, numbers: list[float]) -> Message:

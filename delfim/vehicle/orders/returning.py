@@ -59,6 +59,7 @@ class Returning:
             self._helm.plans.found(geodesy.origin(*sailed.origin))
             self._helm.track.restore(sailed.track, sailed.spacing_m)
         self._helm.plans.spared = Behind(*sailed.behind)
+        state.stations = sailed.stations if back.mission and not back.lost else ()
         if back.fence:
             state.fence_lost = _lost(back.why_not if back.lost else "they are being loaded")
         self._is_loaded = not (back.mission or back.fence) or back.lost
@@ -73,6 +74,8 @@ class Returning:
     def _loaded(self, refused: str) -> None:
         """The plan of before was sent; `refused`: why it is not aboard, in words; empty: it is."""
         self._is_loaded = True
+        if refused:
+            self._state.stations = ()
         if refused and self._state.fence_lost:
             self._state.fence_lost = _lost(refused)
         elif not refused:

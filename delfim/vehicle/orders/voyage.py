@@ -67,6 +67,7 @@ def sailed(helm: Helm, state: State) -> VoyageState:
         track=track,
         spacing_m=spacing_m,
         behind=helm.plans.behind,
+        stations=state.stations,
         beside=state.traffic.beside,
     )
 
