@@ -218,6 +218,8 @@ class Steer(Table, frozen=True):
     address: DriverAddress = 0  # of what turns it, as the driver has it
     angle_max_deg: Annotated[float, msgspec.Meta(ge=5.0, le=180.0)] = 35.0  # to either side; 180: all round
     rate_dps: Annotated[float, msgspec.Meta(gt=0.0, le=3600.0)] = 30.0  # how fast it turns, degrees a second
+    reversed: bool = False  # mounted so that what its driver calls starboard turns it to port
+    middle_deg: Annotated[float, msgspec.Meta(ge=-20.0, le=20.0)] = 0.0  # where its driver sees it when it points straight
     forbidden_deg: Annotated[tuple[tuple[Degrees, Degrees], ...], msgspec.Meta(max_length=8)] = ()  # no thrust from .. to
 
     def __post_init__(self) -> None:
@@ -226,6 +228,11 @@ class Steer(Table, frozen=True):
                 raise ValueError(f"forbidden_deg: from {start:g} to {end:g} is no sector: the smaller angle comes first")
         if self.kind == "rudder" and self.angle_max_deg > 60.0:
             raise ValueError(f"angle_max_deg: a rudder at {self.angle_max_deg:g} degrees brakes; 60 at most")
+
+    @property
+    def as_told(self) -> tuple[float, float, float]:
+        """Factor and sum that make of an angle, rad, the one that the driver tells, and the greatest of these."""
+        return -1.0 if self.reversed else 1.0, math.radians(self.middle_deg), math.radians(self.angle_max_deg)
 
 
 class ThrusterTable(Table, frozen=True):

@@ -244,6 +244,12 @@ def _device(name: str, device: str, its: Workspace) -> str:
     return f"{kind}:{its.address(f'127.0.0.1:{address(place)[1]}', udp=kind == 'udp')}"
 
 
+def _turned(told: config.Steer, true: config.Steer) -> dict[str, Any]:
+    """How a servo is to be told for a simulated one that is straight and not reversed."""
+    way, _, _ = true.as_told
+    return {"reversed": told.reversed != true.reversed, "middle_deg": way * (told.middle_deg - true.middle_deg)}
+
+
 def _by_pulses(vehicle: config.Vehicle, truth: config.Vehicle | None = None) -> list[Any]:
     """The rows, with motors whose devices are not simulated driven by pulses, which `parts/pwm/sim.py` reads. Each reaches the
     motor of its driver and address in the truth, which may turn the other way. Raises DelfimError for more of them than there
@@ -261,9 +267,11 @@ def _by_pulses(vehicle: config.Vehicle, truth: config.Vehicle | None = None) -> 
                 raise DelfimError(f"the boat in the water has no motor of driver {row.driver}, address {row.address}")
             motor, its = motors[row.driver, row.address]
             one |= {key: its[key] for key in ("driver", "address", "steer")} | {"reversed": row.reversed != motor.reversed}
+            if row.steer is not None and motor.steer is not None:
+                one["steer"] = its["steer"] | _turned(row.steer, motor.steer)
         elif not vehicle.drives(row).played:
             one |= {"driver": "pwm", "address": next(channels), "reversed": False}
-            one |= {"steer": one["steer"] | {"address": next(channels)}} if row.steer else {}
+            one |= {"steer": one["steer"] | _turned(row.steer, row.steer) | {"address": next(channels)}} if row.steer else {}
         told.append(one)
     if next(channels) > CHANNELS:
         raise DelfimError(f"a simulation has {CHANNELS} channels for motors and what turns them: these thrusters need more")

@@ -98,7 +98,8 @@ class Manual(Command, frozen=True):
 
 class Try(OperatorOrder, frozen=True, tag="trial"):
     """Play a manoeuvre, which tries the motors; `begin` enters trial mode. The next one replaces it, the same number again is a
-    sign of life: without one it ends. `pieces`: seconds, with a part of full command for each row of the vehicle's file."""
+    sign of life: without one it ends. `pieces`: seconds, with a part of full command for each row of the vehicle's file, and
+    after these, for each row that turns, one of its greatest angle, to starboard positive."""
 
     ENTERS = "trial"
     number: Annotated[int, msgspec.Meta(ge=0, le=1_000_000)]

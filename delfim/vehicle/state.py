@@ -29,7 +29,7 @@ class Wanted(NamedTuple):
     yaw_nm: float = 0.0  # positive clockwise, to starboard
     run: bool = True
     hand: tuple[float, float] | None = None  # manual mode, instead of forces: starboard and port, -1..1 of full command
-    parts: tuple[float, ...] | None = None  # a trial, instead of forces: of each thruster, -1..1 of full command
+    parts: tuple[float, ...] | None = None  # a trial, instead of forces: as the pieces of TrialPieces
 
 
 class ThrusterReport(NamedTuple):
@@ -133,7 +133,7 @@ class TrialPieces(NamedTuple):
     """A manoeuvre of a trial: what each thruster does, piece by piece, and what ends it."""
 
     number: int  # of the order; the same again is a sign of life
-    pieces: tuple[tuple[float, tuple[float, ...]], ...]  # s; of each thruster, -1..1 of full command
+    pieces: tuple[tuple[float, tuple[float, ...]], ...]  # s; of each thruster -1..1 of full command, of what turns of its angle
     north_m: float  # middle of the circle in which the boat stays
     east_m: float
     radius_m: float

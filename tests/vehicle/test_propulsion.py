@@ -62,6 +62,9 @@ def test_by_hand_each_side_gets_its_own() -> None:
 def test_in_a_trial_each_thruster_gets_its_own() -> None:
     told = sent(DELFIMX, Wanted(parts=(0.25, -0.5)))
     assert (told.thrust, told.run) == (pytest.approx((0.25, -0.5)), True)
+    told = sent((BOW, OUTBOARD), Wanted(parts=(0.25, 0.5, -0.5)))
+    assert told.thrust == pytest.approx((0.25, 0.5))
+    assert tuple(map(math.degrees, told.angle_rad)) == pytest.approx((0.0, -20.0)), "what turns has its angle behind all parts"
 
 
 @pytest.mark.parametrize(("starboard", "port"), [(0.2, 0.8), (0.8, 0.2), (-0.3, 0.3)])

@@ -45,7 +45,7 @@ class DronecanMotors:
         self._still = [0.0] * (1 + max(row.address for _, row in rows))
         by_angle = table.steer == "position"
         self._turning = [
-            (row.steer.address, index, 1.0 if by_angle else 1.0 / math.radians(row.steer.angle_max_deg))
+            (row.steer.address, index, 1.0 if by_angle else 1.0 / math.radians(row.steer.angle_max_deg), *row.steer.as_told)
             for index, row in rows
             if row.steer is not None
         ]
@@ -80,7 +80,10 @@ class DronecanMotors:
         self._thrust = self._pack(values)
         frames += self._command.frames(self._thrust)
         if self._turning:
-            commands = [(address, self._turn_kind, angle_rad[row] * scale) for address, row, scale in self._turning]
+            commands = [
+                (address, self._turn_kind, min(max(sign * angle_rad[row] + middle_rad, -most_rad), most_rad) * scale)
+                for address, row, scale, sign, middle_rad, most_rad in self._turning
+            ]
             self._turned = datatypes.array_command(commands)
             frames += self._turn.frames(self._turned)
         return self._say(frames)

@@ -65,7 +65,8 @@ class Esc:
 
     def steer(self, kind: float, value: float) -> None:
         if (steer := self._row.steer) is not None and math.isfinite(value):
-            self._angle_rad = value if kind == CommandKind.POSITION else value * math.radians(steer.angle_max_deg)
+            sign, middle_rad, most_rad = steer.as_told
+            self._angle_rad = sign * ((value if kind == CommandKind.POSITION else value * most_rad) - middle_rad)
 
     def stop(self) -> None:
         self._model.push(self._row.name, 0.0, self._angle_rad, False)

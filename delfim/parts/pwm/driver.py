@@ -2,7 +2,6 @@
 written: so the outlet, a process of its own, writes them, and this driver sends it a record each cycle."""
 
 import errno
-import math
 from typing import Final
 
 from delfim import config
@@ -25,9 +24,7 @@ class Pulses:
         rows = [(index, row) for index, row in enumerate(settings.thrusters) if row.driver == self.name]
         self._names = tuple(row.name for _, row in rows)
         self._motors = tuple((index, row.address, -1.0 if row.reversed else 1.0) for index, row in rows)
-        self._servos = tuple(
-            (index, row.steer.address, 1.0 / math.radians(row.steer.angle_max_deg)) for index, row in rows if row.steer
-        )
+        self._servos = tuple((index, row.steer.address, *row.steer.as_told) for index, row in rows if row.steer)
         self.input, self.inputs = outlet, (self,)
 
     def send(self, sent: Actuation, now_s: float) -> int:
@@ -35,8 +32,8 @@ class Pulses:
         fractions = list(_REST)
         for index, channel, sign in self._motors:
             fractions[channel] = sign * sent.thrust[index]
-        for index, channel, per_rad in self._servos:
-            fractions[channel] = min(max(per_rad * sent.angle_rad[index], -1.0), 1.0)
+        for index, channel, sign, middle_rad, most_rad in self._servos:
+            fractions[channel] = min(max((sign * sent.angle_rad[index] + middle_rad) / most_rad, -1.0), 1.0)
         return 0 if self._outlet.write(pulses.pack_command(self._counter, sent.run, fractions)) else len(self._motors)
 
     def repeat(self, now_s: float) -> int:

@@ -174,8 +174,10 @@ def _try(helm: Helm, command: console.Try, now_s: float) -> None:
     state, rows = helm.state, helm.settings.thrusters
     if state.mode is not Mode.TRIAL and not command.begin:
         raise Refused(f"trial refused: the boat is in mode {state.mode.name.lower()}: {state.reason}")
-    if any(len(parts) != len(rows) for _, parts in command.pieces):
-        raise Refused(f"trial refused: each piece has a part for each of {len(rows)} thrusters")
+    turning = sum(row.steer is not None for row in rows)
+    if any(len(parts) != len(rows) + turning for _, parts in command.pieces):
+        turns = f", and one for each of {turning} that turn" if turning else ""
+        raise Refused(f"trial refused: each piece has a part for each of {len(rows)} thrusters{turns}")
     played = state.setpoint.trial
     if state.mode is Mode.TRIAL and played is not None and played.number == command.number:
         state.manual_s = now_s

@@ -47,7 +47,7 @@ class Propulsion:
         elif hand is not None:
             asked, self.short = self._driven(*hand), None
         elif parts is not None:
-            asked, self.short = self.still._replace(thrust=parts, run=True), None
+            asked, self.short = self._tried(parts), None
         else:
             forces, angles, self.short = self._allocate(surge_n, sway_n, yaw_nm, was.angle_rad, dt_s)
             asked = _new(Actuation, (tuple(map(call, self._commands, forces)), angles, True))
@@ -71,6 +71,13 @@ class Propulsion:
         turn = 0.5 * (port - starboard)
         thrust = tuple(a * starboard + b * port for a, b, _ in self._by_hand)
         return Actuation(thrust, tuple(turn * angle_rad for _, _, angle_rad in self._by_hand), True)
+
+    def _tried(self, parts: tuple[float, ...]) -> Actuation:
+        """The parts of a trial, directly: of all thrusters, then of the greatest angles of those that turn."""
+        angles, count = list(self.still.angle_rad), len(self._names)
+        for limits, part in zip(self._limits.turning, parts[count:], strict=True):
+            angles[limits.row] = part * limits.most_rad
+        return Actuation(parts[:count], tuple(angles), True)
 
     def alone(self, row: int | None) -> None:
         """Thrust by hand, that of starboard, goes to this thruster alone; None: to all again, as their places are."""

@@ -1,6 +1,8 @@
 """The DroneCAN driver on a bus of this process: its frames, its timing, and the reports that come back."""
 
 import math
+from types import SimpleNamespace
+from typing import cast
 
 import msgspec
 import pytest
@@ -19,14 +21,17 @@ from delfim.canproxy.dronecan.datatypes import (
     RAW_COMMAND,
     RPM_COMMAND,
     SAFETY_STATE,
+    CommandKind,
 )
 from delfim.canproxy.dronecan.fields import DataType, pack, unpack
 from delfim.canproxy.dronecan.transfers import Publisher, TransferReceiver
 from delfim.canproxy.socket import ANYTHING
 from delfim.config import Steer, ThrusterTable
 from delfim.parts.dronecan.driver import ARMING_S, TWINS_S, ZERO_S
+from delfim.parts.dronecan.sim import Esc
 from delfim.parts.dronecan.table import Dronecan
 from delfim.simulator.lockstepbus import LockstepBus
+from delfim.simulator.model import Model
 from delfim.vehicle.links import Links
 from delfim.vehicle.propulsion.actuators import open_actuator
 from delfim.vehicle.state import Actuation, State, ThrusterReport
@@ -162,6 +167,26 @@ def test_what_turns_gets_its_angle_also_when_the_motor_stands(steer, kind, value
     assert bench.told() == [("RawCommand", (0,)), ("ArrayCommand", values)]
     bench.driver.repeat(0.05)
     assert ("ArrayCommand", values) in bench.told()
+
+
+@pytest.mark.parametrize(
+    ("changes", "part"), [({}, 0.5), ({"reversed": True}, -0.5), ({"reversed": True, "middle_deg": 6.0}, -0.3)]
+)
+def test_a_servo_that_is_mounted_anyhow_is_told_so_that_it_turns_right(changes, part):
+    row = ThrusterTable(
+        name="outboard",
+        driver="dronecan",
+        x_m=-2.0,
+        thrust_n=(-10.0, 20.0),
+        steer=Steer(kind="azimuth", address=7, angle_max_deg=30.0, **changes),
+    )
+    bench = Bench((row,))
+    bench.send(0.0, 0.0, angle_rad=(math.radians(15.0),), run=False)
+    assert bench.told()[1] == ("ArrayCommand", (7, 0, pytest.approx(part, abs=1e-3)))
+    model = cast(Model, SimpleNamespace(drives={"outboard": None}))
+    played = Esc(model, row, 20)
+    played.steer(CommandKind.UNITLESS, part)
+    assert math.degrees(played._angle_rad) == pytest.approx(15.0, abs=0.1)
 
 
 def test_fifteen_motors_with_a_rudder_each_are_commanded_whole():

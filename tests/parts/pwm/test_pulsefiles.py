@@ -1,17 +1,20 @@
 """Motors of every make move the simulated boat: in real time by pulses in files, in lock step as commanded."""
 
+import math
 from pathlib import Path
 
 import pytest
 
 from delfim import config
+from delfim.base import pulses
 from delfim.base.errors import DelfimError
 from delfim.parts.pwm import sim as pulsefiles
+from delfim.parts.pwm.driver import Pulses
 from delfim.parts.pwm.table import Pwm
 from delfim.simulator.lockstep import Lockstep
 from delfim.simulator.workspace import Workspace, settings_of
 from delfim.vehicle import console
-from delfim.vehicle.state import NoLog
+from delfim.vehicle.state import Actuation, NoLog
 
 
 def rows(driver: str, **changes: object) -> tuple[config.ThrusterTable, ...]:
@@ -68,6 +71,43 @@ def test_pulses_in_files_push_the_model(tmp_path: Path) -> None:
     motor.step(0.05, 0)
     assert model.told == {"outboard": (0.5, -0.262)}
     assert pulsefiles.nodes(config.Vehicle(boat=config.BoatTable(name="test"), thrusters=(row,)), model, 1) == {}, "a real chip"
+
+
+class Outlet:
+    """The outlet's socket, with the last record."""
+
+    def write(self, data: bytes) -> bool:
+        self.fractions = pulses.unpack_command(data).fractions
+        return True
+
+
+@pytest.mark.parametrize(
+    ("changes", "fractions"),
+    [({}, (0.5, -1.0)), ({"reversed": True}, (-0.5, 1.0)), ({"reversed": True, "middle_deg": 6.0}, (-0.3, 1.0))],
+)
+def test_a_servo_that_is_mounted_anyhow_gets_the_pulse_of_the_angle(changes, fractions) -> None:
+    steer = config.Steer(kind="rudder", address=5, angle_max_deg=30.0, **changes)
+    row = config.ThrusterTable(name="propeller", driver="pwm", x_m=-1.0, thrust_n=(-50.0, 100.0), steer=steer)
+    outlet = Outlet()
+    driver = Pulses(config.Vehicle(boat=config.BoatTable(name="test"), thrusters=(row,)), outlet)
+    for angle_deg, fraction in zip((15.0, -35.0), fractions, strict=True):
+        driver.send(Actuation((0.0,), (math.radians(angle_deg),), True), 0.0)
+        assert outlet.fractions[5] == pytest.approx(fraction)
+
+
+def test_a_servo_of_the_true_boat_turns_as_it_is_mounted(tmp_path: Path) -> None:
+    """The simulated servo is straight and not reversed: what is told it differs by how both files have it."""
+    files = list[Path]()
+    for name, more in (("told", "middle_deg = 4.0"), ("true", "reversed = true, middle_deg = 10.0")):
+        files.append(tmp_path / f"{name}.toml")
+        files[-1].write_text(
+            f"""[boat]\nname = "skiff"\n[[thrusters]]\nname = "outboard"\ndriver = "pwm"\nx_m = -2.0\nthrust_n = [-100.0, 150.0]
+steer = {{ kind = "azimuth", address = 1, {more} }}\n"""
+        )
+    told = settings_of(config.load(files[0]), Workspace(1, tmp_path), (), config.load(files[1]))
+    steer = config.load(files[0], told.overrides).thrusters[0].steer
+    assert steer is not None
+    assert (steer.reversed, steer.middle_deg) == (True, 6.0)
 
 
 def test_the_motors_of_a_front_seat_are_told_by_pulses_in_a_simulation(tmp_path: Path) -> None:

@@ -1,5 +1,6 @@
-"""Trial: each thruster has its own thrust, piece by piece, for finding out about the boat (docs/adopt.md). The manoeuvre ends
-with its last piece, and at once where the boat would leave its circle or turns too fast. The operator must go on asking for it.
+"""Trial: each thruster has its own thrust and angle, piece by piece, for finding out about the boat (docs/adopt.md). The
+manoeuvre ends with its last piece, and at once where the boat would leave its circle or turns too fast. The operator must go on
+asking for it.
 """
 
 import math
