@@ -151,6 +151,14 @@ OWN: Final = {  # in the order in which sources are listed
             ports=True,
         ),
         Part(
+            "ins",
+            "delfim.parts.ins.table:InsTable",
+            after="ping",
+            ask="delfim.parts.ins.ask",
+            source="delfim.parts.ins.source",
+            played="delfim.parts.ins.sim",
+        ),
+        Part(
             "ping",
             "delfim.parts.ping.table:PingTable",
             after="nmea0183",

@@ -6,10 +6,10 @@ A reader takes a payload and raises FormatError, whose text is a reason without 
 import math
 import struct
 from collections.abc import Callable
-from datetime import UTC, datetime
 from typing import Final, NamedTuple
 
 from delfim.base.errors import FormatError
+from delfim.lines.utc import utc_ns
 
 NAV_DOP, NAV_PVT, NAV_RELPOSNED = 0x0104, 0x0107, 0x013C
 NAMES: Final = {
@@ -75,11 +75,11 @@ def _pvt(payload: bytes) -> Solution:
     longitude, latitude, height_mm, _, accuracy_mm, _, north, east, _, _, _, velocity_accuracy, _, _, flags3, _, _, _ = rest
     if week_ms >= _WEEK_MS:
         raise FormatError("no time of week")
-    utc_ns = _utc_ns(year, month, day, hour, minute, second, nano) if valid & 7 == 7 else None
+    at_ns = utc_ns(year, month, day, hour, minute, second, nano) if valid & 7 == 7 else None
     age = flags3 >> 1 & 15
     corrections_s = _CORRECTION_AGES[age] if age < len(_CORRECTION_AGES) else CORRECTIONS_OLD_S
     if not flags & 1 or kind not in (2, 3, 4) or flags3 & 1:
-        return Solution(week_ms, utc_ns, 0, satellites, None, None, None, None, None, None, corrections_s)
+        return Solution(week_ms, at_ns, 0, satellites, None, None, None, None, None, None, corrections_s)
     if not (abs(latitude) <= 900_000_000 and abs(longitude) <= 1_800_000_000):
         raise FormatError("impossible position")
     if max(abs(north), abs(east)) > 1000.0 * _SPEED_MAX_MPS:
@@ -87,7 +87,7 @@ def _pvt(payload: bytes) -> Solution:
     fix = _CARRIER.get(flags >> 6) or (4 if flags & 2 else 2 if kind == 2 else 3)
     return Solution(
         week_ms,
-        utc_ns,
+        at_ns,
         fix,
         satellites,
         math.radians(latitude / 1e7),
@@ -103,15 +103,6 @@ def _pvt(payload: bytes) -> Solution:
 
 def _accuracy(thousandths: int) -> float | None:
     return thousandths / 1000.0 if 0 < thousandths < 1000.0 * _ACCURACY_MAX_M else None
-
-
-def _utc_ns(year: int, month: int, day: int, hour: int, minute: int, second: int, nano: int) -> int:
-    """UTC in nanoseconds. `nano` may be negative; a leap second counts as the second before. Raises FormatError."""
-    try:
-        at = datetime(year, month, day, hour, minute, min(second, 59), tzinfo=UTC)
-    except ValueError:
-        raise FormatError("no such time") from None
-    return round(at.timestamp()) * 1_000_000_000 + nano
 
 
 def _relposned(payload: bytes) -> Baseline:

@@ -86,7 +86,11 @@ class SimulatedInstruments:
         self._all = [one for each in placed(settings) for one in self._made(*each.split(":"))]
         if BOARD in settings.navigation.sources:
             self._all += self._board(settings)
-        self._all += _of_parts(settings, model, seed)
+        of_parts = tuple(_of_parts(settings, model, seed))
+        self._all += of_parts
+        for each in (one.sensor for one in of_parts):  # of an inertial navigation system
+            self.receivers += [each.receiver] if hasattr(each, "receiver") else []
+            self.compasses += [each.compass] if hasattr(each, "compass") else []
 
     @property
     def ports(self) -> frozenset[str]:
@@ -185,8 +189,9 @@ def port_devices(settings: config.Vehicle) -> dict[str, str]:
 
 
 def on_lines(settings: config.Vehicle) -> tuple[Part, ...]:
-    """The parts whose devices may be on lines of their own: of sensors of the boat's own, and all of a laboratory."""
-    own = (OWN[name] for name in settings.sensors.names if name in OWN)
+    """The parts whose devices may be on lines of their own: of the boat's own sensors and sources, and all of a laboratory."""
+    used = dict.fromkeys((*settings.sensors.names, *settings.navigation.sources))
+    own = (OWN[name] for name in used if name in OWN)
     return (*(part for part in own if part.played and hasattr(settings.table(part.name), "device")), *settings.aboard)
 
 
