@@ -23,6 +23,7 @@ from delfim.base.parts import OWN, OWN_NODES, TABLED, Drives, Part, named, of_ki
 from delfim.base.ranges import (
     BatteryVoltage,
     BitRate,
+    Bounds,
     Degrees,
     DsorNode,
     Fraction,
@@ -510,12 +511,14 @@ class FenceLeft(Trouble, frozen=True):
 
 
 class ThrusterAstray(Trouble, frozen=True):
-    """A thruster does not do as commanded, by its own report: it is dead, stuck, reversed or no longer heard."""
+    """A thruster does not do as commanded, by its own report: it is dead, stuck, reversed, overloaded or no longer heard."""
 
     error_rpm: Annotated[float, msgspec.Meta(gt=0.0, le=10_000.0)] = 300.0  # difference that is tolerated: this ...
     error: Fraction = 0.25  # ... plus this part of the command
     error_deg: Annotated[float, msgspec.Meta(gt=0.0, le=180.0)] = 20.0  # the same of what turns
     idle_rpm: Annotated[float, msgspec.Meta(gt=0.0, le=10_000.0)] = 100.0  # tolerated speed of one that was switched off
+    current_a: Annotated[float, msgspec.Meta(ge=0.0, le=10_000.0)] = 0.0  # more than this is an overload; 0: no limit
+    temperature_c: Annotated[float, msgspec.Meta(ge=0.0, le=1000.0)] = 0.0  # the same of its temperature
     after_s: Annotated[float, msgspec.Meta(ge=0.0, le=3600.0)] = 4.0  # for this long
     manual: ModeAction = "warn"
     disconnect: bool = True  # if a stopped propeller turns: disconnect its batteries until the program restarts
@@ -549,6 +552,36 @@ class Shallow(Trouble, frozen=True):
     min_depth_m: Annotated[float, msgspec.Meta(ge=0.0, le=1000.0)] = 0.0  # less than this below the transducer; 0: not watched
     after_s: Annotated[float, msgspec.Meta(ge=0.0, le=3600.0)] = 2.0  # for this long
     action: ActionName = "back"
+    manual: ModeAction = "warn"
+    home: ModeAction = "warn"
+
+
+class Stuck(Trouble, frozen=True):
+    """The thrusters push, and the boat goes neither forward nor round: it is aground, in weeds or nets, or the current is as
+    fast. Looked at where a mode goes somewhere: not by hand, and not while the boat holds."""
+
+    thrust: Fraction = 0.3  # of full thrust, or more ...
+    speed_mps: Annotated[float, msgspec.Meta(ge=0.0, le=5.0)] = 0.2  # ... and slower than this where twice as much is asked ...
+    turn_deg: Annotated[float, msgspec.Meta(gt=0.0, le=180.0)] = 45.0  # ... or so far off its heading, and not turning
+    after_s: Annotated[float, msgspec.Meta(ge=0.0, le=3600.0)] = 15.0  # for this long
+    action: ActionName = "hold"
+
+
+class Capsized(Trouble, frozen=True):
+    """The boat lies on its side, or keel up. A roll that nobody measures is none."""
+
+    roll_deg: Annotated[float, msgspec.Meta(gt=0.0, le=180.0)] = 60.0  # to either side, more than this
+    after_s: Annotated[float, msgspec.Meta(ge=0.0, le=3600.0)] = 3.0  # for this long
+
+
+class Beyond(Trouble, frozen=True):
+    """A value of a sensor is beyond a bound of the file. A value that is not known, or older than `sensors.stale_s`, is not
+    beyond it."""
+
+    above: Bounds = msgspec.field(default_factory=dict)  # by the names of values, as {water_c = 40.0}
+    below: Bounds = msgspec.field(default_factory=dict)
+    after_s: Annotated[float, msgspec.Meta(ge=0.0, le=3600.0)] = 2.0  # for this long
+    action: ActionName = "home"
     manual: ModeAction = "warn"
     home: ModeAction = "warn"
 
@@ -644,6 +677,9 @@ class Failsafe(Table, frozen=True):
     gnss_poor: GnssPoor = GnssPoor()
     handset_silent: HandsetSilent = HandsetSilent()
     shallow: Shallow = Shallow()
+    stuck: Stuck = Stuck()
+    capsized: Capsized = Capsized()
+    beyond: Beyond = Beyond()
     log: LogNotWritable = LogNotWritable()
     traffic: TrafficNear = TrafficNear()
     traffic_close: TrafficClose = TrafficClose()

@@ -19,7 +19,7 @@ TROUBLES: Final = (  # bit n of the field `troubles` is the n-th: docs/failsafe.
     *("control", "navigation_jumping", "navigation_silent", "navigation_frozen", "sensor_bad", "battery_critical", "thruster"),
     *("manual_silent", "console_silent", "guest_silent", "fence", "battery_low", "log", "gnss_poor", "kill", "handset_silent"),
     *("shallow", "traffic", "traffic_close", "ais_silent", "fence_left", "traffic_unclear", "restarted", "outlet"),
-    *("navigation_twice", "energy"),
+    *("navigation_twice", "energy", "stuck", "capsized", "beyond"),
 )
 ACTIONS: Final = ("warn", "disconnect", "hold", "back", "home", "stop")  # from harmless to severe; disconnect is for idle alone
 IDLE: Final = "idle"

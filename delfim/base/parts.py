@@ -21,7 +21,7 @@ if TYPE_CHECKING:  # its import takes as long as that of all tables, and few fil
 
 GROUP: Final = "delfim.parts"
 API: Final = 1  # of the rows and of `delfim.api`: a part that was made for another one is refused
-TROUBLES: Final = range(26, 31)  # numbers for the troubles of parts: bits in the state log, of which the boat's own are lower
+TROUBLES: Final = range(29, 31)  # numbers for the troubles of parts: bits in the state log, of which the boat's own are lower
 OF_FILE: Final = Table  # in a row of the boat's own, whose keys every vehicle's file has
 
 

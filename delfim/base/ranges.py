@@ -12,6 +12,14 @@ Name = Annotated[str, text("[A-Za-z][A-Za-z0-9_-]{0,31}", "a letter, then up to 
 Fraction = Annotated[float, msgspec.Meta(ge=0.0, le=1.0)]
 BatteryVoltage = Annotated[float, msgspec.Meta(ge=0.0, le=1000.0)]
 Seconds = Annotated[float, msgspec.Meta(ge=0.001, le=3600.0)]
+ValueName = Annotated[
+    str,
+    text(
+        r"([A-Za-z][A-Za-z0-9_-]{0,31}\.)?[A-Za-z][A-Za-z0-9_]{0,31}",
+        "a sensor's value, as depth_m, or PAYLOAD.NAME of a payload program",
+    ),
+]
+Bounds = Annotated[dict[ValueName, Annotated[float, msgspec.Meta(ge=-1e15, le=1e15)]], msgspec.Meta(max_length=16)]
 Moment = Annotated[float, msgspec.Meta(ge=0.1, le=3600.0)]  # s: not below the period of the watchdog
 Metres = Annotated[float, msgspec.Meta(ge=0.01, le=10_000.0)]
 Speed = Annotated[float, msgspec.Meta(ge=0.05, le=30.0)]  # m/s: a slower boat does not move, and says that it does

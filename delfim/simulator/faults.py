@@ -18,7 +18,7 @@ from delfim.simulator.nodes import Nodes
 from delfim.simulator.nodes.measuring import Compass, GnssReceiver
 from delfim.simulator.nodes.navigation import SATELLITES, NavigationNode
 from delfim.simulator.nodes.other_vessels import Shipping
-from delfim.simulator.propulsor import Drive
+from delfim.simulator.propulsor import Drive, DriveFault
 from delfim.vehicle.grex import Guest
 from delfim.vehicle.state import State, StateLog
 
@@ -56,6 +56,9 @@ Kind = Literal[
     "outlet_silent",
     "restarted",
     "navigation_forged",
+    "weeds",
+    "capsized",
+    "thruster_fouled",
 ]
 KINDS: Final[tuple[str, ...]] = get_args(Kind)
 ABOARD: Final = frozenset(
@@ -64,7 +67,10 @@ ABOARD: Final = frozenset(
 SENSORS: Final = ("gps", "propeller_starboard", "propeller_port", "batteries_starboard", "batteries_port")
 WHERE: Final = dict.fromkeys(("sensor_bad", "sensor_silent"), SENSORS)
 PARTS: Final = "navigation_silent", "navigation_frozen"  # of one kind of sensor, or of all and the navigation node
-OF_THRUSTERS: Final = ("thruster_dead", "thruster_stuck", "thruster_reversed", "battery_sag")  # at a row of the vehicle's file
+OF_THRUSTERS: Final = (  # at a row of the vehicle's file
+    *("thruster_dead", "thruster_stuck", "thruster_reversed", "thruster_fouled", "battery_sag"),
+)
+DRIVE_FAULTS: Final[dict[str, DriveFault]] = {f"thruster_{each}": each for each in get_args(DriveFault)}
 OF_COMPASS: Final = ("heading_jumping", "compass_cable", "gyro_drift")  # on a boat that has one
 OF_PULSES: Final = ("outlet_silent",)  # in lock step, where motors are told by pulses
 OF_AIS: Final = ("ais_silent", "ais_frozen", "ais_late", "ais_wrong")  # where there are other vessels
@@ -82,6 +88,8 @@ VALUES: Final = {  # default, and its meaning
     "compass_cable": (6.0, "degrees for each ampere of the first thruster"),
     "gyro_drift": (1.0, "degrees a second more each minute"),
     "navigation_forged": (-60.0, "degrees by which a second sender turns each heading"),
+    "weeds": (5.0, "seconds of thrust astern until they give"),
+    "capsized": (180.0, "degrees of roll, starboard down"),
     "ais_late": (60.0, "seconds"),
     "ais_wrong": (2000.0, "metres, at most, each time another way"),
     "restarted": (2.0, "seconds, in lock step, that the program is not there"),
@@ -238,6 +246,10 @@ class Faults(Broken):
             case "shallow":
                 model = self.model
                 model.bank = Bank(model.north_m, model.east_m, value) if on else None
+            case "weeds":
+                self.model.weeds_s = max(value, 0.0) if on else 0.0
+            case "capsized":
+                self.model.heel_rad = math.radians(value)
             case "heading_jumping" | "compass_cable" | "gyro_drift":
                 for compass in self.nodes.compasses:
                     _disturb(compass, kind, math.radians(value))
@@ -247,12 +259,8 @@ class Faults(Broken):
                 self.nodes.sensors[where].bad = on
             case "sensor_silent":
                 self.nodes.sensors[where].silent = on
-            case "thruster_dead":
-                self._drive(where).fault = "dead" if on else None
-            case "thruster_stuck":
-                self._drive(where).fault = "stuck" if on else None
-            case "thruster_reversed":
-                self._drive(where).fault = "reversed" if on else None
+            case _ if kind in DRIVE_FAULTS:
+                self._drive(where).fault = DRIVE_FAULTS[kind] if on else None
             case "battery_sag" if on:
                 drive = self._drive(where)
                 drive.charge = min(drive.charge, max(value, 0.0))

@@ -140,6 +140,9 @@ Push = tuple[float, tuple[float, float, float] | None, float, float]
 nothing; for a propeller of DelfimX None, its thrust coefficients at rest and their loss per m/s of speed ahead."""
 
 
+FOULED: Final = 3.0  # times the current of a propeller that turns freely
+
+
 class Bank(NamedTuple):
     """A round shoal, BANK_M about its middle."""
 
@@ -189,6 +192,8 @@ class Model:
         self.north_m = self.east_m = 0.0  # from where it started
         self.bed: SeaBed | None = None
         self.bank: Bank | None = None
+        self.weeds_s = 0.0  # weeds hold the hull until it was pulled astern for so long; 0: none do
+        self.heel_rad = 0.0  # of a boat that has capsized
         self.heading_rad = heading_rad % math.tau  # 0..2 pi, true north
         self.surge_mps = self.sway_mps = 0.0  # through the water, positive ahead and to starboard
         self.yaw_rate_radps = 0.0  # positive to starboard
@@ -233,7 +238,11 @@ class Model:
         self._gust(dt_s)
         air = self._air()
         for _ in range(steps):
-            self._move(h, self._pushing(h), air)
+            pushes = self._pushing(h)
+            if self.weeds_s:
+                self._stay(h, pushes)
+            else:
+                self._move(h, pushes, air)
         self.time_s += dt_s
 
     @property
@@ -284,7 +293,7 @@ class Model:
 
     @property
     def roll_rad(self) -> float:
-        return self._wave_rad * math.sin(2.1 * self.time_s + self._roll_phase)
+        return self.heel_rad + self._wave_rad * math.sin(2.1 * self.time_s + self._roll_phase)
 
     @property
     def pitch_rad(self) -> float:
@@ -323,6 +332,8 @@ class Model:
             )
         else:
             drive.rpm = rpm = before_rpm * math.exp(-h / coast_s)
+        if drive.fault == "fouled":
+            motor_a *= FOULED
         drive.motor_a = motor_a
         drive.current_a = current_a = motor_a + idle_a if powered else 0.0
         left = drive.charge - current_a * h / capacity_as
@@ -364,6 +375,15 @@ class Model:
         self.heading_rad = (heading + h * rm) % math.tau
         self.north_m += h * (um * c - vm * s + self.current_north_mps)
         self.east_m += h * (um * s + vm * c + self.current_east_mps)
+
+    def _stay(self, h: float, pushes: list[Push]) -> None:
+        """Weeds hold the hull for a step, and give when it is pulled astern."""
+        c, s = math.cos(self.heading_rad), math.sin(self.heading_rad)
+        self.surge_mps = -self.current_north_mps * c - self.current_east_mps * s
+        self.sway_mps = self.current_north_mps * s - self.current_east_mps * c
+        self.yaw_rate_radps = 0.0
+        if sum([bollard if force is None else force[0] for _, force, bollard, _ in pushes]) < 0.0:
+            self.weeds_s = max(self.weeds_s - h, 0.0)
 
     def _accelerations(
         self, u: float, v: float, r: float, c: float, s: float, pushes: list[Push], air: tuple[float, float] | None

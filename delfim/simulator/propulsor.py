@@ -9,8 +9,8 @@ from delfim.config import ThrusterTable
 from delfim.vehicle.control.thrustcurve import Curve, Law, Points
 
 DriveFault = Literal[
-    "dead", "stuck", "reversed"
-]  # gives nothing; keeps its revolutions while it has current; turns the other way
+    "dead", "stuck", "reversed", "fouled"
+]  # gives nothing; keeps its revolutions while it has current; turns the other way; draws more current
 
 VOLTAGE_V: Final = 48.0  # of a battery bank, half full and at rest
 AMBIENT_C: Final = 16.0
@@ -79,7 +79,8 @@ class Drive:
         """Whether the motor of a thruster with a fault is driven, and its rpm."""
         if self.fault == "stuck":
             return self.powered, self.rpm
-        return self.run and self.powered and self.fault != "dead", -self.reference_rpm
+        wanted_rpm = -self.reference_rpm if self.fault == "reversed" else self.reference_rpm
+        return self.run and self.powered and self.fault != "dead", wanted_rpm
 
     @property
     def part(self) -> float:

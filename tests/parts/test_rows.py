@@ -91,7 +91,7 @@ def test_only_what_is_named_is_imported(laboratory):
         (
             "odd:PART",
             "from delfim.api import *\nPART = Part('odd', troubles=(TroubleRow('wet', 3, Trouble, 'odd:wet'),))",
-            "trouble wet has number 3 (allowed: 26 to 30)",
+            "trouble wet has number 3 (allowed: 29 to 30)",
         ),
     ],
 )
@@ -135,10 +135,10 @@ def test_the_file_is_checked_against_what_a_driver_can_drive(laboratory):
 def test_two_troubles_with_one_number_are_refused(laboratory):
     installed(laboratory, "trouble")
     known(laboratory, "wet", "wet:PART")
-    row = "from delfim.api import *\nPART = Part('wet', troubles=(TroubleRow('wet', 26, Trouble, 'wet:sees'),))"
+    row = "from delfim.api import *\nPART = Part('wet', troubles=(TroubleRow('wet', 29, Trouble, 'wet:sees'),))"
     (laboratory / "wet.py").write_text(row)
     words = refused('parts.example_trouble="1.0"', 'parts.wet="1.0"')
-    assert words == "parts.wet: its trouble wet has number 26, as few_satellites has"
+    assert words == "parts.wet: its trouble wet has number 29, as few_satellites has"
 
 
 def test_a_service_has_a_process_of_its_own_unless_the_file_says_otherwise(laboratory):

@@ -38,7 +38,7 @@ SETTINGS = config.Vehicle(
     boat=config.BoatTable(name="test"),
     thrusters=(*config.Vehicle(boat=config.BoatTable(name="test")).thrusters, BOW),
     handset=config.HandsetTable(device="/dev/receiver"),
-    failsafe=config.Failsafe(shallow=config.Shallow(min_depth_m=1.0)),
+    failsafe=config.Failsafe(shallow=config.Shallow(min_depth_m=1.0), beyond=config.Beyond(above={"bilge.leak": 0.5})),
     energy=EnergyTable(capacity_wh=1000.0),
 )
 RULES = Rules(SETTINGS, triggers(SETTINGS))
@@ -110,8 +110,6 @@ def troubled(trigger: AnyTrigger, mode: Mode, now_s: float = 100.0) -> tuple[Sta
             here.killed = Killed("kill switch: pressed")
         case Trigger.HANDSET_SILENT:
             here.handset = HandsetReport(now_s - 1.1, 0.0, 0.0, takes=False, kills=False)
-        case Trigger.SHALLOW:
-            here.measured["depth_m"] = 0.9, now_s
         case OF_PARTS.ENERGY:
             here.energy = EnergyFacts(left_wh=300.0, home_wh=160.0, reserve_wh=150.0)
         case OF_PARTS.TRAFFIC:
@@ -130,7 +128,23 @@ def troubled(trigger: AnyTrigger, mode: Mode, now_s: float = 100.0) -> tuple[Sta
             here.restarted = "it was in play; hold now"
         case Trigger.LOG:
             inputs = Inputs("disk full", None)
+        case _:
+            _harm(here, trigger, now_s)
     return here, inputs
+
+
+def _harm(here: State, trigger: AnyTrigger, now_s: float) -> None:
+    """Bring about a trouble of the hull."""
+    match trigger:
+        case Trigger.SHALLOW:
+            here.measured["depth_m"] = 0.9, now_s
+        case Trigger.STUCK:
+            here.reference = Reference(speed_mps=1.0)
+        case Trigger.CAPSIZED:
+            assert here.navigation is not None
+            here.navigation = here.navigation._replace(roll_rad=-1.5)
+        case Trigger.BEYOND:
+            here.measured["bilge.leak"] = 1.0, now_s
 
 
 def watched(trigger: AnyTrigger, mode: Mode, seconds: float, rules: Rules = RULES) -> Verdict:
@@ -169,6 +183,9 @@ TABLE: dict[AnyTrigger, tuple[Action, dict[Mode, Action]]] = {
     Trigger.OUTLET: (Action.STOP, {}),
     Trigger.RESTARTED: (Action.WARN, {}),
     Trigger.NAVIGATION_TWICE: (Action.STOP, {Mode.MANUAL: Action.WARN}),
+    Trigger.STUCK: (Action.HOLD, {Mode.MANUAL: Action.NONE, Mode.HOLD: Action.NONE, Mode.TRIAL: Action.NONE}),
+    Trigger.CAPSIZED: (Action.STOP, {}),
+    Trigger.BEYOND: (Action.HOLD, {Mode.MANUAL: Action.WARN, Mode.HOME: Action.WARN}),
     Trigger.SHALLOW: (Action.BACK, {Mode.MANUAL: Action.WARN, Mode.HOME: Action.WARN}),
 }
 

@@ -54,6 +54,8 @@ SETTINGS = config.Vehicle(
         log=config.LogNotWritable(after_s=0.2),
         gnss_poor=config.GnssPoor(after_s=0.2),
         shallow=config.Shallow(min_depth_m=1.0, after_s=0.2),
+        capsized=config.Capsized(after_s=0.2),
+        beyond=config.Beyond(above={"bilge.leak": 0.5}, after_s=0.2, action="hold"),
         handset_silent=config.HandsetSilent(after_s=0.5),
         fence_left=config.FenceLeft(after_s=0.2),
     ),
@@ -84,7 +86,7 @@ VALUES = {
 }
 AGES_S = (0.0, 0.8, 1.2, 1.6)  # of the last navigation message at the end
 UNTOLD = {  # by values and ages; a battery is critical here; pulses have no outlet here
-    *(Trigger.CONTROL, Trigger.NAVIGATION_SILENT, Trigger.BATTERY_LOW, Trigger.OUTLET),
+    *(Trigger.CONTROL, Trigger.NAVIGATION_SILENT, Trigger.BATTERY_LOW, Trigger.OUTLET, Trigger.STUCK),
 }
 OF_PARTS = triggers(SETTINGS)
 TROUBLES = ("none", *(trigger.name.lower() for trigger in (*Trigger, *OF_PARTS) if trigger not in UNTOLD))
@@ -99,12 +101,13 @@ class Sensors:
     name, heard_s = "test", 0.0
 
     def __init__(self, socket: CanSocket) -> None:
-        self.socket, self.says, self.frozen, self.jump_rad = socket, HERE, False, 0.0
+        self.socket, self.says, self.frozen, self.jump_rad, self.heel_rad = socket, HERE, False, 0.0, 0.0
 
     def read(self, now_s: float) -> Fix:
         said = self.says
         self.says = said._replace(
-            counter=said.counter + 1, roll_rad=said.roll_rad if self.frozen else 0.01 * (said.counter % 2)
+            counter=said.counter + 1,
+            roll_rad=said.roll_rad if self.frozen else self.heel_rad + 0.01 * (said.counter % 2),
         )
         if self.jump_rad and said.latitude_rad is not None:
             return Fix(self.says._replace(latitude_rad=said.latitude_rad + self.jump_rad), 0, now_s)
@@ -193,6 +196,10 @@ class Boat:
             self.state.twice.extend([self.clock.monotonic_s()] * 3)
         if trouble == "shallow":
             self.state.measured["depth_m"] = 0.5, self.clock.monotonic_s()
+        if trouble == "capsized":
+            self.source.heel_rad = 3.0
+        if trouble == "beyond":
+            self.state.measured["bilge.leak"] = 1.0, self.clock.monotonic_s()
         if trouble in ("traffic", "traffic_close"):
             level: Literal["near", "danger"] = "near" if trouble == "traffic" else "danger"
             self.state.traffic = Traffic(dangers=(Danger("1", 40.0, 90.0, 0.5, level, f"MARIA: {level}"),))
@@ -242,12 +249,14 @@ def must_be_zero(mode: Mode, age_s: float, value: Value, trouble: str) -> bool:
         "console_silent": mode not in (Mode.MANUAL, Mode.HOME),
         "guest_silent": mode is Mode.GREX,
         "shallow": mode not in (Mode.MANUAL, Mode.HOME),
+        "beyond": mode not in (Mode.MANUAL, Mode.HOME),
         "fence": mode is not Mode.MANUAL or value.missing != "position",
     }.get(trouble, False)
     stops = {
         "navigation_jumping": value.missing != "position",
         "sensor_bad": True,
         "kill": True,
+        "capsized": True,
         "manual_silent": mode is Mode.MANUAL,
         "fence_left": mode is not Mode.MANUAL or value.missing != "position",  # by hand outwards: it holds, and is stopped
         "console_silent": mode is Mode.MANUAL,

@@ -53,7 +53,7 @@ def test_the_numbers_of_the_troubles_are_bits_of_the_log() -> None:
         *("CONTROL", "NAVIGATION_JUMPING", "NAVIGATION_SILENT", "NAVIGATION_FROZEN", "SENSOR_BAD", "BATTERY_CRITICAL"),
         *("THRUSTER", "MANUAL_SILENT", "CONSOLE_SILENT", "GUEST_SILENT", "FENCE", "BATTERY_LOW", "LOG", "GNSS_POOR", "KILL"),
         *("HANDSET_SILENT", "SHALLOW", "TRAFFIC", "TRAFFIC_CLOSE", "AIS_SILENT", "FENCE_LEFT", "TRAFFIC_UNCLEAR"),
-        *("RESTARTED", "OUTLET", "NAVIGATION_TWICE", "ENERGY"),
+        *("RESTARTED", "OUTLET", "NAVIGATION_TWICE", "ENERGY", "STUCK", "CAPSIZED", "BEYOND"),
     )
     assert {name.lower(): number for number, name in enumerate(names)} == NUMBERS
     assert {trigger.name: int(trigger) for trigger in TRIGGERS} == {name: number for number, name in enumerate(names)}
@@ -471,3 +471,101 @@ def test_a_thruster_is_astray_beyond_its_limits(row, thrust, run, report, words)
     assert unstopped(settings, here, NOW_S) == (() if run else tuple(found))
     here.actuation = Actuation((), (), run)
     assert astray(settings, here, NOW_S) == {}, "nothing was commanded yet"
+
+
+def going(speed_mps: float, asked_mps: float, thrust: float, mode: Mode = Mode.PLAY) -> State:
+    here = state(mode)
+    here.motion = here.motion._replace(north_mps=speed_mps)
+    here.actuation, here.reference = Actuation((thrust,) * 3, (0.0,) * 3, True), Reference(speed_mps=asked_mps)
+    return here
+
+
+@pytest.mark.parametrize(
+    ("speed_mps", "asked_mps", "thrust", "mode", "is_told"),
+    [
+        (0.19, 0.4, 0.3, Mode.PLAY, True),
+        (0.2, 0.4, 0.3, Mode.PLAY, False),
+        (0.0, 0.39, 0.3, Mode.PLAY, False),
+        (0.0, 1.5, 0.29, Mode.PLAY, False),
+        (0.0, 1.5, -0.9, Mode.HEADING, False),
+        *((0.0, 1.5, 0.9, mode, mode not in (Mode.IDLE, Mode.MANUAL, Mode.HOLD, Mode.TRIAL)) for mode in Mode),
+    ],
+)
+def test_a_boat_that_pushes_and_does_not_go_is_stuck(speed_mps, asked_mps, thrust, mode, is_told) -> None:
+    here = going(speed_mps, asked_mps, thrust, mode)
+    assert (seen(Trigger.STUCK, here) is not None) is is_told
+    here.motion = here.motion._replace(has=frozenset({"heading", "position"}))
+    assert seen(Trigger.STUCK, here) is None, "nobody knows its speed"
+
+
+def test_a_push_to_the_side_is_none_ahead() -> None:
+    first, *others = SETTINGS.thrusters
+    rows = first, *(WITH(row, driver="pwm", angle_deg=90.0) for row in others)
+    here = going(0.0, 1.5, 0.9)
+    here.actuation = here.actuation._replace(thrust=(0.2, 0.9, 0.9))
+    assert seen(Trigger.STUCK, here, settings=WITH(SETTINGS, thrusters=rows)) is None
+
+
+@pytest.mark.parametrize(
+    ("off_deg", "turn_dps", "thrust", "is_told"),
+    [
+        (46.0, 1.4, 0.3, True),
+        (44.0, 0.0, 0.3, False),
+        (-90.0, 1.6, 0.9, False),
+        (-90.0, -1.4, 0.9, True),
+        (90.0, 0.0, 0.2, False),
+    ],
+)
+def test_a_boat_that_does_not_turn_is_stuck(off_deg, turn_dps, thrust, is_told) -> None:
+    here = going(1.0, 1.0, thrust)
+    here.reference = Reference(heading_rad=math.radians(off_deg), speed_mps=1.0)
+    here.motion = here.motion._replace(yaw_rate_radps=math.radians(turn_dps))
+    words = f"stuck: {abs(off_deg):.0f} degrees off its heading, and it does not turn at {thrust:.0%} thrust"
+    assert seen(Trigger.STUCK, here) == (words if is_told else None)
+
+
+@pytest.mark.parametrize(("roll_deg", "is_told"), [(60.5, True), (-60.5, True), (59.5, False), (None, False)])
+def test_a_boat_on_its_side_has_capsized(roll_deg, is_told) -> None:
+    here = state(Mode.HOLD)
+    assert here.navigation is not None
+    here.navigation = here.navigation._replace(roll_rad=None if roll_deg is None else math.radians(roll_deg))
+    assert (seen(Trigger.CAPSIZED, here) is not None) is is_told
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "age_s", "words"),
+    [
+        ("bilge.leak", 0.6, 5.0, "bilge.leak is 0.6, above 0.5"),
+        ("bilge.leak", 0.5, 0.0, None),
+        ("bilge.leak", 0.6, 5.1, None),
+        ("bilge.leak", math.nan, 0.0, None),
+        ("volts", 10.9, 0.0, "volts is 10.9, below 11"),
+        ("volts", 11.0, 0.0, None),
+        ("other", 99.0, 0.0, None),
+    ],
+)
+def test_a_value_is_beyond_its_bound_while_it_is_fresh(name, value, age_s, words) -> None:
+    here = state(Mode.PLAY)
+    here.measured[name] = value, NOW_S - age_s
+    bounds = config.Beyond(above={"bilge.leak": 0.5}, below={"volts": 11.0})
+    own = WITH(SETTINGS, failsafe=WITH(SETTINGS.failsafe, beyond=bounds))
+    assert seen(Trigger.BEYOND, here, settings=own) == words
+
+
+@pytest.mark.parametrize(
+    ("told", "runs", "words"),
+    [
+        ({"current_a": 25.1}, True, "port thruster is overloaded: 25 A of 25"),
+        ({"current_a": 25.0, "temperature_c": 80.0}, True, None),
+        ({"temperature_c": 80.6}, True, "port thruster is too hot: 81 of 80 degrees"),
+        ({"temperature_c": 90.0}, False, None),
+        ({}, True, None),
+    ],
+)
+def test_a_motor_is_overloaded_by_what_it_tells(told, runs, words) -> None:
+    limits = WITH(SETTINGS.failsafe.thruster, current_a=25.0, temperature_c=80.0)
+    own = WITH(SETTINGS, failsafe=WITH(SETTINGS.failsafe, thruster=limits))
+    here = state(Mode.PLAY if runs else Mode.IDLE)
+    here.thrusters["port"] = here.thrusters["port"]._replace(**told)
+    assert astray(own, here, NOW_S).get("port") == words
+    assert "port" not in astray(SETTINGS, here, NOW_S), "without limits nothing is too much"

@@ -140,6 +140,8 @@ def is_astray(look: Glance, i: int) -> bool | None:
         return None
     if report is None:
         return False
+    if limits.current_a or limits.temperature_c:
+        return None
     is_old = look.now_s - report.heard_s > FRESH_S
     if is_old or report.rpm is None or not rpm_max or report.refuses or report.angle_rad is not None:
         return False if look.settings.drives(row).nodes or not sent.run else None
@@ -228,6 +230,18 @@ def shallow(look: Glance) -> bool | None:
     return depth_m < look.settings.failsafe.shallow.min_depth_m and look.now_s - at_s <= look.settings.sensors.stale_s
 
 
+def capsized(look: Glance) -> bool | None:
+    n, most_deg = look.state.navigation, look.settings.failsafe.capsized.roll_deg
+    return n is not None and n.roll_rad is not None and abs(math.degrees(n.roll_rad)) > most_deg
+
+
+def beyond(look: Glance) -> bool | None:
+    limits, stale_s = look.settings.failsafe.beyond, look.settings.sensors.stale_s
+    fresh = {name: value for name, (value, at_s) in look.state.measured.items() if look.now_s - at_s <= stale_s}
+    is_high = any(fresh.get(name, -math.inf) > most for name, most in limits.above.items())
+    return is_high or any(fresh.get(name, math.inf) < least for name, least in limits.below.items())
+
+
 CONDITIONS: Final[dict[str, Condition]] = {
     "control": control,
     "navigation_jumping": navigation_jumping,
@@ -245,6 +259,8 @@ CONDITIONS: Final[dict[str, Condition]] = {
     "gnss_poor": gnss_poor,
     "kill": lambda look: bool(look.state.killed.reason),
     "shallow": shallow,
+    "capsized": capsized,
+    "beyond": beyond,
     "fence_left": fence_left,
     "restarted": lambda look: bool(look.state.restarted),
     "navigation_twice": navigation_twice,

@@ -19,7 +19,7 @@ from delfim.vehicle.loop import HELD_BY_HAND
 REFUSED: Final = " refused"
 NO_ORDERS: Final = (  # words of a console, and of the program, that ask nothing of the boat; of payloads and parts, which
     # campaigns lack
-    *("alive", "state", "watch", "return", "payload", "sight", "sampled", "order", "trial"),
+    *("alive", "state", "watch", "return", "payload", "sight", "sampled", "order", "ordered", "trial"),
 )
 OBEYED_ALWAYS: Final = ("stop", "kill", "leave", "speed", "rally", "take", "shutdown")  # by the helm, whatever happens
 
@@ -60,7 +60,7 @@ def _all_but(things: Iterable[str], *names: str) -> frozenset[str]:
 
 _SAILING: Final = _all_but(MODES.values(), "mode idle")
 _KILL: Final = _troubles("kill")
-_UNDER_WAY: Final = _troubles("control navigation_frozen manual_silent console_silent guest_silent fence_left")
+_UNDER_WAY: Final = _troubles("control navigation_frozen manual_silent console_silent guest_silent fence_left stuck")
 _MOVING: Final = frozenset({"action hold", "action back", "action home"})
 _STOPPED: Final = frozenset({"action stop", "action disconnect"}) | _KILL | _troubles("control")
 _BEGIN: Final = _orders("manual heading course goto continue play")  # orders that enter a mode
@@ -115,6 +115,11 @@ IMPOSSIBLE: Final = (
         _troubles("fence_left"),
         _orders("heading course goto play continue"),
         "a boat outside its fence is driven by hand alone",
+    ),
+    Never(
+        _troubles("stuck"),
+        frozenset({"mode manual", "mode hold"}),
+        "by hand and in hold nobody looks whether the boat goes",
     ),
     Never(_MOVING, _orders("unload-refused"), "a boat that holds or goes home sails no mission any more"),
     Never(_orders("unload"), frozenset({"mode play", "mode path"}), "what is sailed is kept"),

@@ -23,10 +23,9 @@ from delfim.vehicle.log.logbook import Logbook
 
 MIXED: Final = "mixed"
 START_S, QUIET_S = 8.0, 15.0  # no fault before the boat is ready, nor at the end
+OTHERS: Final = "corrections_lost", "restarted", "navigation_forged", "weeds", "capsized", "thruster_fouled"
 MIXABLE: Final = tuple(
-    kind
-    for kind in KINDS
-    if kind not in (*OF_COMPASS, *OF_AIS, *OF_PULSES, "corrections_lost", "restarted", "navigation_forged")
+    kind for kind in KINDS if kind not in (*OF_COMPASS, *OF_AIS, *OF_PULSES, *OTHERS)
 )  # others need more parts
 HALF_M: Final = 65.0  # distance of the fence's sides from the start
 

@@ -39,6 +39,9 @@ SWIFT: Final[Words] = {  # troubles that need not last as long as at sea
     "thruster": {"after_s": 3.0},  # a motor that is stopped coasts for two seconds
     "gnss_poor": {"after_s": 1.0},
     "shallow": {"after_s": 0.5},
+    "stuck": {"after_s": 1.5},
+    "capsized": {"after_s": 0.5},
+    "beyond": {"after_s": 0.5},
     "ais_silent": {"after_s": 2.0},
     "log": {"after_s": 1.0},
     "navigation_frozen": {"after_s": 1.0},
@@ -59,6 +62,8 @@ AT_S: Final = 4.0  # the boat is ready
 CAPACITY_WH: Final = 20_000.0  # about that of the simulated batteries
 EASY: Final = ("log", "gnss_poor", "battery_low", "sensor_bad", "sensor_bad", "handset_silent")  # come when they are asked for
 WITHOUT_TABLE: Final = ("control", "kill", "restarted")  # what the boat does for them is not a matter of its file
+OF_DEPTH: Final[Words] = {"shallow": {"min_depth_m": 1.0}, "beyond": {"below": {"depth_m": 1.0}}}
+BROKEN: Final = {"console_silent": "console_lost", "guest_silent": "guest_lost", "outlet": "outlet_silent", "stuck": "weeds"}
 OF_VESSELS: Final = ("traffic", "traffic_close", "traffic_unclear", "ais_silent")
 HARMLESS: Final = (  # orders after which the boat goes on as before
     *("take", "set", "rally", "speed", "leg", "arm", "goto refused", "mode refused", "mission refused", "upload refused"),
@@ -263,10 +268,12 @@ class _Aimed:
                 self._break(random.choice(kinds), at_s)
             case "log":
                 self._break(random.choice(("disk_full", "disk_full", "disk_slow")), at_s)
-            case "shallow":
+            case "shallow" | "beyond":
                 self._hears()
-                self._lay({"failsafe": {"shallow": {"min_depth_m": 1.0}}})
+                self._lay({"failsafe": {trouble: OF_DEPTH[trouble]}})
                 self._break("shallow", at_s)
+            case "capsized":
+                self._blink("capsized", at_s, 3.0, 6.0)
             case _ if trouble in OF_VESSELS:
                 self._meets(trouble, at_s)
             case "restarted":
@@ -277,10 +284,8 @@ class _Aimed:
                 self._by_hand(HandsetAt(at_s=at_s, kill=True), HandsetAt(at_s=at_s + random.uniform(1.0, 9.0)))
             case "kill":
                 self.orders += [{"at_s": at_s, "command": "kill"}]
-            case "console_silent" | "guest_silent":
-                self._break(trouble.replace("silent", "lost"), at_s)
-            case "outlet":
-                self._break("outlet_silent", at_s)
+            case _ if trouble in BROKEN:
+                self._break(BROKEN[trouble], at_s)
 
     def _hears(self) -> None:
         self._lay({"sensors": {"names": [*dict.fromkeys((*self.vehicle.sensors.names, "nmea2000"))]}})

@@ -22,12 +22,14 @@ from delfim.vehicle.failsafe import nodehealth
 from delfim.vehicle.navigation import gnss
 from delfim.vehicle.plans.fence import Fence, ahead, left, outside
 from delfim.vehicle.report import HandsetReport
-from delfim.vehicle.state import State
+from delfim.vehicle.state import Actuation, State, ThrusterReport
 from delfim.vehicle.target import NEVER_S
 
 TURNING: Final = 0.04  # of full command; below this a propeller moves no boat
 SURE: Final = 0.3  # of full command; above this a propeller turns, whatever its revolutions
 DEAD_V: Final = 5.0  # no battery of a thruster is so low
+STILL_RADPS: Final = math.radians(1.5)  # a slower turn is none: gyros have noise
+_GOING: Final = Mode.HEADING, Mode.COURSE, Mode.GREX, Mode.GOTO, Mode.PLAY, Mode.PATH, Mode.HOME
 _PROPELLERS: Final = (nodehealth.NAMES[Node.PROPELLER_STARBOARD], nodehealth.NAMES[Node.PROPELLER_PORT])
 FRESH_S: Final = 1.0  # an older report of a propeller does not count
 CHARGE_BACK: Final = 0.02  # a battery is low until it has this much more charge, ...
@@ -209,6 +211,44 @@ def shallow(look: Look) -> str | None:
     return f"shallow: {depth_m:.1f} m of water" if is_shallow else None
 
 
+def stuck(look: Look) -> str | None:
+    state, motion, limits = look.state, look.state.motion, look.settings.failsafe.stuck
+    asked = state.reference
+    if state.mode not in _GOING or not state.actuation.run or "velocity" not in motion.has:
+        return None
+    speed_mps, push = math.hypot(motion.north_mps, motion.east_mps), _ahead(look.settings, state.actuation)
+    if (asked.speed_mps or 0.0) >= 2.0 * limits.speed_mps > 2.0 * speed_mps and push >= limits.thrust:
+        return f"stuck: {speed_mps:.1f} m/s at {push:.0%} thrust: aground, in weeds, or the current is as fast"
+    if asked.heading_rad is None or "heading" not in motion.has or abs(motion.yaw_rate_radps) > STILL_RADPS:
+        return None
+    off_deg, most = abs(math.degrees(wrap(asked.heading_rad - motion.heading_rad))), max(map(abs, state.actuation.thrust))
+    is_stuck = off_deg > limits.turn_deg and most >= limits.thrust
+    return f"stuck: {off_deg:.0f} degrees off its heading, and it does not turn at {most:.0%} thrust" if is_stuck else None
+
+
+def _ahead(settings: config.Vehicle, actuation: Actuation) -> float:
+    """The thrust ahead, -1..1 of what all thrusters together give."""
+    ahead = [math.cos(math.radians(row.angle_deg)) for row in settings.thrusters]
+    pushes = zip(ahead, actuation.thrust, actuation.angle_rad, strict=False)
+    return sum([each * part * math.cos(angle_rad) for each, part, angle_rad in pushes]) / (sum(map(abs, ahead)) or 1.0)
+
+
+def capsized(look: Look) -> str | None:
+    told = look.state.navigation
+    roll_deg = abs(math.degrees(told.roll_rad)) if told is not None and told.roll_rad is not None else 0.0
+    return f"capsized: {roll_deg:.0f} degrees of roll" if roll_deg > look.settings.failsafe.capsized.roll_deg else None
+
+
+def beyond(look: Look) -> str | None:
+    limits, measured, stale_s = look.settings.failsafe.beyond, look.state.measured, look.settings.sensors.stale_s
+    for word, bounds, sign in ("above", limits.above, 1.0), ("below", limits.below, -1.0):
+        for name, bound in bounds.items():
+            value, at_s = measured.get(name, (math.nan, look.now_s))
+            if sign * (value - bound) > 0.0 and look.now_s - at_s <= stale_s:
+                return f"{name} is {value:g}, {word} {bound:g}"
+    return None
+
+
 def outlet(look: Look) -> str | None:
     return outlet_missed(look.settings, look.state, look.now_s) or None
 
@@ -268,6 +308,9 @@ class Trigger(IntEnum):
     RESTARTED = 22, restarted  # always a warning: what the boat did is told until somebody commands
     OUTLET = 23, outlet
     NAVIGATION_TWICE = 24, navigation_twice
+    STUCK = 26, stuck
+    CAPSIZED = 27, capsized
+    BEYOND = 28, beyond
 
 
 _SEEN: Final = tuple((trigger, trigger.sees) for trigger in Trigger)  # ten times a second: no look-ups in an enumeration
@@ -352,6 +395,8 @@ def astray(settings: config.Vehicle, state: State, now_s: float) -> dict[str, st
                 found[row.name] = f"{row.name} propeller silent for {age_s:.1f} s"
         elif report.refuses and runs:
             found[row.name] = f"{row.name} thruster does not obey: {report.refuses}"
+        elif runs and (load := _overloaded(settings.failsafe.thruster, report)):
+            found[row.name] = f"{row.name} thruster {load}"
         elif report.rpm is not None and (words := _revolving(settings, row, thrust if runs else None, report.rpm)):
             found[row.name] = f"{row.name} propeller {words}"
         elif report.angle_rad is not None and runs:
@@ -360,6 +405,15 @@ def astray(settings: config.Vehicle, state: State, now_s: float) -> dict[str, st
                 stands_deg, asked_deg = math.degrees(report.angle_rad), math.degrees(angle_rad)
                 found[row.name] = f"{row.name} thruster stands at {stands_deg:.0f} instead of {asked_deg:.0f} degrees"
     return found
+
+
+def _overloaded(limits: config.ThrusterAstray, report: ThrusterReport) -> str:
+    """Why a thruster must rest, in words; empty: it need not, or does not tell."""
+    if limits.current_a and (report.current_a or 0.0) > limits.current_a:
+        return f"is overloaded: {report.current_a:.0f} A of {limits.current_a:.0f}"
+    if limits.temperature_c and (report.temperature_c or 0.0) > limits.temperature_c:
+        return f"is too hot: {report.temperature_c:.0f} of {limits.temperature_c:.0f} degrees"
+    return ""
 
 
 def unstopped(settings: config.Vehicle, state: State, now_s: float) -> tuple[str, ...]:

@@ -34,6 +34,9 @@ def open_sensors(settings: config.Vehicle, links: Links) -> tuple[Sensor, ...]:
     known = {value.name for value in values(settings)}
     needed = [("sensors.required", name) for name in settings.sensors.required]
     needed += [("failsafe.shallow.min_depth_m", "depth_m")] if settings.failsafe.shallow.min_depth_m else []
+    for side in ("above", "below"):
+        bounds: dict[str, float] = getattr(settings.failsafe.beyond, side)
+        needed += [(f"failsafe.beyond.{side}", name) for name in bounds if "." not in name]  # a payload's has one
     for key, name in needed:
         if name not in known:
             raise ConfigError("vehicle", key, f"no sensor of sensors.names measures {name}")

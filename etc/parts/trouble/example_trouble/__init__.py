@@ -16,5 +16,5 @@ class FewSatellites(Trouble, frozen=True):
 
 
 PART = Part(
-    "example_trouble", troubles=(TroubleRow("few_satellites", 26, FewSatellites, "example_trouble.sees:few_satellites"),)
+    "example_trouble", troubles=(TroubleRow("few_satellites", 29, FewSatellites, "example_trouble.sees:few_satellites"),)
 )
