@@ -5,9 +5,9 @@
 The hulls below 40 are boats of etc/boats drawn anew (delfim/adoption/trial/hiddenhull.py): inertia from a third to three
 times, coefficients up to 40 % off, unequal motors, any wiring, dead bands to 0.15, delays to 0.5 s, wind to 4 m/s, current to
 0.3 m/s, a receiver of 1 m and 0.05 m/s that is late and off the middle, a compass of 2 degrees that is off by up to 20 and bent
-by up to 10. Those from 40 on are hulls of another hand, programs of their own over UDP in lock step (bench/otherhulls.py). One
-hull with 100 seeds takes five minutes of a core; each trial appends a row to the file, which it is not asked
-for again, and the table is of all rows.
+by up to 10. Those from 40 to 99 are hulls of another hand, programs of their own over UDP in lock step (bench/otherhulls.py),
+those from 100 on of boats with one motor that steers. One hull with 100 seeds takes five minutes of a core; each trial appends
+a row to the file, which it is not asked for again, and the table is of all rows.
 """
 
 import argparse
@@ -44,6 +44,8 @@ from delfim.simulator.tables import Sea, Simulation
 
 BOATS: Final = "heron", "otter", "wam-v", "blueboat"
 OTHERS: Final = 40  # the first hull of another hand
+STEERED: Final = "skiff", "bait-boat"
+STEERED_FROM: Final = 100  # the first hull with one motor that steers
 RADIUS_M: Final = 60.0
 STEADY_S: Final = 60.0
 
@@ -75,11 +77,11 @@ def truth(settings: config.Vehicle, hidden: Hidden) -> dict[str, Any]:
     calm = LateModel(settings, hidden._replace(sea=Sea()), 1)
     ahead = {row.name: -1.0 if is_back else 1.0 for row, is_back in zip(hidden.rows, hidden.reversed, strict=True)}
     for name, part in ahead.items():
-        calm.push(name, part)
+        calm.push(name, part, hidden.middle_rad)
     for _ in range(round(STEADY_S / 0.05)):
         calm.advance(0.05)
     return {
-        "wiring": [hidden.swapped, list(hidden.reversed)],
+        "wiring": [hidden.swapped, list(hidden.reversed), hidden.turned],
         "full_mps": calm.surge_mps,
         "dead": [hidden.rows[0].dead] * 2,
         "late_s": hidden.delay_s + hidden.hull.motor_s,
@@ -87,14 +89,15 @@ def truth(settings: config.Vehicle, hidden: Hidden) -> dict[str, Any]:
 
 
 def other_truth(its: otherhulls.Drawn) -> dict[str, Any]:
-    wiring = [its.swapped, list(its.reversed)]
+    wiring = [its.swapped, list(its.reversed), False]
     return {"wiring": wiring, "full_mps": otherhulls.full_mps(its), "dead": list(its.dead), "late_s": its.delay_s + its.lag_s}
 
 
 def tried(hull: int, seed: int, place: Path, *, motors_alone: bool) -> dict[str, Any]:
     """One trial: a row of figures."""
-    its = otherhulls.drawn(hull - OTHERS, seed) if hull >= OTHERS else None
-    settings = vehicle(BOATS[hull % len(BOATS)]) if its is None else vehicle(its.hull.boat, *its.hull.told)
+    its = otherhulls.drawn(hull - OTHERS, seed) if OTHERS <= hull < STEERED_FROM else None
+    boats = BOATS if hull < OTHERS else STEERED
+    settings = vehicle(boats[hull % len(boats)]) if its is None else vehicle(its.hull.boat, *its.hull.told)
     hidden, most_m, began_s = drawn(settings, seed, hull), [0.0], time.process_time()
 
     def look(boat: SimulatedTrial) -> None:
@@ -111,7 +114,9 @@ def tried(hull: int, seed: int, place: Path, *, motors_alone: bool) -> dict[str,
         found = progress.wiring
         row = {"hull": hull, "seed": seed, "boat": settings.boat.name, "ended": ended, "most_m": most_m[0]}
         row |= {"seconds": session.trial.elapsed_s, "cpu_s": time.process_time() - began_s, "told": hidden.words()}
-        row["motors"] = "none" if found is None else "right" if [found[0], list(found[1])] == real["wiring"] else "wrong"
+        row["motors"] = (
+            "none" if found is None else "right" if [found[0], list(found[1]), found[2]] == real["wiring"] else "wrong"
+        )
         row["proven"] = progress.is_proven
         row["power"] = max((abs(part) for each in progress.tape for part in each.told), default=0.0)
         if not ended and not motors_alone:
@@ -147,7 +152,10 @@ def _figures(settings: config.Vehicle, hidden: Hidden, progress: TrialProgress, 
     p, full = result.fit.values, result.found.figures["full_mps"]
     row |= {"fit_s": time.process_time() - began_s, "chi2": result.fit.chi2, "refused": result.fit.refusal}
     row |= {"full_off": full.found / real["full_mps"] - 1.0, "full_beyond": full.is_beyond}
-    row |= {"dead_off": [p["dead_starboard"] - real["dead"][0], p["dead_port"] - real["dead"][1]]}
+    sides = ("dead_starboard", "dead_port")[: len(settings.thrusters)]
+    row |= {"dead_off": [p[name] - dead for name, dead in zip(sides, real["dead"], strict=False)]}
+    if settings.thrusters[0].steer is not None:
+        row |= {"straight_off_deg": math.degrees(p["straight"] - (-1.0 if hidden.turned else 1.0) * hidden.middle_rad)}
     row |= {"late_off_s": p["delay"] + p["lag"] - real["late_s"]}
     numbers = {key: p[key] for key in ("hard_ahead", "hard_aside", "soft_along", "soft_across", "compass_offset")}
     return row | _bent("fit", hidden, numbers)
@@ -181,7 +189,7 @@ def table(rows: list[dict[str, Any]]) -> Iterator[str]:
     """The figures of all rows, by boat."""
     kinds = dict[str, list[dict[str, Any]]]()
     for row in rows:
-        kinds.setdefault(row["boat"] + (", another hand" if row["hull"] >= OTHERS else ""), []).append(row)
+        kinds.setdefault(row["boat"] + (", another hand" if OTHERS <= row["hull"] < STEERED_FROM else ""), []).append(row)
     yield "| boat | trials | motors right | wrong | no clear answer | whole | way, m, median (most) | s, median (most) |"
     yield "|---|---|---|---|---|---|---|---|"
     for name, its in [*kinds.items(), ("all", rows)]:
@@ -197,6 +205,7 @@ def table(rows: list[dict[str, Any]]) -> Iterator[str]:
         ("full speed 5 %, where it was sailed", lambda row: None if row["full_beyond"] else row["full_off"], 0.05),
         ("full speed 5 %, extrapolated", lambda row: row["full_off"] if row["full_beyond"] else None, 0.05),
         ("dead band 2 % of command", lambda row: max(map(abs, row["dead_off"])), 0.02),
+        ("angle at which she goes straight 1.5 degrees", lambda row: row.get("straight_off_deg"), 1.5),
         ("delay and lag 0.1 s", lambda row: row["late_off_s"], 0.1),
         ("offset of the compass 1 degree, by the fit", lambda row: row["fit_offset_deg"], 1.0),
         ("deviation 1.5 degrees, by the fit", lambda row: row["fit_most_deg"], 1.5),

@@ -1083,10 +1083,10 @@ class Vehicle(Table, frozen=True):
     def sails_by(self) -> str:
         """A digest of hull, motors, compass and gains: whether a boat sails by this file. Wiring and name are not in it, for a
         simulated boat has its own; nor is what stays at its default, for another version of the program has other keys."""
-        rows = [_stated(row, {"driver", "address", "reversed", "steer"}) for row in self.thrusters]
+        rows = [stated(row, {"driver", "address", "reversed", "steer"}) for row in self.thrusters]
         stop = self.fence.reaction_s, self.fence.deceleration_mps2
-        hull, found = _stated(self.boat, {"id", "name"}), _stated(self.adopted, {"proven"})
-        told = msgspec.json.encode([hull, rows, stop, found, _stated(self.control), _stated(self.compass)])
+        hull, found = stated(self.boat, {"id", "name"}), stated(self.adopted, {"proven"})
+        told = msgspec.json.encode([hull, rows, stop, found, stated(self.control), stated(self.compass)])
         return hashlib.sha256(told).hexdigest()[:8]
 
     @property
@@ -1148,10 +1148,10 @@ class Vehicle(Table, frozen=True):
         return tuple(sorted(set(self.outside("interface").values())))
 
 
-def _stated(table: Table, left_out: AbstractSet[str] = frozenset()) -> dict[str, Any]:
+def stated(table: Table, left_out: AbstractSet[str] = frozenset()) -> dict[str, Any]:
     """The keys of a table, and of those in it, that are not at their defaults."""
     told = {each.name: (getattr(table, each.name), each) for each in msgspec.structs.fields(table) if each.name not in left_out}
-    tables = {name: _stated(value) for name, (value, _) in told.items() if isinstance(value, Table)}
+    tables = {name: stated(value) for name, (value, _) in told.items() if isinstance(value, Table)}
     values = {name: value for name, (value, its) in told.items() if name not in tables and value != its.default}
     return values | {name: keys for name, keys in tables.items() if keys}
 

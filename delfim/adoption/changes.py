@@ -14,6 +14,7 @@ SURE: Final = 2.0  # deviations from what the file says, from which on something
 CHANGED: Final = 0.12  # ... by this part of it, or more
 WEAKER: Final = 0.08  # of a motor against the other one
 ALIKE: Final = 0.1  # thrust and drag that differ from the file by the same part, within this: it is the mass
+ASKEW_DEG: Final = 3.0  # of what turns a motor: wind does some of it
 LATER: Final = 0.05  # of full command, of a dead band
 SLOW_MPS: Final = 0.5  # where drags are compared
 SELDOM: Final = 0.005  # of the time
@@ -40,10 +41,15 @@ def changes(fit: Fit) -> Iterator[str]:
         yield f"the {weaker} motor pushes {by:.0%} less against the {other} one than by the file: weed, or a damaged propeller?"
     turning = _differs(was["arm"], now["arm"], fit.relative("arm"))
     yield from _told("inertia of a turn", turning, "weight at the ends?", "weight in the middle?")
-    for side in ("starboard", "port"):
+    steers = fit.windows.gear is not None
+    off_deg = math.degrees(now["straight"] - was["straight"])
+    if steers and abs(off_deg) > max(ASKEW_DEG, SURE * math.degrees(fit.relative("straight"))):
+        yield f"she goes straight with what turns the motor at {off_deg:+.0f} degrees"
+    for side in ("starboard",) if steers else ("starboard", "port"):
         begins, told = now[f"dead_{side}"], was[f"dead_{side}"]
         if abs(begins - told) > max(LATER, SURE * fit.relative(f"dead_{side}")):
-            yield f"the {side} motor begins to push at {begins:.0%} of command, not at {told:.0%}"
+            motor = "motor" if steers else f"{side} motor"
+            yield f"the {motor} begins to push at {begins:.0%} of command, not at {told:.0%}"
 
 
 def _differs(found: float, told: float, relative: float) -> float:

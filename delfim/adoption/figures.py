@@ -6,7 +6,17 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from delfim.adoption.fitting import NUDGES, Fit
-from delfim.adoption.model import LOCAL, OF_THE_DAY, PLACE, Array, ModelMotion, Windows, simulate, values_of
+from delfim.adoption.model import (
+    LOCAL,
+    OF_THE_DAY,
+    PLACE,
+    Array,
+    ModelMotion,
+    SteeringGear,
+    Windows,
+    simulate,
+    values_of,
+)
 
 STEP_S: Final = 0.1
 PUSH_S, COAST_S = 40.0, 60.0  # until the speed is steady; until she lies
@@ -39,6 +49,7 @@ class CalmRun(NamedTuple):
 
     name: str
     parts: Parts
+    turn: float = 0.0  # of a boat that steers, at the mean of these parts or the greater one: of her greatest angle
 
 
 RUNS: Final = (
@@ -49,10 +60,10 @@ RUNS: Final = (
     CalmRun("75", (0.75, 0.75)),
     CalmRun("100", (1.0, 1.0)),
     CalmRun("astern 60", (-0.6, -0.6)),
-    CalmRun("turn", (0.3, 0.7)),
-    CalmRun("turn to port", (0.7, 0.3)),
-    CalmRun("spin 50", (-0.5, 0.5)),
-    CalmRun("spin 90", (-0.9, 0.9)),
+    CalmRun("turn", (0.3, 0.7), 0.5),
+    CalmRun("turn to port", (0.7, 0.3), -0.5),
+    CalmRun("spin 50", (-0.5, 0.5), 1.0),
+    CalmRun("spin 90", (-0.9, 0.9), 1.0),
 )
 _AT: Final = {run.name: index for index, run in enumerate(RUNS)}
 _PUSHED: Final = round(PUSH_S / STEP_S)
@@ -104,6 +115,12 @@ FIGURES: Final[tuple[tuple[str, str, str, Callable[[ModelMotion], Array]], ...]]
     ("spin_full_dps", "rate of a spin at 90 %", "deg/s", _rate("spin 90")),
     ("turning_s", "until a spin has 63 % of its rate", "s", _turning),
 )
+STEERED: Final = {  # words for a boat that steers
+    "turn_dps": "rate of turn, 50 % of command, half the angle",
+    "spin_dps": "rate of turn, 50 % of command, whole angle",
+    "spin_full_dps": "rate of turn, 90 % of command, whole angle",
+    "turning_s": "until a turn has 63 % of its rate",
+}
 SPEEDS: Final = {  # from which run
     "full_mps": "100",
     "three_quarters_mps": "75",
@@ -117,7 +134,7 @@ STOPS: Final = {"stop_full_m": "100", "stop_60_m": "60", "stop_30_m": "30"}  # f
 
 def calm(fit: Fit) -> ModelMotion:
     """The runs of a fit, in lanes: as found, with each number nudged, as the file tells."""
-    return sailed(np.concatenate([[fit.theta], fit.theta + np.diag(NUDGES), [fit.prior.told]]))
+    return sailed(np.concatenate([[fit.theta], fit.theta + np.diag(NUDGES), [fit.prior.told]]), fit.windows.gear)
 
 
 def figures(fit: Fit, motion: ModelMotion) -> dict[str, Figure]:
@@ -134,6 +151,7 @@ def figures(fit: Fit, motion: ModelMotion) -> dict[str, Figure]:
         windy = WINDY * gusts / _pushed(fit, name) if name in SPEEDS else 0.0
         vague = MODEL + windy + (2.0 * EXTRA if name in STOPS else EXTRA) * max(excess - 1.0, 0.0)
         spread = float(np.sqrt(max(slopes @ fit.covariance @ slopes, 0.0) + (vague * value) ** 2))
+        words = words if fit.windows.gear is None else STEERED.get(name, words)
         found[name] = Figure(name, words, unit, value, spread, float(every[-1]), excess > BEYOND)
     return found
 
@@ -161,16 +179,24 @@ def _pushed(fit: Fit, name: str) -> float:
     """The acceleration, m/s2, that both motors give in the run of a speed."""
     p, part = fit.values, RUNS[_AT[SPEEDS[name]]].parts[0]
     share = [max((part - p[dead]) / (1.0 - p[dead]), 0.0) ** p["power"] for dead in ("dead_starboard", "dead_port")]
-    return max(float(p["ahead"] * sum(share)), 1e-6)
+    return max(float(p["ahead"] * (sum(share) if fit.windows.gear is None else share[0])), 1e-6)
 
 
-def sailed(lanes: Array) -> ModelMotion:
-    """The runs of these internal numbers (lanes, numbers), in calm water: (steps, lanes, runs)."""
+def sailed(lanes: Array, gear: SteeringGear | None = None) -> ModelMotion:
+    """The runs of these internal numbers (lanes, numbers), in calm water, with what turns a motor set straight: (steps, lanes,
+    runs)."""
     calm = lanes.copy()
-    calm[:, [PLACE[name] for name in OF_THE_DAY]] = 0.0
+    calm[:, [PLACE[name] for name in (*OF_THE_DAY, "straight")]] = 0.0
     steps = round((PUSH_S + COAST_S) / STEP_S)
     commands = np.zeros((len(RUNS), BACK + steps, 2))
     for index, run in enumerate(RUNS):
-        commands[index, BACK : BACK + _PUSHED] = run.parts
-    windows = Windows(STEP_S, commands, np.empty((steps, len(RUNS), 4)), np.zeros(len(RUNS)), BACK)
+        parts = run.parts if gear is None else _steered(run, gear)
+        commands[index, BACK : BACK + _PUSHED] = parts
+    windows = Windows(STEP_S, commands, np.empty((steps, len(RUNS), 4)), np.zeros(len(RUNS)), BACK, gear)
     return simulate(values_of(calm), windows, np.zeros((len(calm), len(RUNS), LOCAL)))
+
+
+def _steered(run: CalmRun, gear: SteeringGear) -> Parts:
+    """The part and the angle, rad, of a boat that steers."""
+    part = max(run.parts) if run.parts[0] + run.parts[1] == 0.0 else 0.5 * (run.parts[0] + run.parts[1])
+    return part, gear.way * run.turn * gear.most_rad

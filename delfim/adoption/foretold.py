@@ -5,7 +5,8 @@ from typing import Final, NamedTuple
 
 from delfim import config
 from delfim.adoption.fitting import Prior
-from delfim.adoption.model import NUMBERS, SPREADS, internal
+from delfim.adoption.model import NUMBERS, SPREADS, SteeringGear, internal
+from delfim.adoption.suited import unfit
 from delfim.base.errors import DelfimError
 from delfim.simulator.model import hull_of
 from delfim.vehicle.control.hull import craft, full_mps
@@ -31,19 +32,37 @@ class Motors(NamedTuple):
     port: Motor
 
 
+def gear_of(vehicle: config.Vehicle) -> SteeringGear | None:
+    """What turns the one motor of a boat that steers; None: she is another boat."""
+    if len(vehicle.thrusters) > 1 or unfit(vehicle.thrusters):
+        return None
+    row = vehicle.thrusters[0]
+    assert row.steer is not None
+    return SteeringGear(row.steer.kind == "rudder", math.copysign(1.0, row.x_m), math.radians(row.steer.angle_max_deg))
+
+
 def motors_of(vehicle: config.Vehicle) -> Motors:
-    """The motor at each side. Raises DelfimError for boats that have other thrusters."""
+    """The motor at each side; that of a boat that steers twice. Raises DelfimError for boats that have other thrusters."""
+    if gear_of(vehicle) is not None:
+        row = vehicle.thrusters[0]
+        return Motors(*(Motor(0, row.name, 1.0, abs(row.x_m)),) * 2)
     found = dict[str, Motor]()
     for index, row in enumerate(vehicle.thrusters):
         if row.steer is not None or row.angle_deg % 180.0 or not row.y_m:
             what = "turns" if row.steer is not None else "is in the middle" if not row.y_m else "pushes aside"
-            raise DelfimError(f"{row.name} {what}: only boats with one fixed motor at each side can be identified yet")
+            raise DelfimError(
+                f"{row.name} {what}: only boats with one fixed motor at each side, or one that steers, can be identified yet"
+            )
         side = "starboard" if row.y_m > 0.0 else "port"
         if side in found:
-            raise DelfimError(f"there are two motors to {side}: only boats with one at each side can be identified yet")
+            raise DelfimError(
+                f"there are two motors to {side}: only boats with one at each side, or one that steers, can be identified yet"
+            )
         found[side] = Motor(index, row.name, 1.0 if row.angle_deg % 360.0 == 0.0 else -1.0, abs(row.y_m))
     if len(found) < 2:
-        raise DelfimError("there is a motor at one side alone: only boats with one at each side can be identified yet")
+        raise DelfimError(
+            "there is a motor at one side alone: only boats with one at each side, or one that steers, can be identified yet"
+        )
     return Motors(**found)
 
 

@@ -21,6 +21,7 @@ SPARE: Final = 1.1  # times the measured way to stop, that the fence reckons wit
 DECELERATION_MOST: Final = 10.0  # m/s2, of [fence]
 STRAIGHT: Final = 0.01  # m/s, of a speed that a boat goes
 
+MIDDLE_MOST_DEG: Final = 20.0  # of the file
 SMOOTHED_DEG: Final = 3.0  # an estimator's headings tell of the compass no better than this
 COMPASS: Final = "hard_ahead", "hard_aside", "soft_along", "soft_across", "compass_offset"
 LEFT_DEG: Final = 0.5  # rms: what a file's own numbers may leave
@@ -50,16 +51,20 @@ def findings(fit: Fit, vehicle: config.Vehicle, *, is_raw: bool) -> BoatFindings
 
 
 def _thrusters(fit: Fit, vehicle: config.Vehicle) -> list[FoundKey]:
-    """Force, law, dead band and lateness of each motor. A row with a curve keeps it."""
+    """Force, law, dead band and lateness of each motor. A row with a curve keeps it where the law was not seen."""
     p, found, mass_kg = fit.values, list[FoundKey](), craft(vehicle).mass_kg
-    motors = motors_of(vehicle)
-    for side, sign, motor in (("starboard", 0.5, motors.starboard), ("port", -0.5, motors.port)):
+    motors, gear = motors_of(vehicle), fit.windows.gear
+    sides = ("starboard", 0.5, motors.starboard), ("port", -0.5, motors.port)
+    for side, sign, motor in sides if gear is None else (("starboard", 0.0, motors.starboard),):
         row = vehicle.thrusters[motor.row]
         ahead_n = mass_kg * p["ahead"] * math.exp(sign * p["ahead_uneven"])
         astern_n = ahead_n * p["astern"] * math.exp(sign * p["astern_uneven"])
         ends = (-astern_n, ahead_n) if motor.sign > 0.0 else (-ahead_n, astern_n)
         place, dead = ("thrusters", row.name), f"dead_{side}"
-        if not row.curve and "ahead" not in fit.unseen:
+        keeps = bool(row.curve) and not {"ahead", "power", dead}.isdisjoint(fit.unseen)
+        if row.curve and not keeps:
+            found.append(FoundKey((*place, "curve"), (), None, row.curve))
+        if not keeps and "ahead" not in fit.unseen:
             unsure = ahead_n * fit.relative("ahead")
             found.append(FoundKey((*place, "thrust_n"), (round(ends[0], 2), round(ends[1], 2)), unsure, row.thrust_n))
         rows = (
@@ -71,9 +76,21 @@ def _thrusters(fit: Fit, vehicle: config.Vehicle) -> list[FoundKey]:
         found += [
             FoundKey((*place, key), value, scale * fit.relative(name), told)
             for key, name, value, scale, told in rows
-            if name not in fit.unseen and not (row.curve and key in ("power", "dead"))
+            if name not in fit.unseen and not (keeps and key in ("power", "dead"))
         ]
+    if gear is not None and "straight" not in fit.unseen:
+        found.append(_straight(fit, vehicle.thrusters[0]))
     return found
+
+
+def _straight(fit: Fit, row: config.ThrusterTable) -> FoundKey:
+    """Where what turns the motor stands when it pushes straight, as its driver has it."""
+    steer = row.steer
+    assert steer is not None
+    way, middle_rad, _ = steer.as_told
+    middle_deg = max(-MIDDLE_MOST_DEG, min(MIDDLE_MOST_DEG, math.degrees(middle_rad + way * fit.values["straight"])))
+    told = {**config.stated(steer), "middle_deg": round(middle_deg, 1)}
+    return FoundKey(("thrusters", row.name, "steer"), told, math.degrees(fit.relative("straight")), config.stated(steer))
 
 
 def _boat(fit: Fit, vehicle: config.Vehicle, told: dict[str, Figure]) -> list[FoundKey]:
@@ -117,6 +134,8 @@ def bollard_drag(fit: Fit, vehicle: config.Vehicle, known: dict[str, Figure]) ->
     for part, name in ((0.25, "quarter_mps"), (0.5, "half_mps"), (0.75, "three_quarters_mps"), (1.0, "full_mps")):
         share = [max((part - p[dead]) / (1.0 - p[dead]), 0.0) ** p["power"] for dead in ("dead_starboard", "dead_port")]
         both = share[0] * math.exp(0.5 * p["ahead_uneven"]) + share[1] * math.exp(-0.5 * p["ahead_uneven"])
+        if fit.windows.gear is not None:
+            both = share[0]
         is_sure = known[name].spread <= TOO_WINDY * known[name].found or part == 0.5
         if is_sure and known[name].found > STRAIGHT and (part <= 0.5 or not known[name].is_beyond):
             pairs.append((known[name].found, mass_kg * p["ahead"] * both))

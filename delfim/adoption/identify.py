@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from delfim import config
 from delfim.adoption.fitting import Fit, fitted
-from delfim.adoption.foretold import motors_of, prior
+from delfim.adoption.foretold import gear_of, motors_of, prior
 from delfim.adoption.found import BoatFindings, findings
 from delfim.adoption.record import BoatRecord, read_log
 from delfim.adoption.twin.gains import ChosenGains
@@ -66,7 +66,8 @@ def identified(record: BoatRecord, vehicle: config.Vehicle, on: str) -> Identifi
     motors, names = motors_of(vehicle), tuple(row.name for row in vehicle.thrusters)
     if record.thrusters != names:
         raise DelfimError(f"the record is of thrusters {', '.join(record.thrusters)}, the file has {', '.join(names)}")
-    windows = windows_of(record, *((motor.row, motor.sign) for motor in (motors.starboard, motors.port)))
+    columns = [(motor.row, motor.sign) for motor in motors] if (gear := gear_of(vehicle)) is None else [(0, 1.0), (1, 1.0)]
+    windows = windows_of(record, columns[0], columns[1], gear)
     fit = fitted(windows, prior(vehicle))
     return Identified(record, fit, findings(fit, vehicle, is_raw=record.is_raw), on)
 

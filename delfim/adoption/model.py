@@ -1,4 +1,5 @@
-"""The reduced model of a boat with a motor at each side: surge, sway and yaw, 39 numbers, and what a trial measures of them.
+"""The reduced model of a boat with a motor at each side, or of one that steers: surge, sway and yaw, 40 numbers, of which each
+boat has some, and what a trial measures of them.
 
 Everything is an acceleration: without a force gauge mass and thrust are known up to one factor, and control needs no more.
 Equations: T. I. Fossen, Handbook of Marine Craft Hydrodynamics and Motion Control, 2011, 6.5 and 7.1, solved for u', v', r'.
@@ -6,7 +7,7 @@ Lanes of numbers and windows of a record are simulated at once, as one array of 
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from itertools import pairwise
 from typing import Any, Final, NamedTuple
 
@@ -27,17 +28,26 @@ class Number(NamedTuple):
     is_factor: bool = False  # above zero: wrong by a factor rather than by a difference
     low: float = -math.inf
     high: float = math.inf
+    of: str = ""  # SIDES or STEERS: of such boats alone
 
 
 DEGREE: Final = math.pi / 180.0
+SIDES, STEERS = "sides", "steers"  # boats with a motor at each side, and those whose one motor steers
 NUMBERS: Final = (
     Number("ahead", 0.7, "m/s2", "acceleration by one motor at full command ahead", True),
-    Number("ahead_uneven", 0.12, "", "starboard motor over port ahead, logarithm"),
+    Number("ahead_uneven", 0.12, "", "starboard motor over port ahead, logarithm", of=SIDES),
     Number("astern", 0.4, "", "thrust astern over thrust ahead", True),
-    Number("astern_uneven", 0.1, "", "starboard motor over port astern, logarithm"),
+    Number("astern_uneven", 0.1, "", "starboard motor over port astern, logarithm", of=SIDES),
     Number("power", 0.25, "", "power of the thrust's law", True),
-    Number("dead_starboard", 0.06, "", "command up to which the starboard motor gives nothing", low=0.0, high=0.35),
-    Number("dead_port", 0.06, "", "command up to which the port motor gives nothing", low=0.0, high=0.35),
+    Number(
+        "dead_starboard",
+        0.06,
+        "",
+        "command up to which the starboard motor, or the only one, gives nothing",
+        low=0.0,
+        high=0.35,
+    ),
+    Number("dead_port", 0.06, "", "command up to which the port motor gives nothing", low=0.0, high=0.35, of=SIDES),
     Number("loss", 0.08, "s/m", "part of the thrust that is lost for each m/s of way", low=0.0, high=0.4),
     Number("delay", 0.12, "s", "from a command to its motor", low=0.0, high=0.8),
     Number("lag", 0.5, "s", "time constant of the motors", True),
@@ -50,11 +60,20 @@ NUMBERS: Final = (
     Number("surge_turning", 0.3, "", "mass sideways over mass ahead", True),
     Number("sway_turning", 0.3, "", "mass ahead over mass sideways", True),
     Number("arm", 0.7, "rad/m", "turning by a motor, over its acceleration ahead", True),
-    Number("arm_uneven", 0.1, "", "starboard motor's turning over port, logarithm"),
+    Number("arm_uneven", 0.1, "", "starboard motor's turning over port, logarithm", of=SIDES),
     Number("yaw", 1.0, "1/s", "damping of a turn", True),
     Number("yaw2", 1.2, "1/rad", "damping of a turn, with its square", True),
     Number("yaw_ahead", 1.2, "1/m", "damping of a turn, with the way ahead", True),
     Number("munk", 1.0, "rad/m2", "turning by leeway, of the added masses", low=-4.0, high=4.0),
+    Number(
+        "straight",
+        4.0 * DEGREE,
+        "rad",
+        "angle of the motor, as it is told, at which it pushes straight",
+        low=-0.3,
+        high=0.3,
+        of=STEERS,
+    ),
     Number("turning", 0.02, "rad/s2", "turning by itself"),
     Number("wind_north", 0.03, "m/s2", "acceleration by the wind, to the north"),
     Number("wind_east", 0.03, "m/s2", "acceleration by the wind, to the east"),
@@ -84,14 +103,24 @@ LOCAL: Final = 4  # unknowns of a window: surge, sway, rate of turn and heading 
 SMALLEST: Final = 1e-4  # of a factor
 
 
+class SteeringGear(NamedTuple):
+    """What turns a motor."""
+
+    is_rudder: bool  # it turns nothing astern
+    way: float  # -1: behind the middle, where a thrust to starboard turns the boat to port; 1: before it
+    most_rad: float
+
+
 class Windows(NamedTuple):
-    """Pieces of a record of one length, on an even grid. The second motor is the port one."""
+    """Pieces of a record of one length, on an even grid. The second motor is the port one; of a boat that steers the second
+    column is the angle of its motor, rad."""
 
     step_s: float
     commands: Array  # (windows, back + steps, 2): mean part of each motor over each step, and over those before the first
     measured: Array  # (steps, windows, 4): velocity north and east, heading, rate of turn; NaN: not measured
     from_s: Array  # (windows,), of the record's clock
     back: int
+    gear: SteeringGear | None = None
 
     @property
     def steps(self) -> int:
@@ -132,17 +161,15 @@ def simulate(p: Values, windows: Windows, start: Array) -> ModelMotion:
     u, v, r, psi = (start[..., index].copy() for index in range(LOCAL))
     h, half = windows.step_s, 0.5 * windows.step_s
     motion = ModelMotion(*(np.empty((steps, lanes, count)) for _ in ModelMotion._fields))
-    arm_port, arm_starboard = p["arm"] * np.exp(-0.5 * p["arm_uneven"]), p["arm"] * np.exp(0.5 * p["arm_uneven"])
+    pushed = _by_sides(p) if windows.gear is None else _by_steering(p, windows.gear)
     for step in range(steps):
-        starboard, starboard_loss, port, port_loss = (each[step] for each in pushes)
-        starboard = np.maximum(starboard - starboard_loss * u, np.minimum(starboard, 0.0))
-        port = np.maximum(port - port_loss * u, np.minimum(port, 0.0))
+        surge, sway, turn = pushed([each[step] for each in pushes], u)
         c, s = np.cos(psi), np.sin(psi)
         wind_u, wind_v = p["wind_north"] * c + p["wind_east"] * s, p["wind_east"] * c - p["wind_north"] * s
         push = (
-            starboard + port + wind_u,
-            1.5 * p["sway_turning"] * wind_v,
-            arm_port * port - arm_starboard * starboard + p["turning"] + p["wind_turning"] * wind_u * wind_v,
+            surge + wind_u,
+            sway + 1.5 * p["sway_turning"] * wind_v,
+            turn + p["turning"] + p["wind_turning"] * wind_u * wind_v,
         )
         du, dv, dr = _accelerations(p, u, v, r, push)
         for kept, each in zip(motion, (u, v, r, psi), strict=True):
@@ -151,6 +178,35 @@ def simulate(p: Values, windows: Windows, start: Array) -> ModelMotion:
         du, dv, dr = _accelerations(p, u + half * du, v + half * dv, r + half * dr, push)
         u, v, r = np.clip(u + h * du, -20.0, 20.0), np.clip(v + h * dv, -10.0, 10.0), np.clip(r + h * dr, -6.0, 6.0)
     return motion
+
+
+Pushed = Callable[[Sequence[Array], Array], tuple[Array, Array, Array]]  # of what `_pushes` has of a step, and the way ahead
+
+
+def _by_sides(p: Values) -> Pushed:
+    """The acceleration ahead, aside and of the turn, by a motor at each side."""
+    arm_port, arm_starboard = p["arm"] * np.exp(-0.5 * p["arm_uneven"]), p["arm"] * np.exp(0.5 * p["arm_uneven"])
+
+    def pushed(motors: Sequence[Array], u: Array) -> tuple[Array, Array, Array]:
+        starboard, starboard_loss, port, port_loss = motors
+        starboard = np.maximum(starboard - starboard_loss * u, np.minimum(starboard, 0.0))
+        port = np.maximum(port - port_loss * u, np.minimum(port, 0.0))
+        return starboard + port, np.zeros(()), arm_port * port - arm_starboard * starboard
+
+    return pushed
+
+
+def _by_steering(p: Values, gear: SteeringGear) -> Pushed:
+    """The same by one motor that steers: its force is turned as a whole, but for that of a rudder astern."""
+
+    def pushed(motors: Sequence[Array], u: Array) -> tuple[Array, Array, Array]:
+        thrust, loss, angle = motors
+        thrust = np.maximum(thrust - loss * u, np.minimum(thrust, 0.0))
+        angle = np.where(thrust < 0.0, 0.0, angle - p["straight"]) if gear.is_rudder else angle - p["straight"]
+        aside = thrust * np.sin(angle)
+        return thrust * np.cos(angle), p["sway_turning"] * aside, gear.way * p["arm"] * aside
+
+    return pushed
 
 
 def _accelerations(p: Values, u: Array, v: Array, r: Array, push: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
@@ -166,14 +222,15 @@ def _accelerations(p: Values, u: Array, v: Array, r: Array, push: tuple[Array, A
     return du, dv, dr
 
 
-def _pushes(p: Values, windows: Windows) -> tuple[Array, Array, Array, Array]:
+def _pushes(p: Values, windows: Windows) -> list[Array]:
     """The acceleration that each motor gives at rest, and what it loses for each m/s, (steps, lanes, windows): starboard,
-    its loss, port, its loss. Few lanes differ in what makes a motor late."""
+    its loss, port, its loss; or the one motor, its loss, its angle. Few lanes differ in what makes a motor late."""
     late, of_lane = np.unique(np.hstack([p["delay"], p["lag"]]), axis=0, return_inverse=True)
     turned = [_turned(windows, delay_s, lag_s) for delay_s, lag_s in late]
     each = np.stack(turned)[of_lane.reshape(-1)]  # (lanes, steps, windows, 2)
     out = list[Array]()
-    for side, sign, dead in ((0, 0.5, p["dead_starboard"]), (1, -0.5, p["dead_port"])):
+    sides = ((0, 0.5, p["dead_starboard"]), (1, -0.5, p["dead_port"]))
+    for side, sign, dead in sides if windows.gear is None else [(0, 0.0, p["dead_starboard"])]:
         part = each[..., side].transpose(1, 0, 2)
         ahead = p["ahead"] * np.exp(sign * p["ahead_uneven"])
         back = ahead * p["astern"] * np.exp(sign * p["astern_uneven"])
@@ -181,13 +238,15 @@ def _pushes(p: Values, windows: Windows) -> tuple[Array, Array, Array, Array]:
         lawful = np.power(share + 1e-12, p["power"]) * (share > 0.0)
         push = np.where(part > 0.0, ahead * lawful, -back * lawful)
         out += [push, p["loss"] * ahead * np.maximum(part, 0.0) * (push > 0.0)]
-    return out[0], out[1], out[2], out[3]
+    return out if windows.gear is None else [*out, each[..., 1].transpose(1, 0, 2)]
 
 
 def _turned(windows: Windows, delay_s: float, lag_s: float) -> Array:
-    """The part that each motor gives in the middle of each step, (steps, windows, 2): late, and slow to change."""
+    """The part that each motor gives in the middle of each step, (steps, windows, 2): late, and slow to change. The boat's gate
+    makes an angle as slow as its gear."""
     later, part = divmod(delay_s / windows.step_s, 1.0)
-    shift, keep, last = int(later), math.exp(-windows.step_s / lag_s), windows.commands.shape[1] - 1
+    shift, last, slow = int(later), windows.commands.shape[1] - 1, math.exp(-windows.step_s / lag_s)
+    keep = np.array([slow, slow if windows.gear is None else 0.0])
     turned = np.empty((windows.steps, len(windows.commands), 2))
     at = [windows.commands[:, min(max(index, 0), last)] for index in range(-shift - 1, last + 1 - shift)]
     motor = at[0]

@@ -50,7 +50,9 @@ class BoatRecord(NamedTuple):
     """What a boat was told and what it did. SI units; times are seconds of one clock that never steps."""
 
     thrusters: tuple[str, ...]  # the names of the file's rows, in its order
-    told: Series  # a column for each row: the part, -1..1 of full command, from then on; 0 without current
+    told: (
+        Series  # a column for each row: the part, -1..1 of full command, from then on; 0 without current; then the angles, rad
+    )
     position: Series  # north and east of any fixed point, m
     velocity: Series  # over ground, to north and to east, m/s
     heading: Series  # rad; as the compass says it
@@ -79,11 +81,12 @@ def read_log(files: Iterable[LogFile], span: Span = ALWAYS) -> BoatRecord:
     running = np.asarray(columns["run"], float) > 0.5
     parts = np.stack([_known(columns, f"{name}_command") for name in rows], 1)
     parts[~running | ~np.isfinite(parts).all(1)] = 0.0
+    angles = [np.nan_to_num(_known(columns, f"{name}_angle"))[:, None] for name in rows if f"{name}_angle" in columns]
     turned = np.stack([_known(columns, f"{name}_rpm_measured") for name in rows], 1)
     wind = _of(columns, at_s, "wind_apparent_mps", "wind_apparent_rad")
     record = BoatRecord(
         thrusters=rows,
-        told=Series(at_s, parts),
+        told=Series(at_s, np.hstack([parts, *angles])),
         position=_of(columns, at_s, "north", "east"),
         velocity=_of(columns, at_s, "north_speed", "east_speed"),
         heading=_of(columns, at_s, "heading"),

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure as Picture
 from delfim.adoption.figures import COAST_S, PUSH_S, RUNS, STEP_S, STOPS
 from delfim.adoption.fitting import CHI2_MOST, Fit
 from delfim.adoption.found import BoatFindings
-from delfim.adoption.model import NAMES, NUMBERS, Array, ModelMotion, plain, said, values_of
+from delfim.adoption.model import NAMES, NUMBERS, SIDES, STEERS, Array, ModelMotion, plain, said, values_of
 from delfim.adoption.record import BoatRecord
 from delfim.adoption.twin.gains import FIGURES, LEAST_WORDS, ChosenGains, voyage_figures
 from delfim.adoption.twin.twintrack import TwinTrack
@@ -128,8 +128,8 @@ def _curves(fit: Fit) -> Iterator[str]:
             row[0].plot(at_s, np.hypot(its[:, 0], its[:, 1]), form, color=colour, label=words, **size)
             row[1].plot(at_s, np.degrees(its[:, 3] - bias), form, color=colour, **size)
         commands = fit.windows.commands[window, fit.windows.back :]
-        row[2].plot(at_s, commands[:, 0], color="#0f7a4d", lw=1.2, label="starboard")
-        row[2].plot(at_s, commands[:, 1], color="#b4232f", lw=1.2, label="port")
+        row[2].plot(at_s, commands[:, 0], color="#0f7a4d", lw=1.2, label="starboard" if fit.windows.gear is None else "motor")
+        row[2].plot(at_s, commands[:, 1], color="#b4232f", lw=1.2, label="port" if fit.windows.gear is None else "angle, rad")
         row[2].set_ylim(-1.05, 1.05)
         row[0].set_ylabel(f"from {abs(fit.windows.from_s[window]):.0f} s", fontsize=8)
     for axes, title in zip(places[0], ("speed over ground, m/s", "rate of turn, deg/s", "commands"), strict=True):
@@ -171,7 +171,7 @@ def _speeds(fit: Fit, motion: ModelMotion) -> Iterator[str]:
         axes.plot(*zip(*points, strict=True), "o-", color=colour, lw=1.6, ms=3, label=words)
     fastest = float(np.nanmax(np.hypot(fit.windows.measured[..., 0], fit.windows.measured[..., 1])))
     axes.axhline(fastest, color=MEASURED, lw=0.8, ls=":", label="fastest over ground that was sailed")
-    axes.set(xlabel="command to both motors", ylabel="m/s")
+    axes.set(xlabel="command", ylabel="m/s")
     axes.legend(fontsize=8)
     _finished(figure, axes)
     yield f"<h2>Speed</h2>{picture(figure, 'Speed over command')}"
@@ -228,6 +228,7 @@ def _numbers(fit: Fit) -> Iterator[str]:
             "not seen: as before" if name in missing else "",
         )
         for number, name, spread in zip(NUMBERS, NAMES, fit.spread, strict=True)
+        if number.of in ("", SIDES if fit.windows.gear is None else STEERS)
     ]
     yield "<h2>The numbers of the model</h2>" + table(("", "unit", "found", "deviation", "before", ""), rows)
 

@@ -5,7 +5,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from delfim.adoption.model import Array, Windows
+from delfim.adoption.model import Array, SteeringGear, Windows
 from delfim.adoption.record import BoatRecord, Series
 from delfim.base.errors import DelfimError
 
@@ -20,12 +20,14 @@ SEEN: Final = 0.2  # of the steps of a window, at least, have a velocity, and a 
 MOST: Final = 60  # windows: 12 minutes; more of ordinary sailing tells the same again
 LEAST: Final = 5
 LONGEST_S: Final = 7.0 * 86_400.0  # of a record, from its first command to its last
-DIFFERENCE: Final = 0.03  # of full command, between the sides: else nothing is learned of her turning
+DIFFERENCE: Final = 0.03  # of full command, between the sides, or rad: else nothing is learned of her turning
 
 
-def windows_of(record: BoatRecord, starboard: tuple[int, float], port: tuple[int, float]) -> Windows:
-    """The windows of a record, for two motors: the place of each row, and the sign with which its part pushes ahead. Raises
-    DelfimError, in words, where the record cannot tell what is asked."""
+def windows_of(
+    record: BoatRecord, starboard: tuple[int, float], port: tuple[int, float], gear: SteeringGear | None = None
+) -> Windows:
+    """The windows of a record, for two motors: the place of each row, and the sign with which its part pushes ahead; with a
+    gear for one motor and its angle. Raises DelfimError, in words, where the record cannot tell what is asked."""
     if len(record.told.at_s) < 2:
         raise DelfimError("the record has no commands")
     rows, signs = [starboard[0], port[0]], np.array([starboard[1], port[1]])
@@ -38,14 +40,16 @@ def windows_of(record: BoatRecord, starboard: tuple[int, float], port: tuple[int
     commands = _held(record.told, edges)[:, rows] * signs
     measured = np.concatenate([_gridded(each, edges[:-1]) for each in (record.velocity, record.heading, record.turn)], 1)
     known = np.diff(np.interp(edges, record.told.at_s, _gaps(record.told.at_s))) < 0.5 * STEP_S
-    first = _chosen(commands, measured, known, back, steps)
+    first = _chosen(commands if gear is None else commands[:, :1], measured, known, back, steps)
     if len(first) < LEAST:
         raise DelfimError(_too_few(len(first), record))
-    if max(float(np.std(np.diff(commands[at : at + steps], axis=1))) for at in first) < DIFFERENCE:
-        raise DelfimError("both motors always ran alike: nothing can be learned of her turning; sail some turns")
+    turns = np.diff(commands, axis=1) if gear is None else commands[:, 1:]
+    if max(float(np.std(turns[at : at + steps])) for at in first) < DIFFERENCE:
+        alike = "both motors always ran alike" if gear is None else "her motor always pointed one way"
+        raise DelfimError(f"{alike}: nothing can be learned of her turning; sail some turns")
     take = first[:, None] + np.arange(steps)
     before = first[:, None] + np.arange(-back, steps)
-    return Windows(STEP_S, commands[before], measured[take].transpose(1, 0, 2), edges[first], back)
+    return Windows(STEP_S, commands[before], measured[take].transpose(1, 0, 2), edges[first], back, gear)
 
 
 def _phase(since_s: Array) -> float:

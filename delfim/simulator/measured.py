@@ -23,6 +23,7 @@ class MeasuredModel(Model):
         super().__init__(hull_of(settings), *rest)
         self._late_s = {row.name: row.delay_s for row in settings.thrusters}
         self._waiting = deque[tuple[float, str, float, bool]]()  # commands, by the time when they are obeyed
+        self._turning = deque[tuple[float, str, float]]()  # the same of angles
         self._measured = measured if measured.mass_kg else None
         if self._measured is not None:
             self._water = (
@@ -43,6 +44,13 @@ class MeasuredModel(Model):
                 drive.curve = curve_of(row)
                 drive.rpm_max = settings.rpm_max(row) or drive.rpm_max
 
+    def push(self, name: str, part: float, angle_rad: float = 0.0, run: bool = True) -> None:
+        """Set a thruster; what turns it obeys after the delay of its motor."""
+        drive = self.drives[name]
+        if run and drive.row.steer is not None and math.isfinite(angle_rad):
+            self._turning.append((self.time_s + self._late_s[name], name, angle_rad))
+        self.command(name, part * drive.rpm_max, run)
+
     def command(self, name: str, rpm: float, run: bool) -> None:
         """Set the reference of a thruster's motor controller, which obeys after its delay."""
         self._waiting.append((self.time_s + self._late_s[name], name, rpm, run))
@@ -51,7 +59,7 @@ class MeasuredModel(Model):
     def advance(self, dt_s: float) -> None:
         """Let `dt_s` pass, in pieces between which motors begin to obey."""
         end_s = self.time_s + dt_s
-        while self._waiting and (due_s := min(self._waiting)[0]) < end_s - AT_ONCE_S:
+        while self._waiting and (due_s := min(self._waiting)[0]) < end_s - AT_ONCE_S:  # angles come with commands
             super().advance(due_s - self.time_s)
             self._obey()
         super().advance(end_s - self.time_s)
@@ -61,6 +69,9 @@ class MeasuredModel(Model):
         for each in [each for each in self._waiting if each[0] <= self.time_s + AT_ONCE_S]:
             self._waiting.remove(each)
             super().command(*each[1:])
+        while self._turning and self._turning[0][0] <= self.time_s + AT_ONCE_S:
+            _, name, angle_rad = self._turning.popleft()
+            self.drives[name].reference_rad = angle_rad
 
     def _accelerations(
         self, u: float, v: float, r: float, c: float, s: float, pushes: list[Push], air: tuple[float, float] | None

@@ -120,8 +120,6 @@ def test_motors_that_always_run_alike_say_nothing_of_turning(heron: Hidden, tria
 
 
 def test_a_boat_with_other_thrusters_is_refused_by_name() -> None:
-    with pytest.raises(DelfimError, match="propeller turns: only boats with one fixed motor at each side"):
-        motors_of(config.load(ROOT / "etc/boats/bait-boat.toml"))
     with pytest.raises(DelfimError, match="bow_starboard pushes aside"):
         motors_of(config.load(ROOT / "etc/boats/float.toml"))
 

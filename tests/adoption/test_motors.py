@@ -9,6 +9,8 @@ from typing import Any
 import pytest
 
 from delfim import config
+from delfim.adoption.suited import unfit
+from delfim.adoption.trial import steered
 from delfim.adoption.trial.motors import (
     Doublet,
     DriftNoise,
@@ -21,12 +23,12 @@ from delfim.adoption.trial.motors import (
     noise,
     proving,
     response,
-    unfit,
     wiring,
 )
 
 BOATS = Path(__file__).parents[2] / "etc/boats"
 OTTER = config.load(BOATS / "otter.toml").thrusters
+BAIT = config.load(BOATS / "bait-boat.toml").thrusters
 QUIET = DriftNoise(0.0, 0.0)
 Boat = Callable[[Doublet], Response]
 
@@ -113,8 +115,8 @@ def test_the_noise_is_what_changes_from_second_to_second() -> None:
     [
         ("otter", ""),
         ("wam-v", ""),
-        ("float", "it has 4 thrusters; two that push ahead are found, one at each side"),
-        ("bait-boat", "it has 1 thrusters; two that push ahead are found, one at each side"),
+        ("float", "it has 4 thrusters; two that push ahead are found, one at each side, or one that steers"),
+        ("bait-boat", ""),
     ],
 )
 def test_boats_with_other_motors_are_told_so(name: str, words: str) -> None:
@@ -127,7 +129,7 @@ def test_what_was_found_corrects_the_rows_of_the_file() -> None:
     assert corrected(MotorsFound((1, -1), (1, -1), (0.2, 0.2)), OTTER) == [{}, {"reversed": not port.reversed}]
     exchanged = MotorsFound((-1, 1), (-1, 1), (0.2, 0.2))
     wired = wiring(exchanged, OTTER)
-    assert wired == (True, (True, False))
+    assert wired == (True, (True, False), False)
     assert wired.words(OTTER) == [
         "The motors of port and starboard are exchanged.",
         f"The motor that {starboard.name} reaches is reversed.",
@@ -136,3 +138,41 @@ def test_what_was_found_corrects_the_rows_of_the_file() -> None:
     assert first == {"address": port.address}
     assert second == {"address": starboard.address, "reversed": not starboard.reversed}
     assert as_corrected(exchanged, OTTER, (0.3, -0.2)) == (-0.2, -0.3)
+
+
+def boat_that_steers(side: int, sign: int, dead: float = 0.15, helm: float = 1.0) -> Boat:
+    """It goes by its motor, and turns by its angle while that pushes ahead."""
+
+    def answer(asked: Doublet) -> Response:
+        (part, angle), (_, back) = asked.parts, asked.back
+        push = math.copysign(max(abs(part) - dead, 0.0), part) * sign
+        return Response(helm * side * max(push, 0.0) * (angle - back), 4.0 * push if asked.back[0] == -part else 0.0)
+
+    return answer
+
+
+@pytest.mark.parametrize(("side", "sign"), list(product((1, -1), repeat=2)))
+def test_a_motor_that_steers_is_found_whichever_way_it_pushes_and_turns(side: int, sign: int) -> None:
+    found, said = asked(steered.finding(1.0, QUIET), boat_that_steers(side, sign))
+    assert found == MotorsFound((side,), (sign,), (0.3,))
+    assert {abs(each.parts[0]) for each in said} == {0.12, 0.2, 0.3}, "no more power than it takes"
+    ahead, angle = steered.mix(found, 0.0, 0.4)
+    assert (ahead * sign > 0.0, angle) == (True, 0.4 * side), "without a push nothing turns her"
+    assert steered.mix(found, -0.5, 0.0)[0] * sign < -0.5
+    row = BAIT[0]
+    assert wiring(found, BAIT).turned is (side > 0), "behind the middle a thrust to starboard turns her to port"
+    (keys,) = corrected(found, BAIT)
+    assert (keys.get("reversed", False), "steer" in keys) == (sign < 0, side > 0)
+    most_rad = math.radians(row.steer.angle_max_deg)
+    part, angle_rad = as_corrected(found, BAIT, (sign * 0.5, side * 0.5))
+    assert (part, angle_rad) == (0.5, pytest.approx(-0.5 * most_rad)), (
+        "as the file has it then: to starboard she turns by less than 0"
+    )
+
+
+@pytest.mark.parametrize(
+    ("its", "words"),
+    [({"dead": 0.95}, "the motor: she does not move"), ({"helm": 0.0}, "what turns the motor: she does not move")],
+)
+def test_a_boat_that_does_not_answer_her_motor_or_her_helm_gives_no_answer(its: Any, words: str) -> None:
+    assert asked(steered.finding(1.0, QUIET), boat_that_steers(1, 1, **its))[0].startswith(words)

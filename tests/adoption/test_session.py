@@ -10,21 +10,25 @@ import numpy as np
 import pytest
 
 from delfim import config
+from delfim.adoption import identify
 from delfim.adoption.magnet import shape_of
 from delfim.adoption.trial import boats, session
 from delfim.adoption.trial.boats import RunningTrial, SimulatedTrial
-from delfim.adoption.trial.hiddenhull import HiddenSensors, drawn
+from delfim.adoption.trial.hiddenhull import HiddenSensors, LateModel, drawn, rewired
 from delfim.adoption.trial.manoeuvres import SeaTrial, TrialEnded
+from delfim.adoption.trial.motors import corrected
 from delfim.adoption.trial.session import TrialProgress, TrialSession, kept
 from delfim.adoption.trial.taped import record_of
 from delfim.base.errors import Refused
 from delfim.base.modes import Mode
 from delfim.commands.operation.adopt import RADIUS_M
 from delfim.config import CompassTable
+from delfim.simulator.tables import Sea
 from delfim.vehicle import console
 
 ROOT = Path(__file__).parents[2]
 NAMES = "otter", "heron", "wam-v", "blueboat"
+STEERED = "skiff", "bait-boat"
 NOISE = "simulation.position_noise_m=1.0", "simulation.speed_noise_mps=0.05", "simulation.heading_noise_deg=2.0"
 
 
@@ -61,10 +65,10 @@ class Tried:
     @property
     def is_right(self) -> bool:
         found = self.progress.wiring
-        return found is not None and found == (self.hidden.swapped, self.hidden.reversed)
+        return found is not None and found == (self.hidden.swapped, self.hidden.reversed, self.hidden.turned)
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", [*NAMES, *STEERED])
 def test_a_trial_finds_the_motors_and_makes_a_record_within_its_circle_and_its_time(name: str, tmp_path: Path) -> None:
     tried = Tried(name, 5, tmp_path / "a.trial")
     assert tried.session.run() == ""
@@ -79,7 +83,45 @@ def test_a_trial_finds_the_motors_and_makes_a_record_within_its_circle_and_its_t
     told = zip(record.told.at_s, record.told.values, strict=True)
     pushed = [each for each in told if ahead.from_s + 1.5 < each[0] < ahead.to_s - 2.0]
     assert pushed
-    assert all(min(parts) > 0.05 for _, parts in pushed), "in the record ahead is positive, whatever the wiring"
+    assert all(min(parts) > 0.05 if name in NAMES else parts[0] > 0.05 for _, parts in pushed), (
+        "in the record ahead is positive, whatever the wiring"
+    )
+
+
+@pytest.mark.parametrize("name", STEERED)
+def test_a_boat_that_steers_is_found_whole(name: str, tmp_path: Path) -> None:
+    """From her trial: speed, dead band, the angle at which she goes straight, and how quickly she turns."""
+    file = tmp_path / f"{name}.toml"
+    file.write_text((ROOT / f"etc/boats/{name}.toml").read_text() + "\n[adopted]\nproven = false\n")
+    settings = config.load(file, NOISE)
+    tried = Tried(name, 6, tmp_path / "a.trial", settings=settings)
+    assert tried.session.run() == ""
+    settings = corrected_vehicle(tried.progress, settings)
+    record = record_of(tried.progress, is_estimated=settings.navigation.estimator)
+    result = identify.identified(record, settings, "2026-11-28")
+    assert result.fit.refusal == ""
+    hidden, p, row = tried.hidden, result.fit.values, settings.thrusters[0]
+    straight_rad = (-1.0 if hidden.turned else 1.0) * hidden.middle_rad
+    assert math.degrees(p["straight"]) == pytest.approx(math.degrees(straight_rad), abs=1.0)
+    assert p["dead_starboard"] == pytest.approx(hidden.rows[0].dead, abs=0.03)
+    calm = LateModel(settings, rewired(hidden, (row,))._replace(sea=Sea()), 1)
+    most_rad, figures = math.radians(row.steer.angle_max_deg), result.found.figures
+    for words, angle_rad, seen in (
+        ("full_mps", straight_rad, lambda: calm.surge_mps),
+        ("turn_dps", straight_rad - 0.5 * most_rad, lambda: math.degrees(calm.yaw_rate_radps)),
+    ):
+        calm.push(row.name, 1.0 if words == "full_mps" else 0.5, angle_rad)
+        calm.advance(60.0)
+        assert figures[words].found == pytest.approx(seen(), rel=0.1)
+    (keys,) = (each.value for each in result.found.keys if each.key == ("thrusters", row.name, "steer"))
+    assert (("thrusters", row.name, "curve") in {each.key for each in result.found.keys}) == bool(row.curve)
+    assert keys["middle_deg"] == pytest.approx(math.degrees(hidden.middle_rad), abs=1.0), "as her servo is told"
+
+
+def corrected_vehicle(progress: TrialProgress, settings: config.Vehicle) -> config.Vehicle:
+    """The settings with what the trial of the motors found."""
+    rows = zip(progress.thrusters, corrected(progress.motors, progress.thrusters), strict=True)
+    return msgspec.structs.replace(settings, thrusters=tuple(msgspec.structs.replace(row, **keys) for row, keys in rows))
 
 
 def test_a_boat_that_goes_astern_by_its_compass_is_not_believed(tmp_path: Path) -> None:
@@ -177,7 +219,9 @@ class Socket:
             raise Refused(why)
         self.played.run.cycle()
         told = self.played.run.vehicle.report()
-        thrusters = {name: {"thrust": each.thrust, "rpm": each.rpm} for name, each in told.thrusters.items()}
+        thrusters = {
+            name: {"thrust": each.thrust, "rpm": each.rpm, "angle_deg": each.angle_deg} for name, each in told.thrusters.items()
+        }
         keys = (
             "latitude_deg",
             "longitude_deg",
@@ -202,12 +246,12 @@ def test_a_boat_that_runs_is_tried_over_its_command_socket(monkeypatch: pytest.M
     monkeypatch.setattr(boats.time, "sleep", lambda seconds: None)
     link: Any = Socket(played)
     ended = list[bool]()
-    boat = RunningTrial(link, RADIUS_M, lambda: bool(ended))
+    boat = RunningTrial(link, settings.thrusters, RADIUS_M, lambda: bool(ended))
     progress = TrialProgress(settings.thrusters)
     trial = TrialSession(boat, settings, progress, tmp_path / "a.trial", RADIUS_M, lambda words: True, lambda words: None)
     with contextlib.suppress(TrialEnded):
         trial._motors()
-    assert progress.wiring == (hidden.swapped, hidden.reversed)
+    assert progress.wiring == (hidden.swapped, hidden.reversed, False)
     assert progress.is_proven
     ended.append(True)
     assert trial.run() == "the operator ended it"

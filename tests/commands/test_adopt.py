@@ -57,7 +57,7 @@ def test_the_copy_for_a_drawn_boat_finds_the_mission_from_its_own_folder(monkeyp
 
 def test_at_the_berth_each_motor_turns_and_nothing_else(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["adopt", "heron.toml", "--sim", "6", "--berth", "--yes"]) == 0
-    assert "Both motors turn and stop." in capsys.readouterr().out
+    assert "The motors turn and stop." in capsys.readouterr().out
     assert not Path("adopt").exists()
 
 

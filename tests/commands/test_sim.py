@@ -39,7 +39,7 @@ def sim(tmp_path: Path, *words: str, **options: object) -> subprocess.Popen[str]
 
 def ended(process: subprocess.Popen[str]) -> tuple[str, str]:
     out, err = process.communicate(timeout=200)
-    assert process.returncode == 0, err
+    assert process.returncode == 0, out + err
     return out, err
 
 

@@ -2,7 +2,7 @@
 
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, Final
 
 from delfim import config
@@ -11,6 +11,7 @@ from delfim.adoption.trial.manoeuvres import MotionSeen, Parts, TrialEnded
 from delfim.base import geodesy
 from delfim.base.errors import DelfimError, Refused
 from delfim.base.modes import Mode
+from delfim.config import ThrusterTable
 from delfim.simulator.lockstep import Lockstep
 from delfim.simulator.model import Model
 from delfim.vehicle import console
@@ -46,6 +47,14 @@ class TrialCircle:
         return geodesy.to_plane(self._plane, math.radians(latitude_deg), math.radians(longitude_deg))
 
 
+def told_of(rows: Sequence[ThrusterTable], thrust: Sequence[float], angles_rad: Sequence[float]) -> Parts:
+    """What thrusters are told, as the pieces of a trial have it: parts of full command, then of the greatest angles."""
+    turned = (
+        angle_rad / row.steer.as_told[2] for row, angle_rad in zip(rows, angles_rad, strict=True) if row.steer is not None
+    )
+    return (*thrust, *turned)
+
+
 class SimulatedTrial:
     """A hidden boat in lock step. `look` is called after each cycle."""
 
@@ -75,7 +84,8 @@ class SimulatedTrial:
         self.run.cycle()
         self._look(self)
         state, motion = self.run.state, self.run.state.motion
-        told = state.actuation.thrust if state.actuation.run else (0.0,) * len(self.run.settings.thrusters)
+        rows, sent = self.run.settings.thrusters, state.actuation
+        told = told_of(rows, sent.thrust if sent.run else (0.0,) * len(rows), sent.angle_rad)
         north_m, east_m = motion.north_m - self._middle[0], motion.east_m - self._middle[1]
         moves = motion.heading_rad, motion.yaw_rate_radps, motion.north_mps, motion.east_mps
         raw = {each.name: (each.heard_s, *each.value) for each in state.inputs.get(state.source, ()) if each.heard}
@@ -107,10 +117,15 @@ class RunningTrial:
     """A boat that runs, at its local command socket. `is_ended`: whether the operator ends the trial, asked at each look."""
 
     def __init__(
-        self, link: Link, radius_m: float, is_ended: Callable[[], bool], middle: tuple[float, float] | None = None
+        self,
+        link: Link,
+        rows: Sequence[ThrusterTable],
+        radius_m: float,
+        is_ended: Callable[[], bool],
+        middle: tuple[float, float] | None = None,
     ) -> None:
         """`middle`: of the circle of a trial that goes on, degrees."""
-        self._link, self._is_ended, told = link, is_ended, link.ask("state")
+        self._rows, self._link, self._is_ended, told = rows, link, is_ended, link.ask("state")
         self.sails_by = str(told.get("sails_by", ""))
         if told["latitude_deg"] is None or told["longitude_deg"] is None:
             raise DelfimError("the boat has no position yet")
@@ -137,7 +152,9 @@ class RunningTrial:
             speed_mps * math.cos(course_rad),
             speed_mps * math.sin(course_rad),
         )
-        parts = tuple(each["thrust"] if told["run"] else 0.0 for each in told["thrusters"].values())
+        each = [told["thrusters"][row.name] for row in self._rows]
+        angles_rad = [math.radians(its["angle_deg"] or 0.0) for its in each]
+        parts = told_of(self._rows, [its["thrust"] if told["run"] else 0.0 for its in each], angles_rad)
         at, now_s = self.circle.place(latitude_deg, longitude_deg), time.monotonic()
         raw = {kind: (now_s - age_s, *values) for kind, (age_s, *values) in told["heard"].items()}
         return MotionSeen(now_s - told_s, *at, *moves, parts, told["mode"] == MODE, told["reason"], raw or None)

@@ -32,7 +32,7 @@ def corrections(progress: TrialProgress) -> Iterator[tuple[Key, Any]]:
         return
     for row, keys in zip(progress.thrusters, corrected(progress.motors, progress.thrusters), strict=True):
         for key, value in keys.items():
-            yield ("thrusters", row.name, key), value
+            yield ("thrusters", row.name, key), config.stated(value) if isinstance(value, config.Steer) else value
     yield ("adopted", "proven"), True
 
 

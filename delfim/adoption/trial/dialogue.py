@@ -113,7 +113,7 @@ def running(
     link = held.enter_context(Link(settings.console.socket))
     held.enter_context(dialogue.listening())
     middle = progress.middle if progress.is_proven else None  # until then she only drifts: the circle is where she is
-    return RunningTrial(link, radius_m, dialogue.is_ended, middle)
+    return RunningTrial(link, settings.thrusters, radius_m, dialogue.is_ended, middle)
 
 
 def other_file(settings: config.Vehicle, told: str, file: str | Path) -> str:
@@ -145,7 +145,7 @@ def at_the_berth(boat: BerthBoat, settings: config.Vehicle, dialogue: Person) ->
         if not dialogue.ask(f"{row.name}: {told}. Did it turn, and stop?"):
             dialogue.tell(f"{row.name}: see docs/bench.md: power, arming, address, dead band.")
             return
-    dialogue.tell("Both motors turn and stop. Now on the water.")
+    dialogue.tell("The motors turn and stop. Now on the water.")
 
 
 def interrupted(progress: TrialProgress, ended: str, place: Path, dialogue: Person) -> int:

@@ -59,11 +59,14 @@ class Hidden(NamedTuple):
     sea: Sea
     heading_rad: float
     sensors: HiddenSensors = HiddenSensors()
+    turned: bool = False  # what turns its motor turns it the other way ...
+    middle_rad: float = 0.0  # ... and is told so much when it points straight
 
     def words(self) -> str:
         """The truth, in a line."""
         back = [row.name for row, is_so in zip(self.rows, self.reversed, strict=True) if is_so]
         wired = ("exchanged, " if self.swapped else "") + (f"reversed: {' and '.join(back)}" if back else "none reversed")
+        wired += f", turned the other way: {self.turned}" if self.rows[0].steer is not None else ""
         dead = ", ".join(f"{row.dead:.2f}" for row in self.rows)
         wind, current = self.sea.wind_mps, self.sea.current_mps
         told = f"{wired}; dead band {dead}; delay {self.delay_s:.2f} s; wind {wind:.1f}, current {current:.2f} m/s"
@@ -93,7 +96,7 @@ def drawn(settings: config.Vehicle, seed: int, hull: int | None = None) -> Hidde
         yaw_nm_per_radps2=about(told.yaw_nm_per_radps2),
         motor_s=random.uniform(0.1, 0.4),
     )
-    is_swapped = of_day.random() < 0.5
+    is_swapped = of_day.random() < 0.5 and len(settings.thrusters) == 2
     backwards = tuple(of_day.random() < 0.5 for _ in settings.thrusters)
     dead, power, push = random.uniform(0.0, 0.15), random.uniform(1.3, 2.0), random.uniform(0.7, 1.3)
     rows = list[ThrusterTable]()
@@ -101,7 +104,9 @@ def drawn(settings: config.Vehicle, seed: int, hull: int | None = None) -> Hidde
         at = settings.thrusters[::-1][index] if is_swapped else row
         ahead_n = row.ends_n[1] * push * random.uniform(0.9, 1.1)
         astern_n = ahead_n * random.uniform(0.4, 0.7)
-        is_back = backwards[index]  # what its file calls ahead pushes astern, with the strength that it has astern
+        is_back = (
+            backwards[index] and row.steer is None
+        )  # what its file calls ahead pushes astern, with the strength that it has astern
         ends_n = (-ahead_n, astern_n) if is_back else (-astern_n, ahead_n)
         changed = {"thrust_n": ends_n, "angle_deg": 180.0 if is_back else 0.0, "curve": (), "dead": dead, "power": power}
         rows.append(msgspec.structs.replace(row, y_m=at.y_m, **changed))
@@ -114,7 +119,9 @@ def drawn(settings: config.Vehicle, seed: int, hull: int | None = None) -> Hidde
         wind_from_deg=of_day.uniform(0.0, 360.0),
     )
     wiring, heading_rad = (is_swapped, backwards), of_day.uniform(0.0, math.tau)
-    return Hidden(its, tuple(rows), *wiring, random.uniform(0.0, 0.5), sea, heading_rad, _sensors(settings, of_day))
+    late_s, sensors = random.uniform(0.0, 0.5), _sensors(settings, of_day)
+    turned = (of_day.random() < 0.5, math.radians(of_day.uniform(-6.0, 6.0))) if len(rows) == 1 else (False, 0.0)
+    return Hidden(its, tuple(rows), *wiring, late_s, sea, heading_rad, sensors, *turned)
 
 
 def _sensors(settings: config.Vehicle, random: Random) -> HiddenSensors:
@@ -137,29 +144,44 @@ def rewired(hidden: Hidden, rows: Sequence[ThrusterTable]) -> Hidden:
     """The same boat for a file whose rows reach the motor at their side, and push ahead with it."""
     found = list[ThrusterTable]()
     for row in rows:
-        motor = next(each for each in hidden.rows if each.y_m * row.y_m > 0.0)
+        motor = next(each for each in hidden.rows if each.y_m * row.y_m > 0.0 or row.steer is not None)
         low, high = motor.thrust_n
         ends_n = (low, high) if motor.angle_deg == 0.0 else (-high, -low)
         found.append(msgspec.structs.replace(motor, name=row.name, thrust_n=ends_n, angle_deg=0.0))
-    return hidden._replace(rows=tuple(found), swapped=False, reversed=(False,) * len(found))
+    told_rad = rows[0].steer.as_told[1] if rows[0].steer is not None else 0.0
+    off_rad = (-1.0 if hidden.turned else 1.0) * (hidden.middle_rad - told_rad)
+    straight = (False,) * len(found)
+    return hidden._replace(rows=tuple(found), swapped=False, reversed=straight, turned=False, middle_rad=off_rad)
 
 
 class LateModel(Model):
-    """The model of a hidden boat, whose motors hear their commands late."""
+    """The model of a hidden boat, whose motors hear their commands late, and so does what turns one."""
 
     def __init__(self, settings: config.Vehicle, hidden: Hidden, seed: int) -> None:
         there = settings.of(Simulation)
         place = math.radians(there.latitude_deg), math.radians(there.longitude_deg)
         super().__init__(hidden.hull, hidden.sea, seed, *place, hidden.heading_rad, hidden.rows)
-        self._delay_s, self._late = hidden.delay_s, deque[tuple[float, str, float, bool]]()
+        self._delay_s, self._late = hidden.delay_s, deque[tuple[float, str, float, float, bool]]()
+        self._way, self._middle_rad = -1.0 if hidden.turned else 1.0, hidden.middle_rad
+        self._signs = {
+            row.name: -1.0 if is_back and row.steer is not None else 1.0
+            for row, is_back in zip(hidden.rows, hidden.reversed, strict=True)
+        }
+
+    def push(self, name: str, part: float, angle_rad: float = 0.0, run: bool = True) -> None:
+        if run and self.drives[name].row.steer is not None:
+            angle_rad = self._way * (angle_rad - self._middle_rad)
+        self._late.append((self.time_s + self._delay_s, name, self._signs[name] * part, angle_rad, run))
 
     def command(self, name: str, rpm: float, run: bool) -> None:
-        self._late.append((self.time_s + self._delay_s, name, rpm, run))
+        self.push(name, rpm / self.drives[name].rpm_max, run=run)
 
     def advance(self, dt_s: float) -> None:
         steps = max(1, math.ceil(dt_s / STEP_S - 1e-9))
         for _ in range(steps):
             while self._late and self._late[0][0] <= self.time_s + 1e-9:
-                _, name, rpm, run = self._late.popleft()
-                super().command(name, rpm, run)
+                _, name, part, angle_rad, run = self._late.popleft()
+                if run and self.drives[name].row.steer is not None:
+                    self.drives[name].reference_rad = angle_rad
+                super().command(name, part * self.drives[name].rpm_max, run)
             super().advance(dt_s / steps)

@@ -19,10 +19,10 @@ from typing import Any, Final
 import msgspec
 
 from delfim import config
+from delfim.adoption.suited import BY_HAND, unfit
 from delfim.adoption.trial import dialogue, session
 from delfim.adoption.trial.boats import BERTH_PART, BERTH_S, MODE, TrialCircle
 from delfim.adoption.trial.manoeuvres import MotionSeen, Parts, StepTold, TrialEnded
-from delfim.adoption.trial.motors import BY_HAND, unfit
 from delfim.adoption.trial.proof import ProofSeen
 from delfim.base.errors import DelfimError, Refused, in_words
 from delfim.vehicle.propulsion.thrusters import sides
@@ -253,6 +253,10 @@ def tried(wire: GatewayWire, file: Path, radius_m: float, folder: Path, what: st
     settings, person = config.load(file), PagePerson(wire)
     if why := unfit(settings.thrusters):
         raise DelfimError(f"this boat cannot be adopted: {why}; {BY_HAND}")
+    if any(row.steer is not None for row in settings.thrusters):
+        raise DelfimError(
+            "a boat that steers is adopted by the command aboard, delfim adopt: the link does not tell her angles"
+        )
     place = folder / f"{file.stem}.trial"
     progress = session.TrialProgress(settings.thrusters) if what == "afresh" else session.kept(place, settings)
     if what == "berth":

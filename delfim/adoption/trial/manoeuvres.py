@@ -12,7 +12,7 @@ from random import Random
 from statistics import fmean
 from typing import Final, Literal, NamedTuple, Protocol
 
-from delfim.adoption.trial import motors
+from delfim.adoption.trial import motors, steered
 from delfim.adoption.trial.motors import Doublet, DriftNoise, MotorsFound, Response, Sample
 from delfim.base.errors import DelfimError
 from delfim.base.geodesy import wrap
@@ -22,9 +22,9 @@ PIECE_S: Final = 1.0  # ... and lasts so long without
 TURN_MOST_RADPS: Final = math.radians(50.0)  # asked for by no manoeuvre: a faster spin is a compass that jumps
 BRINGS_BACK: Final = ("trial ended: edge of the circle", "trial ended: turns at ", "trial done")  # ends that the trial survives
 NEAR: Final = 0.2  # of the radius: this near the middle a manoeuvre may begin
-LEAST_PART: Final = 0.01
 GYRO_LOOKS: Final = 20  # at the boat, ten a second, whose turn by heading and by gyro are compared ...
 GYRO_RAD2: Final = 0.02  # ... and this sum of squares is beyond noise
+PROOF_RAD, PROOF_S, NEAR_RAD = math.radians(60.0), 60.0, math.radians(25.0)  # of a boat that steers: wind, and a rudder askew
 LIMIT_S: Final = 20.0 * 60.0  # of the whole trial
 
 Parts = tuple[float, ...]
@@ -110,16 +110,27 @@ class SeaTrial:
     """One trial: what was found so far, and what was seen."""
 
     def __init__(
-        self, boat: BoatOnTrial, length_m: float, radius_m: float, tell: Callable[[str], object], seed: int = 1
+        self,
+        boat: BoatOnTrial,
+        length_m: float,
+        radius_m: float,
+        tell: Callable[[str], object],
+        seed: int = 1,
+        *,
+        steers: bool = False,
     ) -> None:
-        """`tell` is given a sentence for each step."""
+        """`tell` is given a sentence for each step; `steers`: the boat has one motor that steers."""
+        self.steers = steers
         self.boat, self.length_m, self.radius_m, self.tell = boat, length_m, radius_m, tell
         self.tape, self.played = list[MotionSeen](), list[Played]()
         self.seen = boat.wait()
         self.began_s = self.seen.at_s
         self.motors: MotorsFound | None = None
         self.quiet = DriftNoise(0.0, 0.0)
-        self.gain, self.full_radps = 0.5, 0.5  # of heading to differential; rate of turn of full differential
+        self.gain, self.full_radps = (
+            1.2 if steers else 0.5,
+            0.5,
+        )  # of heading to differential; rate of turn of full differential
         self.turn_most_radps = TURN_MOST_RADPS  # less for a compass that is much bent
         self._name, self._random = "", Random(seed)
         self.step: Callable[[StepTold], object] = lambda told: None  # is given each step when it begins and when it has ended
@@ -185,8 +196,7 @@ class SeaTrial:
         since_s, fast = self.seen.at_s, lambda seen: abs(seen.turn_radps) > TURN_MOST_RADPS
         ended = self.drive(asked.parts, asked.held_s, fast)
         held_s = self.seen.at_s - since_s
-        first, second = asked.parts
-        ended = ended or self.drive((-first, -second), held_s, fast) or self.rest(motors.LATE_S + 0.3)
+        ended = ended or self.drive(asked.back, held_s, fast) or self.rest(motors.LATE_S + 0.3)
         answer = motors.response([_sample(each) for each in self.tape if each.at_s >= since_s], since_s, held_s)
         self.rest(2.0)
         if ended:
@@ -195,7 +205,7 @@ class SeaTrial:
 
     def find_motors(self) -> MotorsFound:
         """Raises TrialEnded where there is no clear answer."""
-        asked = motors.finding(self.length_m, self.quiet)
+        asked = steered.finding(self.length_m, self.quiet) if self.steers else motors.finding(self.length_m, self.quiet)
         try:
             doublet = next(asked)
             while True:
@@ -227,6 +237,9 @@ class SeaTrial:
     def prove_motors(self) -> None:
         """Raises TrialEnded where the turn does not prove what was found."""
         assert self.motors is not None
+        if self.steers:
+            self._prove_steering()
+            return
         asked = motors.proving(self.motors, self.length_m, self.quiet)
         try:
             doublet = next(asked)
@@ -236,16 +249,26 @@ class SeaTrial:
             if end.value:
                 raise TrialEnded(f"not proven: {end.value}") from None
 
+    def _prove_steering(self) -> None:
+        """Steer to a heading at either side. Raises TrialEnded where she does not come to both."""
+        ahead_rad = self.seen.heading_rad
+        for side, words in ((1.0, "starboard"), (-1.0, "port")):
+            goal_rad = ahead_rad + side * PROOF_RAD
+            self.drive(self.towards(goal_rad, lambda seen: steered.PUSH), PROOF_S, lambda seen: self._is_at(goal_rad))  # noqa: B023
+            if not self._is_at(goal_rad):
+                degrees = math.degrees(PROOF_RAD)
+                raise TrialEnded(f"not proven: she does not come to a heading {degrees:.0f} degrees to {words}, steered to it")
+        self.rest(2.0)
+
+    def _is_at(self, heading_rad: float) -> bool:
+        return abs(wrap(heading_rad - self.seen.heading_rad)) < NEAR_RAD
+
     # The hull.
 
     def mix(self, surge: float, turn: float) -> Parts:
-        """Parts of the rows for a push ahead and a turn to starboard, beyond what did not move the boat."""
+        """Parts for a push ahead and a turn to starboard, of the rows of the file."""
         assert self.motors is not None
-        parts = list[float]()
-        for side, sign, least in zip(self.motors.sides, self.motors.signs, self.motors.least, strict=True):
-            part, dead = max(-1.0, min(1.0, surge - side * turn)), 0.4 * least
-            parts.append(0.0 if abs(part) < LEAST_PART else sign * math.copysign(dead + (1.0 - dead) * abs(part), part))
-        return tuple(parts)
+        return steered.mix(self.motors, surge, turn) if self.steers else motors.mix(self.motors, surge, turn)
 
     def towards(self, heading: float | Steered, surge: Steered) -> Callable[[MotionSeen], Parts]:
         """Steer a heading, carefully: turn first, then go."""

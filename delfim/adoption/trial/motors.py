@@ -8,10 +8,12 @@ do not agree there is no clear answer, and nothing is guessed.
 """
 
 import math
-from collections.abc import Generator, Sequence
+from collections.abc import Callable, Generator, Sequence
 from itertools import pairwise
 from statistics import fmean, pstdev
 from typing import Final, NamedTuple
+
+import msgspec
 
 from delfim.config import ThrusterTable
 
@@ -23,7 +25,7 @@ TURN_RADPS, PROOF_RADPS, AHEAD_MPS = math.radians(4.0), math.radians(5.0), 0.25 
 TURN_NOISES, AHEAD_NOISES = 8.0, 6.0  # ... and so many times what the drift shows
 HELD_S: Final = (2.0, 4.0)  # how long a doublet holds one command, least and most
 HELD_S_PER_M: Final = 1.2  # of the boat's length
-BY_HAND: Final = "try each motor by hand (docs/bench.md), and write [adopted] proven = true"  # for boats that are unfit
+LEAST_PART: Final = 0.01
 
 
 class Sample(NamedTuple):
@@ -44,8 +46,9 @@ class DriftNoise(NamedTuple):
 class Doublet(NamedTuple):
     """A command for some seconds, then its opposite for as long."""
 
-    parts: tuple[float, float]  # of both rows
+    parts: tuple[float, float]  # of both rows, or of one and its angle
     held_s: float
+    back: tuple[float, float]  # the opposite
 
 
 class Response(NamedTuple):
@@ -56,23 +59,19 @@ class Response(NamedTuple):
 
 
 class MotorsFound(NamedTuple):
-    """What was found, for the rows in the file's order."""
+    """What was found, for the rows in the file's order: of two, or of one that steers."""
 
-    sides: tuple[int, int]  # 1 starboard, -1 port
-    signs: tuple[int, int]  # 1: a positive command pushes ahead; -1: astern
-    least: tuple[float, float]  # of full command: the first that moved the boat
+    sides: tuple[int, ...]  # 1 starboard, -1 port; of one that steers to which side a positive angle turns the boat
+    signs: tuple[int, ...]  # 1: a positive command pushes ahead; -1: astern
+    least: tuple[float, ...]  # of full command: the first that moved the boat
+
+    @property
+    def steers(self) -> bool:
+        """Whether it is one motor that steers."""
+        return len(self.sides) == 1
 
 
 Finding = Generator[Doublet, Response, MotorsFound | str]  # a text says why there is no answer
-
-
-def unfit(rows: Sequence[ThrusterTable]) -> str:
-    """Why the motors of a boat cannot be found in this way, in words; empty: they can."""
-    if len(rows) != 2:
-        return f"it has {len(rows)} thrusters; two that push ahead are found, one at each side"
-    if any(row.steer is not None or row.angle_deg % 360.0 for row in rows):
-        return "one of its thrusters turns or does not point ahead; two that push ahead are found, one at each side"
-    return "" if rows[0].y_m * rows[1].y_m < 0.0 else "its two thrusters are not at two sides"
 
 
 def noise(samples: Sequence[Sample]) -> DriftNoise:
@@ -108,16 +107,15 @@ def finding(length_m: float, quiet: DriftNoise) -> Finding:
     """Ask for one doublet after the other, and take its answer; returns what was found."""
     held_s = min(max(HELD_S_PER_M * length_m, HELD_S[0]), HELD_S[1])
     turn_radps = max(TURN_RADPS, TURN_NOISES * quiet.turn_radps)
-    turns = list[_Sure]()
+    turns = list[SureAnswer]()
     for row in (0, 1):
-        one = tuple(float(row == each) for each in (0, 1))
-        sure = yield from _agreeing(one[0], one[1], 0, turn_radps, LEVELS, held_s)
+        sure = yield from agreeing(_of(float(row == 0), float(row == 1), held_s), 0, turn_radps, LEVELS)
         if isinstance(sure, str):
             return f"motor {row + 1} of the file: {sure}"
         turns.append(sure)
     against = -1.0 if turns[0].sign == turns[1].sign else 1.0  # with these signs of commands the turns cancel
     ahead_mps = max(AHEAD_MPS, AHEAD_NOISES * quiet.ahead_mps)
-    both = yield from _agreeing(1.0, against, 1, ahead_mps, SURGE_LEVELS, held_s + 0.5)
+    both = yield from agreeing(_of(1.0, against, held_s + 0.5), 1, ahead_mps, SURGE_LEVELS)
     if isinstance(both, str):
         return f"both motors together: {both}"
     signs = both.sign, int(both.sign * against)
@@ -132,53 +130,78 @@ def proving(found: MotorsFound, length_m: float, quiet: DriftNoise) -> Generator
     held_s = min(max(HELD_S_PER_M * length_m, HELD_S[0]), HELD_S[1])
     first, second = (float(-side * sign) for side, sign in zip(found.sides, found.signs, strict=True))
     least_radps = max(PROOF_RADPS, TURN_NOISES * quiet.turn_radps)
-    sure = yield from _agreeing(first, second, 0, least_radps, PROOF_LEVELS, held_s)
+    sure = yield from agreeing(_of(first, second, held_s), 0, least_radps, PROOF_LEVELS)
     if isinstance(sure, str):
         return sure
     return "" if sure.sign > 0 else "she turns to port where what was found turns her to starboard: nothing of it is sure"
 
 
-class _Sure(NamedTuple):
+class SureAnswer(NamedTuple):
     """An answer that came twice."""
 
     sign: int
     level: float
 
 
-def _agreeing(
-    first: float, second: float, what: int, least: float, levels: Sequence[float], held_s: float
-) -> Generator[Doublet, Response, _Sure | str]:
-    """Doublets of both rows, so many times a level that grows until two of one level answer with more than the least."""
+def _of(first: float, second: float, held_s: float) -> Callable[[float], Doublet]:
+    """Doublets of both rows: so many times a level."""
+    return lambda level: Doublet((first * level, second * level), held_s, (-first * level, -second * level))
+
+
+def agreeing(
+    of: Callable[[float], Doublet], what: int, least: float, levels: Sequence[float]
+) -> Generator[Doublet, Response, SureAnswer | str]:
+    """Doublets of a level that grows until two of one level answer with more than the least. `what`: 0 the rate of turn, 1 the
+    speed."""
     for level in levels:
         before = 0.0
         for _ in range(2):
-            answer = (yield Doublet((first * level, second * level), held_s))[what]
+            answer = (yield of(level))[what]
             if abs(answer) < least:
                 break
             if before:
                 agree = before * answer > 0.0
-                return _Sure(1 if answer > 0.0 else -1, level) if agree else "two tries contradict each other: no clear answer"
+                contradict = "two tries contradict each other: no clear answer"
+                return SureAnswer(1 if answer > 0.0 else -1, level) if agree else contradict
             before = answer
     return f"she does not move beyond doubt, up to {levels[-1]:.0%}: no clear answer"
+
+
+def mix(found: MotorsFound, surge: float, turn: float) -> tuple[float, ...]:
+    """Parts of the rows for a push ahead and a turn to starboard, beyond what did not move the boat."""
+    parts = list[float]()
+    for side, sign, least in zip(found.sides, found.signs, found.least, strict=True):
+        parts.append(sign * beyond(max(-1.0, min(1.0, surge - side * turn)), least))
+    return tuple(parts)
+
+
+def beyond(part: float, least: float) -> float:
+    """A part of the command beyond what did not move the boat."""
+    dead = 0.4 * least
+    return 0.0 if abs(part) < LEAST_PART else math.copysign(dead + (1.0 - dead) * abs(part), part)
 
 
 class Wiring(NamedTuple):
     """How the boat differs from its file."""
 
     swapped: bool  # the motors of both rows are exchanged
-    reversed: tuple[bool, bool]  # by row of the file: the motor that its commands reach pushes the other way
+    reversed: tuple[bool, ...]  # by row of the file: the motor that its commands reach pushes the other way
+    turned: bool = False  # what turns the motor turns it the other way
 
     def words(self, rows: Sequence[ThrusterTable]) -> list[str]:
         """A sentence for each difference."""
         found = ["The motors of port and starboard are exchanged."] if self.swapped else []
-        return found + [
+        found += [
             f"The motor that {row.name} reaches is reversed." for row, is_so in zip(rows, self.reversed, strict=True) if is_so
         ]
+        return found + ([f"What turns {rows[0].name} turns it the other way."] if self.turned else [])
 
 
 def wiring(found: MotorsFound, rows: Sequence[ThrusterTable]) -> Wiring:
-    swapped = any(side * row.y_m < 0.0 for side, row in zip(found.sides, rows, strict=True))
-    return Wiring(swapped, (found.signs[0] < 0, found.signs[1] < 0))
+    back = tuple(sign < 0 for sign in found.signs)
+    if found.steers:  # a thrust that is turned to starboard behind the middle turns the boat to port
+        return Wiring(False, back, found.sides[0] * rows[0].x_m < 0.0)
+    return Wiring(any(side * row.y_m < 0.0 for side, row in zip(found.sides, rows, strict=True)), back)
 
 
 def corrected(found: MotorsFound, rows: Sequence[ThrusterTable]) -> list[dict[str, object]]:
@@ -191,11 +214,16 @@ def corrected(found: MotorsFound, rows: Sequence[ThrusterTable]) -> list[dict[st
         motor = rows[at]
         wanted = {"driver": motor.driver, "address": motor.address, "reversed": motor.reversed != its.reversed[at]}
         changed.append({key: value for key, value in wanted.items() if getattr(row, key) != value})
+        if its.turned and row.steer is not None:
+            changed[-1]["steer"] = msgspec.structs.replace(row.steer, reversed=not row.steer.reversed)
     return changed
 
 
 def as_corrected(found: MotorsFound, rows: Sequence[ThrusterTable], told: Sequence[float]) -> tuple[float, ...]:
-    """Parts that were told to the rows of the file, as those of its corrected rows: positive is ahead."""
+    """Parts that were told to the rows of the file, as those of its corrected rows: positive is ahead. Behind that of a motor
+    that steers is its angle, rad."""
     its = wiring(found, rows)
-    parts = [sign * part for sign, part in zip(found.signs, told, strict=True)]
-    return tuple(reversed(parts)) if its.swapped else tuple(parts)
+    parts = tuple(sign * part for sign, part in zip(found.signs, told, strict=False))
+    if found.steers and rows[0].steer is not None:
+        return *parts, math.radians(rows[0].steer.angle_max_deg) * told[1] * (-1.0 if its.turned else 1.0)
+    return tuple(reversed(parts)) if its.swapped else parts

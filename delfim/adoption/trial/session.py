@@ -28,6 +28,14 @@ BENT_RAD: Final = math.radians(11.0)  # in a quick turn a compass that is bent b
 JUMPED: Final = "heading jumped"
 BENT: Final = ": iron bends the compass too much for a quick turn; give it another place, or set [compass] before"
 SLOW_RADPS: Final = math.radians(15.0)  # ... and in one as slow as this it is not
+MOTORS_WORDS: Final = (
+    *("Each motor by itself, with little power first, then both.", "Both motors push her ahead."),
+    "A turn to starboard, which was not tried yet.",
+)
+STEERED_WORDS: Final = (
+    *("The motor ahead and astern, then what turns it, with little power first.", "The motor pushes her ahead."),
+    "Steers to starboard and to port, by what was found.",
+)
 LAST: Final = "drift again"  # of the manoeuvres
 
 
@@ -75,12 +83,15 @@ def kept(place: Path, settings: config.Vehicle) -> TrialProgress:
 
 def _is_whole(kept: TrialProgress) -> bool:
     """Whether a trial can have left this: times in order, a part for each thruster, motors with a side each."""
-    if kept.motors is not None and (set(kept.motors.sides) != {1, -1} or not set(kept.motors.signs) <= {1, -1}):
-        return False
+    if (found := kept.motors) is not None:
+        alike = len(found.sides) == len(found.signs) == len(found.least) == len(kept.thrusters)
+        if not alike or not {*found.sides, *found.signs} <= {1, -1} or (not found.steers and set(found.sides) != {1, -1}):
+            return False
+    parts = len(kept.thrusters) + sum(row.steer is not None for row in kept.thrusters)
     times_s = [each.at_s for each in kept.tape]
     if any(len(value) != VALUES.get(kind, 0) for each in kept.tape for kind, value in (each.measured or {}).items()):
         return False
-    return times_s == sorted(times_s) and all(len(each.told) == len(kept.thrusters) for each in kept.tape)
+    return times_s == sorted(times_s) and all(len(each.told) == parts for each in kept.tape)
 
 
 def keep(place: Path, progress: TrialProgress) -> None:
@@ -104,7 +115,8 @@ class TrialSession:
     ) -> None:
         self.progress, self._settings, self._place, self._ask, self._tell = progress, settings, place, ask, tell
         progress.middle = boat.middle
-        self.trial = SeaTrial(boat, settings.boat.length_m, radius_m, self._step)
+        steers = len(settings.thrusters) == 1
+        self.trial = SeaTrial(boat, settings.boat.length_m, radius_m, self._step, steers=steers)
         self.trial.motors, self.trial.quiet = progress.motors, progress.quiet
         before = progress.tape[-1].at_s + APART_S if progress.tape else 0.0
         self._shift_s = before - self.trial.began_s
@@ -139,19 +151,20 @@ class TrialSession:
         trial, progress = self.trial, self.progress
         trial.play("drift", "Motors off: what wind, current and noise do.", lambda: trial.drift(DRIFT_S))
         progress.quiet = trial.quiet
-        trial.play("motors", "Each motor by itself, with little power first, then both.", trial.find_motors)
+        each, both, proof = STEERED_WORDS if trial.steers else MOTORS_WORDS
+        trial.play("motors", each, trial.find_motors)
         if trial.gyro_is_upside_down:  # and then the sides of the motors are exchanged
             progress.motors = None
             raise TrialEnded("the gyro says port where the compass says starboard: mend its sign first (delfim sensors --turn)")
         progress.motors = trial.motors
         for sentence in self.differences() or ["The motors are as the file says."]:
             self._tell(sentence)
-        trial.play("bow first", "Both motors push her ahead.", trial.push_ahead)
+        trial.play("bow first", both, trial.push_ahead)
         trial.pause()
         if not self._ask("Did she move bow first?"):
             progress.motors = None
             raise TrialEnded("she goes astern when she is to go ahead, by the compass: is it turned by 180 degrees?")
-        trial.play("proof", "A turn to starboard, which was not tried yet.", trial.prove_motors)
+        trial.play("proof", proof, trial.prove_motors)
         progress.is_proven = True
         self._tell("The motors are proven.")
         self._keep()

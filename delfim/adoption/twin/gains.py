@@ -199,7 +199,10 @@ def twin_hull(vehicle: config.Vehicle) -> TwinHull:
     model.advance(STEADY_S)
     full_mps = model.surge_mps
     for row, way in zip(rows, ways, strict=True):
-        model.push(row.name, -0.9 * math.copysign(way, row.y_m * way))
+        if row.steer is not None:
+            model.push(row.name, 0.9, math.radians(row.steer.angle_max_deg))
+        else:
+            model.push(row.name, -0.9 * math.copysign(way, row.y_m * way))
     model.advance(STEADY_S)
     cruise_mps = round(min(vehicle.control.speed.cruise_mps, CRUISE * full_mps), 2)
     lags = [row.lag_s for row in rows if row.lag_s is not None]

@@ -31,8 +31,8 @@ def metres(text: str) -> float:
 def run(asked: argparse.Namespace) -> int:
     """Run the command. Returns 1 where the trial did not come to its end, or its proof failed."""
     from delfim import config
+    from delfim.adoption.suited import BY_HAND, unfit
     from delfim.adoption.trial import dialogue, session
-    from delfim.adoption.trial.motors import BY_HAND, unfit
     from delfim.base.errors import DelfimError
 
     name = Path(asked.file).stem if asked.sim is None else f"{Path(asked.file).stem}-{asked.sim}"
