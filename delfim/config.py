@@ -575,10 +575,10 @@ class Capsized(Trouble, frozen=True):
 
 
 class Beyond(Trouble, frozen=True):
-    """A value of a sensor is beyond a bound of the file. A value that is not known, or older than `sensors.stale_s`, is not
-    beyond it."""
+    """A value of a sensor, or of a payload program (`PAYLOAD.NAME`), is beyond a bound of the file: a leak, smoke. A value that
+    is not known, or older than `sensors.stale_s`, is not beyond it."""
 
-    above: Bounds = msgspec.field(default_factory=dict)  # by the names of values, as {water_c = 40.0}
+    above: Bounds = msgspec.field(default_factory=dict)  # by the names of values, as {"bilge.leak" = 0.5}
     below: Bounds = msgspec.field(default_factory=dict)
     after_s: Annotated[float, msgspec.Meta(ge=0.0, le=3600.0)] = 2.0  # for this long
     action: ActionName = "home"
@@ -1092,7 +1092,7 @@ class Vehicle(Table, frozen=True):
     @property
     def helmsmen(self) -> tuple[str, ...]:
         """The payload programs that may have the boat, in the order of the file."""
-        return tuple(name for name, table in self.table("payload").items() if {*table.may} - {"obstacles", "samples"})
+        return tuple(name for name, table in self.table("payload").items() if {*table.may} - {"obstacles", "samples", "values"})
 
     def figures_of(self, source: str) -> str:
         """The name of a source's figures in the state: motors of the same bus have the name itself."""

@@ -13,6 +13,7 @@ RIGHTS: Final = {  # of payload programs, by their orders
     "pause": "hold",
     "sight": "obstacles",
     "sampled": "samples",
+    "tell": "values",
     **{word: word for word in ("goto", "speed", "heading")},
     "course": "heading",
     **dict.fromkeys(("upload", "play", "continue"), "mission"),
@@ -146,7 +147,7 @@ def programs_below(e: Evidence) -> Iterator[Finding]:
             right = RIGHTS.get(order.name, "")
             if right not in e.setting(f"payload.{program}.may"):
                 yield Finding(order.t_s, f"{order.name} of payload {program} was obeyed, which has no right to it")
-            elif program != given and right not in ("obstacles", "samples"):
+            elif program != given and right not in ("obstacles", "samples", "values"):
                 yield Finding(order.t_s, f"{order.name} of payload {program} was obeyed, and no operator had given it the boat")
 
 

@@ -241,11 +241,17 @@ class Sampled(Command, frozen=True):
     reason: Annotated[str, msgspec.Meta(max_length=200)] = ""  # in words, for the log
 
 
+class Tell(Command, frozen=True):
+    """What a payload program measures, for the trouble `beyond`: numbers by their names."""
+
+    values: Annotated[dict[Key, float], msgspec.Meta(min_length=1, max_length=16)]
+
+
 class OfPayload(Command, frozen=True, tag="ordered"):
     """An order of a payload program, from the service that runs it."""
 
     payload: Short
-    order: Alive | Pause | Continue | Goto | Heading | Course | SetSpeed | Upload | Play | Sight | Sampled
+    order: Alive | Pause | Continue | Goto | Heading | Course | SetSpeed | Upload | Play | Sight | Sampled | Tell
 
 
 class Take(OperatorOrder, frozen=True):

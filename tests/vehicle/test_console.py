@@ -114,6 +114,7 @@ def test_what_may_be_asked_is_obeyed() -> None:
         console.Entrust,
         console.Sight,
         console.Sampled,
+        console.Tell,
         console.OfPayload,
         console.TellState,
         console.Watch,

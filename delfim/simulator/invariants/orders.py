@@ -20,11 +20,12 @@ NEAR: Final = 1e-6
 ACTIONS: Final = ("none", "warn", "hold", "back", "home", "stop")
 HALTS: Final = console.Stop | console.ShutDown
 ASKS: Final = console.Alive | console.TellState | console.Watch
-FREE: Final = ("alive", "sight", "sampled")  # what a payload program may say though the boat is not its own
+FREE: Final = ("alive", "sight", "sampled", "tell")  # what a payload program may say though the boat is not its own
 RIGHT: Final = {
     "pause": "hold",
     "sight": "obstacles",
     "sampled": "samples",
+    "tell": "values",
     **{word: word for word in ("goto", "speed", "heading")},
     "course": "heading",
     **dict.fromkeys(("upload", "play", "continue"), "mission"),

@@ -5,6 +5,7 @@ Its orders are commands of the console under a name of its own, PAYLOAD and the 
 below everybody else, into the log, and into a replay.
 """
 
+from collections.abc import Mapping
 from typing import Final
 
 import msgspec
@@ -31,8 +32,9 @@ RIGHTS: Final[dict[type[console.Command], PayloadRight]] = {
     console.Continue: "mission",
     console.Sight: "obstacles",
     console.Sampled: "samples",
+    console.Tell: "values",
 }
-OWN: Final = console.Sight | console.Sampled | console.OfPayload  # what operators do not say
+OWN: Final = console.Sight | console.Sampled | console.Tell | console.OfPayload  # what operators do not say
 
 
 def payload_of(operator: str) -> str:
@@ -50,7 +52,7 @@ def forbidden(settings: config.Vehicle, state: State, name: str, command: consol
         return f"{word} is for operators alone"
     if right not in (None, *table.may) or not table.may:
         return f"{right or word} is not among the rights of {name}, which has {', '.join(table.may) or 'none'}"
-    if right in (None, "obstacles", "samples"):
+    if right in (None, "obstacles", "samples", "values"):
         return ""
     if state.helmsman != name:
         return f"{name} does not have the boat: {state.relieved or 'no operator has given it'}"
@@ -80,6 +82,8 @@ def order(helm: Helm, name: str, command: console.Commands, now_s: float) -> str
     if isinstance(command, console.Sight):
         grex.seen(command.target, f"payload {name}", state, now_s)
         return None
+    if isinstance(command, console.Tell):
+        return _measured(helm, name, command.values, now_s)
     if isinstance(command, console.Sampled):
         try:
             helm.stations.answer(name, command.number, command.ok, command.reason, now_s)
@@ -95,6 +99,17 @@ def order(helm: Helm, name: str, command: console.Commands, now_s: float) -> str
             return str(refusal)
         helm.steer(now_s)
     state.payloads_s[name] = now_s
+    return None
+
+
+def _measured(helm: Helm, name: str, values: Mapping[str, float], now_s: float) -> str | None:
+    """Keep the values of a program that the file has a bound for, so that nobody fills the state; returns why not, or None."""
+    bounds = helm.settings.failsafe.beyond
+    for each, value in values.items():
+        key = f"{name}.{each}"
+        if key not in bounds.above and key not in bounds.below:
+            return f"refused: failsafe.beyond has no bound for {key}"
+        helm.state.measured[key] = value, now_s
     return None
 
 

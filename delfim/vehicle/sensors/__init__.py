@@ -36,7 +36,12 @@ def open_sensors(settings: config.Vehicle, links: Links) -> tuple[Sensor, ...]:
     needed += [("failsafe.shallow.min_depth_m", "depth_m")] if settings.failsafe.shallow.min_depth_m else []
     for side in ("above", "below"):
         bounds: dict[str, float] = getattr(settings.failsafe.beyond, side)
-        needed += [(f"failsafe.beyond.{side}", name) for name in bounds if "." not in name]  # a payload's has one
+        needed += [(f"failsafe.beyond.{side}", name) for name in bounds if "." not in name]
+        for program in (name.partition(".")[0] for name in bounds if "." in name):
+            table = settings.table("payload").get(program)
+            if table is None or "values" not in table.may:
+                words = f'no program of this name has the right "values": [payload.{program}]'
+                raise ConfigError("vehicle", f"failsafe.beyond.{side}", words)
     for key, name in needed:
         if name not in known:
             raise ConfigError("vehicle", key, f"no sensor of sensors.names measures {name}")
