@@ -117,7 +117,7 @@ def test_tables_arrays_and_services(tmp_path: Path) -> None:
             BOAT + "[navigation]\nsources = []",
             "navigation.sources",
             "an empty list is not allowed",
-            "1 to 5 of dsor, nmea2000, dronecan, nmea0183, mavlink_front_seat",
+            "1 to 6 of dsor, nmea2000, dronecan, nmea0183, ins, mavlink_front_seat",
         ),
         # not one of the words
         (BOAT + '[log]\nwhen_full = "Panic"', "log.when_full", '"Panic" is not allowed', "delete-oldest, stop"),
@@ -125,7 +125,7 @@ def test_tables_arrays_and_services(tmp_path: Path) -> None:
             BOAT + '[navigation]\nsources = ["gps"]',
             "navigation.sources[0]",
             '"gps" is not allowed',
-            "dsor, nmea2000, dronecan, nmea0183, mavlink_front_seat",
+            "dsor, nmea2000, dronecan, nmea0183, ins, mavlink_front_seat",
         ),
         (
             BOAT + '[services.ftpd]\n[services.httpd]\nplace = "moon"',

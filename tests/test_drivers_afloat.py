@@ -22,7 +22,7 @@ from delfim.services.supervision.stop import PropellerStop
 from delfim.vehicle.operator.link import Link
 from tests.afloat import running
 from tests.parts.pwm.test_outlet import chip, pulse_us
-from tests.vehicle.played_devices import PlayedPx4, PlayedSeat, PlayedVesc
+from tests.vehicle.played_devices import PlayedPx4, PlayedSeat, PlayedTorqeedo, PlayedVesc
 
 PATIENCE_S = 200.0
 ROWS = ", ".join(
@@ -104,6 +104,36 @@ class BoardMotors(SeatMotors):
         return not self._px4.armed
 
 
+class TorqeedoMotors:
+    """Two motors, each behind a converter of its line to the network."""
+
+    def __init__(self, opened: contextlib.ExitStack) -> None:
+        self._opened, names = opened, ("starboard", "port")
+        self._servers = {opened.enter_context(socket.create_server(("127.0.0.1", 0))): PlayedTorqeedo() for _ in names}
+        ports = (server.getsockname()[1] for server in self._servers)
+        self.values = tuple(
+            f'torqeedo.ports.{name}.device="tcp:127.0.0.1:{port}"' for name, port in zip(names, ports, strict=True)
+        )
+        self._present = dict[socket.socket, PlayedTorqeedo]()
+
+    def efforts(self) -> tuple[float, float]:
+        readable, _, _ = select.select([*self._servers, *self._present], [], [], 0.01)
+        for each in readable:
+            if each in self._servers:
+                self._present[self._opened.enter_context(each.accept()[0])] = self._servers[each]
+                continue
+            with contextlib.suppress(ConnectionError):
+                if data := each.recv(4096):
+                    each.sendall(self._present[each].hear(data, time.monotonic()))
+                    continue
+            del self._present[each]
+        starboard, port = (each.effort(time.monotonic()) for each in self._servers.values())
+        return starboard, port
+
+    def stopped(self) -> bool:
+        return self.efforts() == (0.0, 0.0) and all(each.stopped for each in self._servers.values())
+
+
 class PwmMotors:
     def __init__(self, place: Path) -> None:
         self.place = chip(place / "pwmchip0", 0, 1)
@@ -123,6 +153,7 @@ MOTORS: dict[str, Callable[[Path, contextlib.ExitStack], Motors]] = {
     "heron": lambda place, opened: SeatMotors("heron", opened, "PYDIR"),
     "mavlink_front_seat": lambda place, opened: BoardMotors(opened),
     "pwm": lambda place, opened: PwmMotors(place),
+    "torqeedo": lambda place, opened: TorqeedoMotors(opened),
 }
 
 

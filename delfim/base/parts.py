@@ -254,6 +254,14 @@ OWN: Final = {  # in the order in which sources are listed
             drives=Drives(channels=CHANNELS, outlet=True),
         ),
         Part(
+            "torqeedo",
+            "delfim.parts.torqeedo.table:TorqeedoTable",
+            after="vesc",
+            ask="delfim.parts.torqeedo.ask",
+            driver="delfim.parts.torqeedo.driver",
+            drives=Drives(turns=0),
+        ),
+        Part(
             "vesc",
             "delfim.parts.vesc.table:Vesc",
             after="pwm",

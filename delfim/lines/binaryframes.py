@@ -7,7 +7,7 @@ from binascii import crc_hqx
 from collections.abc import Callable, Iterator
 from typing import Final, NamedTuple
 
-HEAD_MAX: Final = 32  # bytes that `Framing.size` is shown; no protocol here needs more for a frame's length
+HEAD_MAX: Final = 80  # bytes that `Framing.size` is shown; no protocol here needs more for a frame's length
 _MIRRORED: Final = bytes(int(f"{byte:08b}"[::-1], 2) for byte in range(256))
 
 

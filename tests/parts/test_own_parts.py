@@ -5,6 +5,7 @@ import pytest
 from delfim import config
 from delfim.base.parts import OWN, Part
 from delfim.parts.nmea0183.table import Nmea0183, Nmea0183Port
+from delfim.parts.torqeedo.table import TorqeedoPort, TorqeedoTable
 from delfim.simulator.contract import devices
 
 DRIVERS = tuple(row for row in OWN.values() if row.driver)
@@ -37,6 +38,7 @@ def boat(row: Part) -> config.Vehicle:
         navigation=config.NavigationTable(sources=(row.name if row.source else "dsor",)),
         sensors=config.Sensors(names=tuple({"sysstat": 1, row.name if row.sensor else "sysstat": 1})),
         nmea0183=Nmea0183(ports={"gnss": Nmea0183Port(device="/dev/gnss")}),
+        torqeedo=TorqeedoTable(ports={name: TorqeedoPort(device=f"/dev/{name}") for name in ("starboard", "port")}),
     )
 
 
