@@ -43,7 +43,7 @@ class TorqeedoMotor:
     def send(self, sent: Actuation, now_s: float) -> bool:
         """Whether the command was taken. It waits for the next turn while a reply may be under way, but for a stop."""
         self._command = drive(self._sign * sent.thrust[self._index], self._power) if sent.run else STOP
-        return (self._command is not STOP and now_s - self._said_s < REPLY_S) or self._say(self._command, now_s)
+        return (self._command is not STOP and self._is_answering(now_s)) or self._say(self._command, now_s)
 
     def repeat(self, now_s: float) -> bool:
         """Say what is due: the command each second time, and in between a question."""
