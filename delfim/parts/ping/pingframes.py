@@ -5,10 +5,10 @@ bytes before; little endian. A message that is longer than it is known here is r
 """
 
 import struct
-from collections.abc import Iterator
 from typing import Final, NamedTuple
 
 from delfim.base.errors import FormatError
+from delfim.lines.binaryframes import Framing
 
 BEGIN: Final = b"BR"
 HEAD: Final = struct.Struct("<2sHHBB")
@@ -74,26 +74,21 @@ def distance(frame: PingFrame) -> PingDistance | None:
     return PingDistance(mm / 1e3, per_cent / PER_CENT, more[1] if more else None)
 
 
-class PingFrames:
-    """Whole frames out of a stream of bytes. What is none is passed over, byte by byte, and counted as `refused` where it began
-    as one. It keeps less than a frame."""
+def _size(head: bytes) -> int | None:
+    if len(head) < HEAD.size:
+        return None
+    length = HEAD.unpack_from(head)[1]
+    return HEAD.size + length + SUM.size if length <= PAYLOAD_MAX else 0
 
-    def __init__(self) -> None:
-        self._rest, self.refused = b"", 0
 
-    def feed(self, data: bytes) -> Iterator[PingFrame]:
-        stream, at = self._rest + data, 0
-        while (at := stream.find(BEGIN, at)) >= 0 and len(stream) - at >= HEAD.size:
-            _, length, message, source, destination = HEAD.unpack_from(stream, at)
-            end = at + HEAD.size + length
-            if length <= PAYLOAD_MAX and end + SUM.size > len(stream):
-                break
-            if length > PAYLOAD_MAX or sum(stream[at:end]) & 0xFFFF != SUM.unpack_from(stream, end)[0]:
-                self.refused += 1
-                at += 1
-                continue
-            yield PingFrame(message, stream[at + HEAD.size : end], source, destination)
-            at = end + SUM.size
-        if at < 0:
-            at = len(stream) - stream.endswith(BEGIN[:1])
-        self._rest = stream[at:]
+def _sound(frame: bytes) -> bool:
+    return sum(frame[: -SUM.size]) & 0xFFFF == int.from_bytes(frame[-SUM.size :], "little")
+
+
+FRAMING: Final = Framing(BEGIN, _size, _sound)
+
+
+def unpacked(frame: bytes) -> PingFrame:
+    """Of the bytes of a whole frame."""
+    _, _, message, source, destination = HEAD.unpack_from(frame)
+    return PingFrame(message, frame[HEAD.size : -SUM.size], source, destination)

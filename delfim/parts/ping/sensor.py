@@ -4,7 +4,8 @@ from typing import Final
 
 from delfim import config
 from delfim.base.errors import FormatError
-from delfim.parts.ping.pingframes import PingFrames, asked, distance
+from delfim.lines.binaryframes import BinaryFrames
+from delfim.parts.ping.pingframes import FRAMING, asked, distance, unpacked
 from delfim.parts.ping.table import PingTable
 from delfim.vehicle.helm.helm import Helm
 from delfim.vehicle.links import Links, ReadableLine
@@ -22,7 +23,7 @@ class PingSounder:
     name = NAME
 
     def __init__(self, table: PingTable, line: ReadableLine, confidence: float) -> None:
-        self.input, self._frames, self._confidence = line, PingFrames(), confidence
+        self.input, self._frames, self._confidence = line, BinaryFrames(FRAMING), confidence
         self._asks = asked(table.rate_hz, table.sound_mps)
         self._spoke_s: float | None = None  # when it was heard, or asked
 
@@ -32,7 +33,7 @@ class PingSounder:
         while data := self.input.read():
             for frame in self._frames.feed(data):
                 try:
-                    found = distance(frame)
+                    found = distance(unpacked(frame))
                 except FormatError:
                     state.count("ping_malformed")
                     continue

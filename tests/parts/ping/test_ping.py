@@ -12,9 +12,10 @@ from hypothesis import strategies as st
 
 from delfim import config
 from delfim.base.clock import ManualClock
+from delfim.lines.binaryframes import BinaryFrames
 from delfim.logging.ashore import tree
 from delfim.parts.ping import pingframes
-from delfim.parts.ping.pingframes import PAYLOAD_MAX, PingDistance, PingFrame, PingFrames, asked, distance, packed, told
+from delfim.parts.ping.pingframes import FRAMING, PAYLOAD_MAX, PingDistance, PingFrame, asked, distance, packed, told, unpacked
 from delfim.parts.ping.sensor import SILENT_S, PingSounder, open_sensor
 from delfim.simulator.line import LockstepLine
 from delfim.vehicle import console, sensors
@@ -27,8 +28,8 @@ frames = st.builds(PingFrame, st.integers(0, 0xFFFF), st.binary(max_size=PAYLOAD
 
 
 def fed(*pieces: bytes) -> list[PingFrame]:
-    parser = PingFrames()
-    return [frame for piece in pieces for frame in parser.feed(piece)]
+    parser = BinaryFrames(FRAMING)
+    return [unpacked(frame) for piece in pieces for frame in parser.feed(piece)]
 
 
 def theirs(kind: int, mm: int, per_cent: int, number: int = 0) -> bytes:
@@ -48,13 +49,13 @@ def heard(data: bytes) -> list[PingMessage]:
 
 @pytest.mark.parametrize("kind", [definitions.PING1D_DISTANCE, definitions.PING1D_DISTANCE_SIMPLE])
 def test_what_the_makers_package_says_is_read(kind: int) -> None:
-    chance, parser = Random(kind), PingFrames()
+    chance, parser = Random(kind), BinaryFrames(FRAMING)
     for number in range(300):
         mm, per_cent = chance.randrange(0, 300_000), chance.randrange(0, 101)
         noise = bytes(chance.choices(b"BR\x00\xff", k=chance.randrange(4)))
         (frame,) = parser.feed(noise + theirs(kind, mm, per_cent, number) + b"\0" * PAYLOAD_MAX)
         counted = None if kind == definitions.PING1D_DISTANCE_SIMPLE else number
-        assert distance(frame) == PingDistance(mm / 1e3, per_cent / 100, counted)
+        assert distance(unpacked(frame)) == PingDistance(mm / 1e3, per_cent / 100, counted)
 
 
 def test_the_makers_package_reads_what_is_asked_and_what_the_simulated_sounder_says() -> None:
@@ -76,10 +77,10 @@ def test_a_frame_is_read_as_it_was_packed(frame: PingFrame) -> None:
 
 @given(st.lists(st.binary(max_size=200) | frames.map(packed) | st.just(b"BR\xff\xff"), max_size=20))
 def test_any_bytes_raise_nothing_and_little_is_kept(pieces: list[bytes]) -> None:
-    parser = PingFrames()
+    parser = BinaryFrames(FRAMING)
     for piece in pieces:
         for frame in parser.feed(piece):
-            assert len(frame.payload) <= PAYLOAD_MAX
+            assert len(unpacked(frame).payload) <= PAYLOAD_MAX
         assert len(parser._rest) <= pingframes.HEAD.size + PAYLOAD_MAX + 2
 
 
