@@ -28,8 +28,7 @@ class InsNavigation:
         self.input, self._state, language = line, state, LANGUAGES[table.speaks]
         self._frames, self._read = BinaryFrames(language.framing), language.read
         self._position_max_m, self._heading_max_rad = table.position_max_m, math.radians(table.heading_max_deg)
-        self._fusion, self._time = Fusion[str](KINDS, stale_s), (0, -1e9)
-        self.heard_s = -1e9
+        self._fusion, self.heard_s = Fusion[str](KINDS, stale_s), -1e9
 
     def read(self, now_s: float) -> Fix | None:
         """The newest position that has come. What cannot be read is counted."""
@@ -50,9 +49,10 @@ class InsNavigation:
 
     def _take(self, said: Readings, now_s: float) -> Fix | None:
         for kind, value in said.items():
-            self._fusion.put(kind, NAME, value, now_s)
-            if kind == "time" and value is not None:
-                self._time = int(value[0]), now_s
+            if kind == "time":
+                self._fusion.set_time(NAME, None if value is None else int(value[0]), now_s)
+            else:
+                self._fusion.put(kind, NAME, value, now_s)
         if "position" not in said:
             return None
         self.heard_s = now_s
@@ -60,12 +60,10 @@ class InsNavigation:
         (accuracy_m,) = kinds["accuracy"].get(now_s) or (None,)
         (deviation_rad,) = kinds["deviation"].get(now_s) or (0.0,)
         fix, satellites = kinds["receiver"].get(now_s) or (0, 0)
-        utc_ns, then_s = self._time
-        at_ns = utc_ns + round((now_s - then_s) * 1e9) if kinds["time"].get(now_s) is not None else 0
         sure = accuracy_m is None or accuracy_m <= self._position_max_m
         n = self._fusion.message(
             cast(tuple[float, float], position) if sure else None,
-            at_ns,
+            self._fusion.utc_ns(NAME, now_s),
             now_s,
             int(fix) or RECKONED,
             int(satellites),
@@ -81,10 +79,12 @@ class InsNavigation:
         return Fix(n, self.input.t_ns, now_s)
 
     def report(self, now_s: float) -> dict[str, object]:
-        """How sure the system is: metres of its position, degrees of its heading; None: it has not said."""
-        kinds = self._fusion.kinds
+        """The age of each kind of data, and how sure the system is: metres of its position, degrees of its heading; None: it
+        has not said."""
+        kinds, used = self._fusion.kinds, self._fusion.used(now_s).items()
         (accuracy_m,), (deviation_rad,) = kinds["accuracy"].get(now_s) or (None,), kinds["deviation"].get(now_s) or (None,)
         return {
+            "kinds": {kind: {"talker": talker, "age_s": age_s} for kind, (talker, age_s) in used},
             "accuracy_m": None if accuracy_m is None else round(accuracy_m, 3),
             "heading_deg": None if deviation_rad is None else round(math.degrees(deviation_rad), 2),
         }

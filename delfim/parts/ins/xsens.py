@@ -18,6 +18,7 @@ from delfim.parts.ins.insmessages import RECKONED, InsState, Language, Readings,
 
 BEGIN: Final = b"\xfa\xff"
 MTDATA2: Final = 0x36
+LENGTH_MAX: Final = 2048  # bytes of data that the maker allows
 LONG: Final = 0xFF  # in place of a length: two bytes follow with it
 UTC_TIME, QUATERNION, EULER, LATLON, PVT, RATES, VELOCITY, STATUS, STATUS_BYTE = (
     0x1010, 0x2010, 0x2030, 0x5040, 0x7010, 0x8020, 0xD010, 0xE020, 0xE010,
@@ -38,7 +39,10 @@ def _size(head: bytes) -> int | None:
         return None
     if head[3] != LONG:
         return head[3] + 5
-    return None if len(head) < 6 else int.from_bytes(head[4:6], "big") + 7
+    if len(head) < 6:
+        return None
+    length = int.from_bytes(head[4:6], "big")
+    return length + 7 if length <= LENGTH_MAX else 0
 
 
 def _sound(frame: bytes) -> bool:
