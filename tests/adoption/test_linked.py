@@ -11,6 +11,7 @@ from delfim.adoption.trial.boats import SimulatedTrial
 from delfim.adoption.trial.hiddenhull import Hidden, drawn, rewired
 from delfim.adoption.trial.linked import BoatHeard, GatewayWire, tried
 from delfim.adoption.trial.manoeuvres import TrialEnded
+from delfim.adoption.trial.session import kept
 from delfim.base import geodesy
 from delfim.base.errors import DelfimError
 from delfim.base.modes import Mode
@@ -33,6 +34,7 @@ class Link(GatewayWire):
         self.hidden = hidden or drawn(settings, seed)
         self.boat, self.digest = SimulatedTrial(settings, self.hidden, seed, 60.0), settings.sails_by
         self.said, self.ended, self._refused = list[dict[str, Any]](), "", ""
+        self.steers = settings.thrusters[0].steer is not None
         self._ends_at, self._no, self._last = ends_at, no, {}
 
     def say(self, **words: Any) -> None:
@@ -55,11 +57,16 @@ class Link(GatewayWire):
         seen = self.boat.wait()
         at = geodesy.origin(*map(math.radians, self.boat.middle))
         place = geodesy.from_plane(at, seen.north_m, seen.east_m)
-        port, starboard = seen.told if self.boat.run.settings.thrusters[0].y_m < 0 else seen.told[::-1]
+        if self.steers:
+            port, turned = seen.told
+            starboard = port
+        else:
+            port, starboard = seen.told if self.boat.run.settings.thrusters[0].y_m < 0 else seen.told[::-1]
+            turned = -3.0  # what the link has where nothing turns
         heading_deg, turn_dps = math.degrees(seen.heading_rad), math.degrees(seen.turn_radps)
         moves = heading_deg, turn_dps, round(seen.north_mps, 2), round(seen.east_mps, 2)
         mode = self.boat.run.state.mode.name.lower()
-        told = seen.at_s, *map(math.degrees, place), *moves, port, starboard, mode, seen.reason
+        told = seen.at_s, *map(math.degrees, place), *moves, port, starboard, turned, mode, seen.reason
         return BoatHeard(*told, self.sensed(), self.digest)
 
     def sensed(self) -> dict[str, tuple[float, ...]] | None:
@@ -114,6 +121,16 @@ def test_a_whole_trial_over_the_link_finds_the_motors_and_writes_what_is_agreed_
     assert again.boat.run.state.mode is Mode.HOLD
     assert tried(again, file, 60.0, tmp_path) == 0
     assert again.of("tell")[-1].startswith("Adopted already")
+
+
+def test_a_motor_that_steers_is_found_over_the_link_too(tmp_path: Path) -> None:
+    file = tmp_path / "bait-boat.toml"
+    file.write_text((ROOT / "etc/boats/bait-boat.toml").read_text() + "\n[adopted]\nproven = false\n")
+    settings = config.load(file, NOISE)
+    link = Link(settings, SEED, ends_at="gain")
+    assert tried(link, file, 60.0, tmp_path) == 1
+    known = kept(tmp_path / "bait-boat.trial", settings)
+    assert (known.is_proven, known.wiring) == (True, (False, link.hidden.reversed, link.hidden.turned))
 
 
 def test_at_the_berth_each_motor_turns_by_itself_for_a_second(file: Path, tmp_path: Path) -> None:

@@ -47,6 +47,7 @@ class BoatHeard(msgspec.Struct, tag=True):
     east_mps: float
     port: float  # parts of full command in force
     starboard: float
+    turned: float  # of the greatest angle, clockwise; it means nothing where nothing turns
     mode: str
     reason: str
     measured: dict[str, tuple[float, ...]] | None = None  # behind an estimator: what each sensor said, its time first
@@ -150,6 +151,7 @@ class LinkedTrial:
         """`middle`: of the circle of a trial that goes on, degrees."""
         self._wire, (self._port, _) = wire, sides(rows)
         self._rows, self._mode = rows, MODE
+        self._turning = [row for row in rows if row.steer is not None]  # one, at most: of more the link does not tell
         heard = wire.newest()
         latitude_deg, longitude_deg = middle or (heard.latitude_deg, heard.longitude_deg)
         self.circle = TrialCircle(latitude_deg, longitude_deg, radius_m)
@@ -167,7 +169,7 @@ class LinkedTrial:
         moves = math.radians(heard.heading_deg), math.radians(heard.turn_dps), heard.north_mps, heard.east_mps
         parts = (heard.port if row in self._port else heard.starboard for row in range(len(self._rows)))
         signs = (1.0 if abs(row.angle_deg) < 90.0 else -1.0 for row in self._rows)  # what is told is positive ahead
-        told = tuple(part * sign for part, sign in zip(parts, signs, strict=True))
+        told = (*(part * sign for part, sign in zip(parts, signs, strict=True)), *(heard.turned for _ in self._turning))
         return MotionSeen(heard.at_s, *at, *moves, told, heard.mode == MODE, heard.reason, heard.measured)
 
     def play(self, parts: Parts, for_s: float, name: str, *, begin: bool, comes_back: bool) -> None:
@@ -181,7 +183,7 @@ class LinkedTrial:
 
     def turn_alone(self, name: str) -> str:
         """Turn a motor at the berth; returns that it was told to, in words."""
-        parts = tuple(BERTH_PART if row.name == name else 0.0 for row in self._rows)
+        parts = (*(BERTH_PART if row.name == name else 0.0 for row in self._rows), *(0.0 for _ in self._turning))
         self.play(parts, BERTH_S, "berth", begin=True, comes_back=False)
         while self.wait().is_on:
             pass
@@ -253,10 +255,6 @@ def tried(wire: GatewayWire, file: Path, radius_m: float, folder: Path, what: st
     settings, person = config.load(file), PagePerson(wire)
     if why := unfit(settings.thrusters):
         raise DelfimError(f"this boat cannot be adopted: {why}; {BY_HAND}")
-    if any(row.steer is not None for row in settings.thrusters):
-        raise DelfimError(
-            "a boat that steers is adopted by the command aboard, delfim adopt: the link does not tell her angles"
-        )
     place = folder / f"{file.stem}.trial"
     progress = session.TrialProgress(settings.thrusters) if what == "afresh" else session.kept(place, settings)
     if what == "berth":

@@ -221,6 +221,7 @@ class Adoption:
             east_mps=place.vy / 100.0,
             port=(servos.servo1_raw - 1500) / 500.0,
             starboard=(servos.servo3_raw - 1500) / 500.0,
+            turned=(servos.servo2_raw - 1500) / 500.0,
             mode=boat.mode,
             reason=boat.reason.partition(": ")[2] if boat.reason.startswith(f"{boat.mode}: ") else boat.reason,
             measured=_sensed(*self._last.get(ARRAY, (None, -math.inf)), now_s),

@@ -122,9 +122,11 @@ def rpm(view: TelemetryView) -> Iterator[Message]:
 
 def thrust(view: TelemetryView) -> Iterator[Message]:
     """Thrust in force as servo pulses, 1 port and 3 starboard as ArduRover's skid-steered boats have them: 1000 is full astern,
-    1500 stop, 2000 full ahead."""
+    1500 stop, 2000 full ahead. 2 is the angle of the first that turns: 1500 in the middle, 2000 the most clockwise."""
     port, starboard = (_STILL + round(_AHEAD * part) for part in _thrust(view))
-    yield dialect.MAVLink_servo_output_raw_message(_boot_us(view), 0, port, 0, starboard, 0, 0, 0, 0, 0)
+    rows = zip(view.boat.helm.settings.thrusters, view.boat.state.actuation.angle_rad, strict=False)
+    turned = (_STILL + round(_AHEAD * angle_rad / row.steer.as_told[2]) for row, angle_rad in rows if row.steer is not None)
+    yield dialect.MAVLink_servo_output_raw_message(_boot_us(view), 0, port, next(turned, 0), starboard, 0, 0, 0, 0, 0)
 
 
 def status(view: TelemetryView) -> Iterator[Message]:

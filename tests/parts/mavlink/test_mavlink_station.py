@@ -615,6 +615,7 @@ def test_what_is_told_is_what_is(sea):
     assert [m.index for m in heard if m.get_type() == "RAW_RPM"][:2] == [0, 1]
     servos = newest(heard, "SERVO_OUTPUT_RAW")
     starboard, port = sea.state.actuation.thrust
+    assert servos.servo2_raw == 0, "nothing turns"
     assert (servos.servo1_raw, servos.servo3_raw) == (1500 + round(500 * port), 1500 + round(500 * starboard))
     health = newest(heard, "SYS_STATUS")
     assert health.onboard_control_sensors_health & 0x10000000
