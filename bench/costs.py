@@ -19,6 +19,7 @@ from pathlib import Path
 from random import Random
 from typing import Any, Final, NamedTuple
 
+from bench import thingcosts
 from delfim import config
 from delfim.base import geodesy
 from delfim.base.clock import SystemClock
@@ -199,9 +200,12 @@ def _vessels(settings: config.Vehicle) -> list[Row]:
         them = [_met(random, str(i)) for i in range(keepclear.MOST)]
         yield from _slices(keepclear.deciding(limits, keepclear.Memory(), own, route, them, None, 0.0))
 
-    number = f"{MOST} vessels"
+    number, edge = f"{MOST} vessels", thingcosts.field(1.0)
     return [
         Row(f"{number}: a step of the watch", watched),
+        Row(f"{number}, {thingcosts.THINGS} things: a step of the watch", partial(thingcosts.watched, settings)),
+        Row("a way past all things, by the largest chart", thingcosts.passed),
+        Row("the largest chart: a look 8 m along an edge", _once(lambda: edge.least_m((0.0, 0.0), (8.0, 0.0), 3.0))),
         Row(f"{number}: state for a watcher", told),
         Row(f"a decision for {keepclear.MOST} vessels that come together", decided),
     ]

@@ -15,6 +15,7 @@ from delfim.vehicle.state import Sighting, State
 from delfim.vehicle.target import NEVER_S, Target
 
 AT_ONCE: Final = 24  # reports that one step takes; a busy harbour brings one
+OF_THING: Final = 2  # so many a sighting of a thing counts: it is compared with all that are known
 LOOK_S: Final = 1.0
 TOLD_S: Final = 10.0  # what was missed is told for so long
 SLICE: Final = 200  # comparisons of one step
@@ -32,8 +33,13 @@ class TrafficLookout:
         """File waiting reports; call it with the watchdog. Never raises."""
         waiting = state.heard
         if waiting:
+            left = AT_ONCE
             for name in tuple(islice(waiting, AT_ONCE)):
-                self._take(waiting.pop(name))
+                sighting = waiting.pop(name)
+                self._take(sighting)
+                left -= OF_THING if isinstance(sighting.told, ThingSeen) else 1
+                if left <= 0:
+                    return
 
     def look(self, state: State, now_s: float) -> None:
         """Do a slice of work; call it after `hear` where nothing else has one to do. Never raises."""

@@ -24,6 +24,7 @@ PERSON_S: Final = 120.0  # a swimmer is kept no longer, since it swims ...
 PERSON_MPS: Final = 1.0  # ... as fast as that
 PERSON_MAX_M: Final = 60.0
 MARGIN_M: Final = 2.0  # of the place of a thing, with that of the boat itself
+HEAD_REACH_M: Final = 6.1  # farther from the edge of a thing no sighting is of it
 SAME_M: Final = 3.0  # a sighting so near to a thing is of that one, ...
 SAME_PERSON_M: Final = 6.0  # ... or to a swimmer: a camera tells poorly how far away a head is
 HEAD_M: Final = 1.0  # radius of what may be a head above the water, seen by who cannot tell it from a buoy, ...
@@ -109,10 +110,14 @@ class Things:
 
     def _at(self, told: ThingSeen, now_s: float) -> Thing | None:
         """The thing of which this is a sighting, a swimmer first, the nearest one; None: it is a new one."""
-        found, least = None, (True, math.inf)
+        found, least, latitude_rad = None, (True, math.inf), told.latitude_rad
         for each in self._things.values():
+            north_m = RADIUS_M * (latitude_rad - each.latitude_rad)
+            if each.kind == "thing" and not -each.radius_m - HEAD_REACH_M <= north_m <= each.radius_m + HEAD_REACH_M:
+                continue  # as most are: the loop waits for this
+            reach_m = _reach_m(each, told, now_s)
             far_m = _far_m(each, told)
-            if far_m <= _reach_m(each, told, now_s) and (this := (each.kind != "person", far_m)) < least:
+            if far_m <= reach_m and (this := (each.kind != "person", far_m)) < least:
                 found, least = each, this
         return found
 
@@ -166,9 +171,11 @@ def _far_m(each: Thing, told: ThingSeen | Thing) -> float:
 def _reach_m(each: Thing, told: ThingSeen, now_s: float) -> float:
     """How near to a thing a sighting is of that one, m; negative: of another kind. Who is called a swimmer by one program is
     one, though another sees something small there."""
+    if each.kind == told.kind == "thing":
+        return each.radius_m if each.radius_m > SAME_M else SAME_M
     swum_m = PERSON_MPS * max(now_s - each.at_s, 0.0)
     if each.kind == told.kind:
-        return SAME_PERSON_M + swum_m if each.kind == "person" else max(SAME_M, each.radius_m)
+        return SAME_PERSON_M + swum_m
     if (each.radius_m if each.kind == "thing" else told.radius_m) > HEAD_M:
         return -1.0
     return SAME_PERSON_M if each.kind == "thing" or swum_m <= HEAD_S * PERSON_MPS else -1.0

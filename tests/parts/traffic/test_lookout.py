@@ -14,11 +14,11 @@ from delfim.base import geodesy
 from delfim.base.clock import ManualClock
 from delfim.base.cooperative import Sliced
 from delfim.base.frames import Frame, extended
-from delfim.base.vessels import VesselPosition
+from delfim.base.vessels import ThingSeen, VesselPosition
 from delfim.canproxy.nmea2000.fastpacket import split
 from delfim.parts.traffic import lookout, watchkeeper
 from delfim.parts.traffic.aisbus import FILTERS, AisBus
-from delfim.parts.traffic.lookout import AT_ONCE, TrafficLookout
+from delfim.parts.traffic.lookout import AT_ONCE, OF_THING, TrafficLookout
 from delfim.parts.traffic.targets import MOST
 from delfim.parts.traffic.watchkeeper import LATE_S
 from delfim.simulator.lockstep import Lockstep
@@ -107,6 +107,19 @@ def test_a_flood_waits_in_a_bounded_queue_and_each_step_takes_a_part() -> None:
         lookout.hear(state)
         lookout.look(state, i * TICK_S)
     assert (len(state.heard), len(state.traffic.targets)) == (0, MOST)
+
+
+def test_sightings_of_things_are_taken_fewer_at_a_time() -> None:
+    """Each is compared with all things that are known."""
+    state, its = State(), TrafficLookout(config.TrafficTable())
+    for number in range(3 * AT_ONCE // OF_THING):
+        state.hear(ThingSeen(HERE[0], HERE[1] + 1e-5 * number, 0.5), "payload lidar", 0.0, f"lidar {number}")
+    taken = [len(state.heard)]
+    while state.heard:
+        its.hear(state)
+        taken.append(len(state.heard))
+    assert {before - after for before, after in pairwise(taken)} == {AT_ONCE // OF_THING}
+    assert len(its.things) == 3 * AT_ONCE // OF_THING
 
 
 def test_all_are_looked_at_once_a_second_and_a_boat_without_position_has_no_targets() -> None:
