@@ -32,9 +32,8 @@ class PlayedIns:
 
     def step(self, now_s: float) -> InsState | None:
         """What it knows when its receiver has a position; a silent compass makes its heading unsure."""
-        due = self.compass.due_s <= now_s
         turn = self.compass.step(now_s)
-        self._turn = turn if due else self._turn
+        self._turn = None if self.compass.silent else turn or self._turn
         moved = self.receiver.step(now_s)
         if moved is None:
             return None
