@@ -90,8 +90,21 @@ def _ship(row: dict[str, float | str]) -> Ship:
 
 def target(number: int, ship: Ship, margin_m: float = 0.0) -> Target:
     return Target(
-        *(str(number), f"SHIP {number}", ship.north_m, ship.east_m, ship.course_rad, ship.speed_mps, math.nan),
-        *(ship.length_m, ship.length_m / 6.0, True, margin_m, 0.0, False, "A", 0),
+        key=str(number),
+        name=f"SHIP {number}",
+        north_m=ship.north_m,
+        east_m=ship.east_m,
+        course_rad=ship.course_rad,
+        speed_mps=ship.speed_mps,
+        heading_rad=math.nan,
+        length_m=ship.length_m,
+        beam_m=ship.length_m / 6.0,
+        is_size_known=True,
+        margin_m=margin_m,
+        age_s=0.0,
+        is_lost=False,
+        kind="A",
+        status=0,
     )
 
 
