@@ -442,6 +442,13 @@ def certificate(here: Path) -> Said:
     return refused(lambda: _tls(str(here / "boat.pem")))
 
 
+def operators_of_console(here: Path) -> Said:
+    from delfim.console.watch.operators import read_operators
+
+    names = list[str]()
+    return refused(lambda: names.extend(each.name for each in read_operators(here / "operators.json"))) or names
+
+
 def page_token(here: Path) -> Said:
     from delfim.console.gateway.admission import kept_token
 
@@ -552,6 +559,7 @@ READERS = {
     "certificate": Reader("boat.pem", certificate, TEXT),
     "kept voyage": Reader("voyage-1", kept_voyage, (*BINARY, *TEXT)),
     "page's token": Reader("token", page_token, TEXT),
+    "operators of a console": Reader("operators.json", operators_of_console, TEXT),
     "supervisor's record": Reader("record", supervisors_record, TEXT),
 }
 

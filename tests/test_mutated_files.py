@@ -244,6 +244,8 @@ def keys(folder: Path) -> None:
     (folder / "numbers").write_text(json.dumps({"00" * 15 + "07": 125, "ff" * 16: 20}))
     voyage = KeptHead("test", "", "", 0, 0.0), VoyageState(), console.Rally(((38.69, -9.21),))
     (folder / "voyage-1").write_bytes(packed(1, b"\n".join(map(msgspec.json.encode, voyage)), b""))
+    operator = {"name": "Ana", "role": "command", "key_sha256": 32 * "7f"}
+    (folder / "operators.json").write_text(json.dumps([operator, operator | {"name": "Rui"}]))
     (folder / "token").write_text("Zm9vYmFyYmF6cXV4cXV1eA\n")
     record = {"stage": "safe", "at_s": 12.5, "holders": ["state", "can0"], "deadman": {"at_s": 1.5, "reason": "silent"}}
     (folder / "record").write_text(json.dumps(record))
@@ -342,6 +344,7 @@ SAMPLES = {
         "certificate",
         "supervisor's record",
         "page's token",
+        "operators of a console",
         "kept voyage",
     ),
     images: ("image", "boot environment", "manifest of a slot"),
@@ -413,6 +416,7 @@ READ_BY = {  # function: the readers above that come by it
     "console/terminal/framefilter.py: decoder": {"CAN database"},
     "console/charts/charts.py: _add_tiles": {"MBTiles"},
     "console/gateway/admission.py: kept_token": {"page's token"},
+    "console/watch/operators.py: read_operators": {"operators of a console"},
     "logging/kept/record.py: newest": {"kept voyage"},
     "console/terminal/drive.py: _file": {"mission to send"},
     "survey/enc/reading.py: _whole": {"official chart", "update of an official chart", "catalogue of official charts"},

@@ -66,7 +66,8 @@ async def let_in(session: aiohttp.ClientSession, url: str) -> str:
 
 
 @contextlib.asynccontextmanager
-async def opened(tmp_path: Path, clock: Clock | None = None, **more: Any) -> AsyncIterator[Opened]:
+async def opened(tmp_path: Path, clock: Clock | None = None, *, key: str = "", **more: Any) -> AsyncIterator[Opened]:
+    """`key`: of an operator, where there are some."""
     gateway = Gateway(clock or SystemClock(), tmp_path / "missions", vehicle=VEHICLE, **more)
     ready = asyncio.get_running_loop().create_future()
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
@@ -74,7 +75,7 @@ async def opened(tmp_path: Path, clock: Clock | None = None, **more: Any) -> Asy
         port = probe.getsockname()[1]
     async with asyncio.TaskGroup() as group, visitor() as session:
         console = group.create_task(serve(gateway, ("127.0.0.1", port), ("127.0.0.1", 0), ready.set_result))
-        url = await let_in(session, await ready)
+        url = await let_in(session, (await ready).replace("token=KEY", f"token={key}"))
         links, boats = [], []
         loop = asyncio.get_running_loop()
         for number in (1, 2):

@@ -54,6 +54,7 @@ def options(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--key", metavar="FILE", help="Sign with this key; the boats must have the same.")
     parser.add_argument("--vehicle", metavar="FILE", type=shipped, help="The vehicle's file, for dry runs of missions.")
+    _of_operators(parser)
     parser.add_argument("--keygen", metavar="FILE", help="Make a signing key in this file, and exit.")
     parser.add_argument(
         "--foxglove",
@@ -66,12 +67,36 @@ def options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--no-browser", dest="browser", action="store_false", help="Do not open the browser.")
 
 
+def _of_operators(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--operators",
+        default="~/.local/state/delfim/operators.json",
+        metavar="FILE",
+        help="File of operators with roles and keys; while it names some, only their keys open the page.",
+    )
+    parser.add_argument(
+        "--add-operator", metavar="NAME:ROLE", help="Add an operator (watch, command or maintain), print the key, and exit."
+    )
+    parser.add_argument("--revoke-operator", metavar="NAME", help="Take an operator out of the file, and exit.")
+
+
 def run(asked: argparse.Namespace) -> int:
     from pathlib import Path
 
     from delfim.console.gateway.serving import run
     from delfim.console.link.mavlink import keygen
+    from delfim.console.watch.operators import add_operator, revoke_operator
 
+    operators = Path(asked.operators).expanduser()
+    if asked.add_operator:
+        name, _, role = asked.add_operator.rpartition(":")
+        key = add_operator(operators, name, role)
+        print(f"delfim: {name} has the role {role}; the page opens with ?token={key}: this key is told once, and kept nowhere")
+        return 0
+    if asked.revoke_operator:
+        revoke_operator(operators, asked.revoke_operator)
+        print(f"delfim: the key of {asked.revoke_operator} opens nothing any more")
+        return 0
     if asked.keygen:
         keygen(Path(asked.keygen))
         print(f"delfim: {asked.keygen}: a new key; copy this file to the boat by hand, never over the radio")

@@ -16,6 +16,7 @@ from aiohttp import web
 
 from delfim.base.errors import FormatError
 from delfim.base.input.untrusted import read_text
+from delfim.console.watch.operators import ConsoleOperator, OperatorsFile
 
 TOKEN_BYTES: Final = 12
 NUMBERS: Final = range(200, 255)  # of consoles; QGroundControl and MAVProxy have 255
@@ -31,17 +32,19 @@ code { font-size: 15px; }
 <p>The address needs the console's token, and this one has none or another one.</p>
 <p>Open the address that <code>delfim console</code> printed when it started: it ends with <code>?token=…</code>.
 On the console's computer the token is also in the file <code>~/.local/state/delfim/console.token</code>, unless
-<code>--token</code> names another.</p>
+<code>--token</code> names another. Where operators have keys of their own, it ends with the key of one.</p>
 </html>
 """
+OPERATOR: Final = web.RequestKey("operator", ConsoleOperator)
 LOOPBACK: Final = ("127.0.0.1", "localhost", "[::1]")
 
 
 class Admission:
-    """Checks every request. Draws a token if none is given."""
+    """Checks every request. Draws a token if none is given; it opens nothing where operators have keys of their own."""
 
-    def __init__(self, token: str = "") -> None:
+    def __init__(self, token: str = "", operators: OperatorsFile | None = None) -> None:
         self.token = token or secrets.token_urlsafe(TOKEN_BYTES)
+        self.operators = operators or OperatorsFile(None)
 
     @web.middleware
     async def admit(self, request: web.Request, handler: Callable[[web.Request], Any]) -> web.StreamResponse:
@@ -55,13 +58,17 @@ class Admission:
             raise web.HTTPForbidden(text="pages of another site may not use this console\n")
         cookie = f"delfim-{port}"  # a browser keeps cookies by host, and several consoles may be on one
         given = request.query.get("token") or request.cookies.get(cookie) or ""
-        if not hmac.compare_digest(given.encode(), self.token.encode()):
+        operator = self.operators.of(given) if self.operators.closed else None
+        known = operator is not None if self.operators.closed else hmac.compare_digest(given.encode(), self.token.encode())
+        if not known:
             if "text/html" in request.headers.get("Accept", ""):  # a person with a browser
                 raise web.HTTPForbidden(text=CLOSED, content_type="text/html")
             raise web.HTTPForbidden(text="open the address that the console printed when it started: ...?token=...\n")
+        if operator is not None:
+            request[OPERATOR] = operator
         response: web.StreamResponse = await handler(request)
         if "token" in request.query and not response.prepared:
-            response.set_cookie(cookie, self.token, httponly=True, samesite="Lax")  # the boat's page has a link to here
+            response.set_cookie(cookie, given, httponly=True, samesite="Lax")  # the boat's page has a link to here
         return response
 
 

@@ -23,8 +23,9 @@ from delfim.console.boats.othervessels import around
 from delfim.console.boats.soundings import SoundingFiles
 from delfim.console.charts.charts import Charts
 from delfim.console.gateway import foxglove, page_messages
-from delfim.console.gateway.admission import Admission, own_number
+from delfim.console.gateway.admission import OPERATOR, Admission, own_number
 from delfim.console.gateway.adopting import Adoption
+from delfim.console.gateway.bridging import BridgeDesk
 from delfim.console.gateway.onwatch import WatchKeeper
 from delfim.console.gateway.plan_files import PlanFiles
 from delfim.console.gateway.plan_tools import Desk
@@ -37,6 +38,7 @@ from delfim.console.link.udp import Udp
 from delfim.console.tapes.replay import TapePlayer
 from delfim.console.tapes.tape import Tape
 from delfim.console.watch.alerts import WARNING
+from delfim.console.watch.operators import OperatorsFile
 from delfim.parts.fleet.broker import DOWN, BrokerLine
 
 PAGE: Final = Path(__file__).parents[1] / "page"
@@ -61,11 +63,12 @@ class Page:
 
     def __init__(self, link: web.WebSocketResponse, request: web.Request, number: int) -> None:
         self._link, self._request, self.number = link, request, number
+        self.operator = request.get(OPERATOR)
         self.queue: asyncio.Queue[str | None] = asyncio.Queue(maxsize=QUEUE_MAX + 1)  # None: the end
 
     @property
     def who(self) -> str:
-        return f"page {self.number} at {self._request.remote}"
+        return self.operator.name if self.operator else f"page {self.number} at {self._request.remote}"
 
     def tell(self, message: dict[str, Any]) -> None:
         transport = self._request.transport
@@ -82,6 +85,7 @@ class Page:
         with suppress(ConnectionError):
             while (text := await self.queue.get()) is not None:
                 await self._link.send_str(text)
+        await self._link.close()
 
 
 class Gateway:
@@ -101,19 +105,20 @@ class Gateway:
         tapes: Sequence[Tape] = (),
         number: int | None = None,
         trials: Path = Path("adopt"),
+        operators: OperatorsFile | None = None,
     ) -> None:
         self.udp = Udp(self._receive)
         self.radios = {each.device: each for each in (radio(words, self._receive) for words in radios)}
         self.session = Session(sessions, clock) if sessions is not None and not tapes else None
         self.soundings = SoundingFiles(sessions, clock) if self.session is not None and sessions is not None else None
         self.charts = Charts(charts)
-        admission = Admission(token)
-        self.token = admission.token
-        self.me = number or own_number(self.token)
+        admission = Admission(token, operators)
+        self.token, self.me = admission.token, number or own_number(admission.token)
         self._clock, self._pages = clock, set[Page]()
         self.viewers: list[Callable[[dict[str, Any]], None]] = []  # other programs that hear what pages hear
         self.fleet: Fleet | TapePlayer
         self.watch = WatchKeeper(self._broadcast, self._utc_s, self._name)
+        self.bridge = BridgeDesk(admission.operators, partial(self.watch.note, None), self._handed)
         if tapes:
             self.fleet = TapePlayer(tapes, clock, self.tell)
             self.fleet.moved = self._show_jump
@@ -180,6 +185,8 @@ class Gateway:
         self.fleet.tick()
         if isinstance(self.fleet, Fleet):
             self.watch.tick(self.fleet.boats.values(), self._clock.monotonic_s())
+        self.bridge.tick(self._pages, self._clock.monotonic_s())
+        self._complain("file of operators", self.bridge.operators.reason)
         if self.session is not None:
             if self.session.tick():
                 self._keep()
@@ -285,6 +292,7 @@ class Gateway:
         finally:
             self._pages.discard(page)
             self.watch.note(None, page.who, "page", "closed")
+            self.bridge.gone(page.number, self._clock.monotonic_s())
             self.fleet.release_all("the page was closed", page.number)
             if self.adoption is not None and not self._pages:
                 self.adoption.pages_gone()
@@ -371,8 +379,19 @@ class Gateway:
     def _ask(
         self, page: Page, asked: page_messages.Message, words: dict[str, Any], answer: Callable[[bool, str], None]
     ) -> None:
-        fleet = self.fleet
         answer = self.watch.ordered(page.who, asked, words, answer)
+        if reason := self.bridge.refusal(page, asked):
+            answer(False, reason)
+        elif isinstance(asked, page_messages.Here | page_messages.Handover):
+            self.bridge.ask(page, asked, self._pages, self._clock.monotonic_s())
+            answer(True, "")
+        else:
+            self._obey(page, asked, words, answer)
+
+    def _obey(
+        self, page: Page, asked: page_messages.Message, words: dict[str, Any], answer: Callable[[bool, str], None]
+    ) -> None:
+        fleet = self.fleet
         match asked:
             case page_messages.Input(boat=number):
                 fleet.input(number, asked.n, asked.port_pct, asked.starboard_pct, page.number)
@@ -423,6 +442,14 @@ class Gateway:
                 if self.adoption is None:
                     raise Refused("nothing is adopted in a replay")
                 self.adoption.ask(asked, answer)
+
+    def _handed(self, name: str, before: int) -> None:
+        """Somebody else commands, or nobody (""): no thrust of the page that did."""
+        self.fleet.release_all("the command was handed over", before)
+        if name:
+            self.watch.alerts.transfer(name)
+        else:
+            self.watch.alerts.give_back()
 
     def _acted(self, boat: int | None, what: str) -> None:
         """A page gives an order: the trial of that boat, or of any (None), is over before it goes out."""

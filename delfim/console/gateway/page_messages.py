@@ -63,6 +63,20 @@ class Afford(Said, frozen=True):
     boat: Number
 
 
+class Here(Said, frozen=True):
+    """Answers a word about who commands (`bridge`)."""
+
+    n: int
+    grant: int = 0  # that it knows of
+
+
+class Handover(Said, frozen=True):
+    """The command of the boats: taken where nobody has it, offered to a page or to none, accepted, left or declined."""
+
+    do: Literal["take", "offer", "accept", "leave"]
+    page: int = 0
+
+
 class Replay(Said, frozen=True):
     """Where a replay goes on, and how fast."""
 
@@ -191,6 +205,8 @@ Message = (
     | Forget
     | Home
     | Afford
+    | Here
+    | Handover
     | Replay
     | Acknowledge
     | Quiet

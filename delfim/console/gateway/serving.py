@@ -25,6 +25,7 @@ from delfim.console.gateway.foxglove import FoxgloveView
 from delfim.console.gateway.gateway import Gateway
 from delfim.console.link.mavlink import Key
 from delfim.console.tapes.replay import open_tapes
+from delfim.console.watch.operators import OperatorsFile
 from delfim.parts.fleet.broker import UP, BrokerLine, BrokerPlace
 
 TICK_S: Final = 0.05
@@ -49,7 +50,8 @@ async def serve(gateway: Gateway, boats: tuple[str, int] | None, page: tuple[str
         for each in gateway.radios.values():
             each.start()
         port = runner.addresses[0][1]
-        ready(f"http://{bracketed(ip_address(page[0]))}:{port}/?token={gateway.token}")
+        key = "KEY" if gateway.bridge.operators.closed else gateway.token
+        ready(f"http://{bracketed(ip_address(page[0]))}:{port}/?token={key}")
         async with asyncio.TaskGroup() as group:
             if gateway.broker is not None:
                 group.create_task(gateway.broker.follow())
@@ -101,6 +103,7 @@ def run(asked: argparse.Namespace) -> int:
         tapes=tapes,
         number=asked.number,
         trials=Path(asked.trials),
+        operators=OperatorsFile(Path(asked.operators).expanduser()),
     )
 
     if asked.broker and not tapes:
@@ -124,7 +127,7 @@ def run(asked: argparse.Namespace) -> int:
             )
         for complaint in filter(None, [*gateway.charts.faults, *(tape.complaint for tape in tapes)]):
             print(f"delfim: {complaint}", file=sys.stderr)
-        if asked.browser:
+        if asked.browser and not gateway.bridge.operators.closed:
             show(url)
 
     async def until_ended() -> None:

@@ -16,7 +16,8 @@ PENDING_MAX: Final = 5000  # lines beyond that, as when the disk is full, are no
 
 
 class WatchLine(NamedTuple):
-    """A line. `what`: a priority of alerts, "notice", "over", "order", "refused", "acknowledged", "silenced", "page"."""
+    """A line. `what`: a priority of alerts, "notice", "over", "order", "refused", "acknowledged", "silenced", "command",
+    "page"."""
 
     at_s: float  # since 1970
     boat: int | None

@@ -116,8 +116,9 @@ class AlertList:
         return loud
 
     def transfer(self, who: str) -> list[StandingAlert]:
-        """Who took over the command answers for what lasts. What that is."""
-        return [each for each in list(self._alerts.values()) if self._happen(each, Happening.TRANSFERRED, who)]
+        """Who took over the command answers for what lasts and was acknowledged. What that is."""
+        seen = [each for each in self._alerts.values() if each.state is AlertState.ACKNOWLEDGED]
+        return [each for each in seen if self._happen(each, Happening.TRANSFERRED, who)]
 
     def give_back(self) -> None:
         """Nobody commands: nobody answers for anything."""

@@ -5,6 +5,7 @@ import { Actions } from "./actions";
 import { Adopt } from "./adopt";
 import { Aim } from "./aim";
 import { Alerts } from "./alerts";
+import { Bridge } from "./bridge";
 import type { Pixel } from "./chart";
 import { Chart } from "./chart";
 import { Check } from "./check";
@@ -53,6 +54,7 @@ const watchLog = new WatchLog(document.body);
 const drive = new Drive(net, state, () => strips.draw(false));
 const actions = new Actions(net, state, drive, (boat, severity, words) => messages.say(boat, severity, words), () => corner.draw());
 const popup = new Popup(document.body, element("corner"));
+const bridge = new Bridge(element("bar"), net, popup, (severity, words) => messages.say(null, severity, words));
 const keyCard = card(document.body, state);
 const chart = new Chart(element("map"), element("scale"), { click, press, hover });
 const land = new Land(chart, state, element("base"));
@@ -157,6 +159,8 @@ function heard(message: Heard): void {
       return message.alarm ? undefined : messages.say(message.boat, message.severity, message.text);
     case "alerts":
       return alerts.take(message.alerts);
+    case "bridge":
+      return bridge.take(message);
     case "ended":
       return alerts.takeEnded(message.alerts, message.all);
     case "log":

@@ -264,6 +264,7 @@ export type Heard =
   | { t: "forgotten"; boat: number }
   | { t: "text"; boat: number | null; severity: number; text: string; at_s: number; alarm?: string }
   | { t: "alerts"; alerts: Alert[] }
+  | { t: "bridge"; n: number; you: number; holder: number; granted: number; grant: number; offered: number; pages: { page: number; name: string; role: string; carries: boolean }[] }
   | { t: "ended"; alerts: Ended[]; all?: boolean }
   | { t: "log"; lines: WatchLine[]; all?: boolean }
   | { t: "answer"; seq: number; ok: boolean; reason: string; stage?: string }
@@ -279,7 +280,15 @@ export type Heard =
 
 export type MissionDeed = "put" | "upload" | "download" | "check" | "dryrun" | "save" | "load" | "list" | "compare";
 
+/** The command of the boats changes hands. */
+export interface Hand {
+  t: "handover";
+  do: "take" | "offer" | "accept" | "leave";
+  page?: number;
+}
+
 export type Said =
+  | Hand
   | { t: "command"; boat: number | "all"; command: string; [key: string]: Values[string] }
   | { t: "mission"; boat: number; do: MissionDeed; mission?: Mission; name?: string }
   | { t: "profile"; boat: number; profile: string }
@@ -294,5 +303,6 @@ export type Said =
 
 // Sent without a number: nobody waits for an answer.
 export type Streamed =
+  | { t: "here"; n: number; grant: number }
   | { t: "input"; boat: number; n: number; port_pct: number; starboard_pct: number }
   | { t: "release"; boat: number; why: string };
