@@ -19,6 +19,7 @@ from delfim.base.cooperative import Sliced
 from delfim.base.geodesy import origin
 from delfim.vehicle.helm.detour import CHARTED_MOST
 from delfim.vehicle.helm.waterway import Shut, way_through
+from delfim.vehicle.plans.basins import basins_of
 from delfim.vehicle.plans.clearance import ClearanceField, laid
 from delfim.vehicle.plans.clearancefile import read
 from delfim.vehicle.plans.fence import Fence
@@ -104,7 +105,8 @@ def test_ways_are_found_where_there_are_any_and_are_the_shortest_within_2_percen
     file = tmp_path / "US5OH10M.000"
     file.write_bytes(lzma.decompress(LAKE.read_bytes()))
     at = origin(*map(math.radians, PLACES[name]))
-    field = laid(read(made(dangers([read_cell(file, LAYERS)], Need(0.5)), at)).water(""), at)
+    water = read(made(dangers([read_cell(file, LAYERS)], Need(0.5)), at)).water("")
+    field = laid(water._replace(basins=(basins_of(water.grids, ROOM_M),)), at)
     around, judge, drawn = Fence((charted("no-go", field),), config.FenceTable()), WayJudge(field), random.Random(KEPT_BACK)
     ratios, spent, apart, tried = list[float](), list[int](), list[int](), 0
     while len(ratios) < PAIRS:

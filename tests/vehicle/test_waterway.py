@@ -112,15 +112,18 @@ def test_goto_leads_round_what_the_chart_forbids(sea: CharteredSea) -> None:
 
 
 @pytest.mark.parametrize(
-    ("most", "why"), [(detour.CHARTED_MOST, "no-go water is all about the target"), (1, "the search took too long")]
+    ("shoals", "most", "why"),
+    [(RING, detour.CHARTED_MOST, "no-go water is all about the target"), ([(90.0, 0.0, 30.0)], 1, "the search took too long")],
 )
-def test_a_goto_without_a_way_waits_and_says_why(most: int, why: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("tests.vehicle.test_charted.DATA", chart(AT, RING))
+def test_a_goto_without_a_way_waits_and_says_why(
+    shoals: Sequence[Shoal], most: int, why: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("tests.vehicle.test_charted.DATA", chart(AT, shoals))
     monkeypatch.setattr(detour, "CHARTED_MOST", most)
     monkeypatch.setattr(detour, "MOST", 0)
     shut = CharteredSea(tmp_path)
     assert shut.run.command(console.Goto(*shut.at(150.0, 0.0))) is None
-    for state in shut.run.cycles(120.0):
+    for state in shut.run.cycles(1.0):  # told within a second
         if state.reason.startswith("no way"):
             break
     assert (shut.run.state.mode, shut.run.state.setpoint.target) == (Mode.GOTO, None)

@@ -2,8 +2,9 @@
 
 The water is cut into squares, smaller ones near to what is forbidden, each looked at when the search first comes to it. The
 search goes from square to square and looks back to the last turn that can be seen (Lazy Theta*: A. Nash, S. Koenig, C. Tovey,
-AAAI 2010); then the way is pulled tight. At the same time the water about the target is filled, for where it is a pond the
-search would look at all the sea before it says so. Pure, in slices, in metres of the local plane.
+AAAI 2010); then the way is pulled tight. Two waters that the chart parts are told at once; zones may part them, so the water
+about the target is filled at the same time: where it is a pond the search would look at all the sea before it says so. Pure, in
+slices, in metres of the local plane.
 """
 
 import math
@@ -25,6 +26,7 @@ SEEN: Final = 20  # looks in one slice
 REACH: Final = 12  # smallest squares, from a place to the first square that is free
 PULLS: Final = 4  # times that each turn is pulled
 HALVINGS: Final = 5
+PONDS: Final = 400  # squares: a greater water about the target is no pond
 SLACK: Final = 0.03  # of a clearance, by which its neighbours may be told too small
 
 Square = tuple[int, int, int]  # level, row, column, from the south and west of the field
@@ -44,7 +46,7 @@ class Waters:
 
     def __init__(self, around: Fence, field: ClearanceField, room_m: float) -> None:
         self._zones = [zone for zone in around.zones if zone.field is not field]
-        self._field, self.room_m = field, room_m
+        self.field, self.room_m = field, room_m
         grid = max(field.grids, key=lambda each: each.rows / each.by_north)
         self.side_m = max(grid.rows / grid.by_north, grid.columns / grid.by_east)
         self._south_m, self._west_m = -grid.from_north / grid.by_north, -grid.from_east / grid.by_east
@@ -81,7 +83,7 @@ class Waters:
         return found
 
     def _clear_m(self, at: Point, within_m: float) -> float:
-        smallest = self._field.clear_m(*at)
+        smallest = self.field.clear_m(*at)
         self.spent += 3
         for zone in self._zones:
             if zone.keep_in or not apart(zone.box, at, at, within_m):
@@ -140,10 +142,10 @@ class Waters:
         length_m, floor_m = math.dist(a, b), self.room_m
         north, east = ((b[0] - a[0]) / length_m, (b[1] - a[1]) / length_m) if length_m else (0.0, 0.0)
         if is_first:
-            floor_m = min(floor_m, self._field.clear_m(*a) - RECEDES_M)
+            floor_m = min(floor_m, self.field.clear_m(*a) - RECEDES_M)
         far_m, looks = 0.0, 0
         while True:
-            spare_m = self._field.clear_m(a[0] + far_m * north, a[1] + far_m * east) - floor_m
+            spare_m = self.field.clear_m(a[0] + far_m * north, a[1] + far_m * east) - floor_m
             looks += 1
             if spare_m < 0.0 or far_m >= length_m:
                 yield 2 * looks
@@ -201,6 +203,8 @@ class WaySearch:
             return Shut("no free water is near the boat")
         if not ends:
             return Shut("no free water is near the target")
+        if why := self._parted([self.at(square) for square in starts], [self.at(square) for square in ends]):
+            return Shut(why)
         for square in starts:
             self.reach(square, A)
         is_joined = False
@@ -223,7 +227,7 @@ class WaySearch:
             if any(each in ends for each in (square, *beside)):
                 self.reach(B, self.turns[square])
             is_joined = is_joined or square in pond
-            if not is_joined:
+            if not is_joined and len(pond) < PONDS:
                 if not shore:
                     return Shut("no-go water is all about the target")
                 for each in (yield from self._beside(shore.popleft())):
@@ -231,6 +235,18 @@ class WaySearch:
                         pond.add(each)
                         shore.append(each)
         return Shut("no-go water is all about the boat")
+
+    def _parted(self, starts: Sequence[Point], ends: Sequence[Point]) -> str:
+        """Why no way is between these places of free water, as far as the chart alone tells; empty: it does not."""
+        field, room_m = self.water.field, self.water.room_m
+        of = max((each for each in field.basins if each.room_m <= room_m), key=lambda each: each.room_m, default=None)
+        if of is None:
+            return ""
+        here, there = ({field.basin(place, of) for place in places} - {None} for places in (starts, ends))
+        if not here or not there or here & there:
+            return ""
+        shut = sum(of.area_m2[each or 0] for each in there) < sum(of.area_m2[each or 0] for each in here)
+        return f"no-go water is all about the {'target' if shut else 'boat'}"
 
     def _beside(self, square: Square) -> Work[list[Square]]:
         """The free squares that touch one."""

@@ -6,6 +6,7 @@ of depths by its name: such a band has a field of its own. Pure, in metres of th
 """
 
 import math
+from bisect import bisect_right
 from typing import Annotated, Final, NamedTuple
 
 import msgspec
@@ -60,12 +61,30 @@ class Grid(NamedTuple):
     codes: bytes
 
 
+Stretches = tuple[list[int], list[int], list[int]]  # of a row of squares: first, end, number of the basin
+
+
+class Basins(NamedTuple):
+    """Which squares between knots hang together for a boat that keeps this room (`basins.py`)."""
+
+    room_m: float
+    rows: tuple[tuple[Stretches, ...], ...]  # of each grid
+    area_m2: dict[int, float]
+
+    def at(self, grid: int, row: int, column: int) -> int | None:
+        """The number of the basin that a square lies in; None: it is closed."""
+        first, end, number = self.rows[grid][row]
+        at = bisect_right(first, column) - 1
+        return number[at] if at >= 0 and column < end[at] else None
+
+
 class Water(NamedTuple):
     """A chart with one band opened, or none."""
 
     name: str
     head: ClearanceHead
     grids: tuple[Grid, ...]
+    basins: tuple[Basins, ...] = ()
 
 
 class Chart(NamedTuple):
@@ -75,6 +94,7 @@ class Chart(NamedTuple):
     fields: dict[str, tuple[Grid, ...]]  # by band
     digest: str  # 16 hexadecimal digits that name its content
     closed: str = ""  # why this boat opens no band, in words
+    basins: dict[str, tuple[Basins, ...]] = {}  # by band; never changed  # noqa: RUF012
 
     def water(self, band: str) -> Water:
         """The chart with this band opened; "": with none. Raises Refused."""
@@ -83,7 +103,7 @@ class Chart(NamedTuple):
         if band not in self.fields:
             there = ", ".join(self.head.bands[1:]) or "none"
             raise Refused(f"the mission opens water of {band}, and the chart aboard has been made for {there}")
-        return Water(f"no-go water of chart {self.head.chart}", self.head, self.fields[band])
+        return Water(f"no-go water of chart {self.head.chart}", self.head, self.fields[band], self.basins.get(band, ()))
 
 
 class LaidGrid(NamedTuple):
@@ -105,6 +125,7 @@ class ClearanceField(NamedTuple):
 
     grids: tuple[LaidGrid, ...]
     shrink: float  # metres of the boat's plane for one of the chart's, where they are shorter
+    basins: tuple[Basins, ...] = ()
 
     def clear_m(self, north_m: float, east_m: float) -> float:
         """How far a place surely is from dangers and their margins, m; negative within them, and beyond the chart."""
@@ -122,6 +143,14 @@ class ClearanceField(NamedTuple):
                 above += right * (METRES[codes[at + 1]] - above)
                 return (below + up * (above - below) - over_m) * self.shrink
         return OUTSIDE_M
+
+    def basin(self, at: tuple[float, float], of: Basins) -> int | None:
+        """The number of the basin that a place lies in."""
+        for number, grid in enumerate(self.grids):
+            up, right = at[0] * grid.by_north + grid.from_north, at[1] * grid.by_east + grid.from_east
+            if 0.0 <= up < grid.rows and 0.0 <= right < grid.columns:
+                return of.at(number, int(up), int(right))
+        return None
 
     def least_m(self, a: tuple[float, float], b: tuple[float, float], within_m: float) -> tuple[float, int]:
         """The smallest clearance on the straight way, if it is less than `within_m`, else infinite; and how many looks it
@@ -174,4 +203,5 @@ def laid(water: Water, at: geodesy.Origin) -> ClearanceField:
             for grid, codes in water.grids
         ),
         min(1.0, 1.0 / max(north, east)),
+        water.basins,
     )

@@ -12,7 +12,9 @@ import msgspec
 from delfim import config
 from delfim.base.errors import ConfigError, FormatError
 from delfim.base.input.untrusted import read_file
+from delfim.vehicle.plans.basins import basins_of
 from delfim.vehicle.plans.clearance import BYTES, Chart, ClearanceHead, Grid, GridHead
+from delfim.vehicle.plans.fence import stopping_m
 
 MAGIC: Final = b"delfim clearance 1\n"
 UNWATCHED: Final = "no sounder watches it: sensors.required needs depth_m, and failsafe.shallow its min_depth_m"
@@ -78,7 +80,10 @@ def load(settings: config.Vehicle) -> Chart | None:
         if needed_m > made_m:
             raise ConfigError(file, "fence.chart", f"made for {name} {made_m:g}, and boat.{name} is {needed_m:g}: make it anew")
     watched = "depth_m" in settings.sensors.required and settings.failsafe.shallow.min_depth_m > 0.0
-    return chart if watched else chart._replace(closed=UNWATCHED)
+    limits, mps = settings.fence, settings.control.speed.cruise_mps
+    rooms_m = sorted({limits.margin_m, limits.mission_margin_m, limits.margin_m + stopping_m(limits, mps)})
+    basins = {band: tuple(basins_of(grids, room_m) for room_m in rooms_m) for band, grids in chart.fields.items()}
+    return chart._replace(basins=basins, closed="" if watched else UNWATCHED)
 
 
 def _striped(codes: bytes, grid: GridHead) -> bytes:
