@@ -579,7 +579,7 @@ class Beyond(Trouble, frozen=True):
     is not known, or older than `sensors.stale_s`, is not beyond it."""
 
     above: Bounds = msgspec.field(default_factory=dict)  # by the names of values, as {"bilge.leak" = 0.5}
-    below: Bounds = msgspec.field(default_factory=dict)
+    below: Bounds = msgspec.field(default_factory=dict)  # the least of each, as it is told
     after_s: Annotated[float, msgspec.Meta(ge=0.0, le=3600.0)] = 2.0  # for this long
     action: ActionName = "home"
     manual: ModeAction = "warn"
