@@ -107,6 +107,8 @@ def _classes(module: str) -> dict[str, str]:
 
 def _default(field: Any) -> str:
     value = field.default
+    if value is msgspec.NODEFAULT and field.default_factory is not msgspec.NODEFAULT:
+        value = field.default_factory()
     if value is msgspec.NODEFAULT:
         return "must be given"
     if isinstance(value, tuple):
