@@ -75,7 +75,7 @@ def test_its_trouble_is_acted_on_as_the_table_says_and_is_a_bit_of_the_log(labor
 
     columns = record.of(run.settings)
     told = dict(zip((each.name for each in columns.fields), record.values(columns, run.state, run.elapsed_s), strict=True))
-    assert (told["troubles"], told["water_c"]) == (1 << 26, run.state.measured["water_c"][0])
+    assert (told["troubles"], told["water_c"]) == (1 << 29, run.state.measured["water_c"][0])
 
 
 @pytest.mark.parametrize(

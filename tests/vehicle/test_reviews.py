@@ -59,6 +59,12 @@ def mission(waypoints: int, path: int = 0, around: config.Zones = OPEN) -> Missi
 
 
 @pytest.fixture
+def boat(make_boat):
+    """It lies where it is, whatever its motors do."""
+    return make_boat(failsafe=config.Failsafe(stuck=config.Stuck(after_s=3600.0)))
+
+
+@pytest.fixture
 def sea(boat):
     """A boat under way with consoles at its station and at its command socket; the loop is turned by hand."""
     turns: list = []

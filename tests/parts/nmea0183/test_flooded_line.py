@@ -61,6 +61,7 @@ class Boat:
             self._handles += [self._ends[name], near]
         ports = [f'nmea0183.ports.{name}.device="{device}"' for name, device in devices.items()]
         own = ['navigation.sources=["nmea0183"]', "navigation.stale_s=2.5", "sysstat.required=[]"]
+        own.append("failsafe.stuck.after_s=3600")  # she is led along a line, whatever her motors do
         self.day = day = Day(place / "log", *own, *ports, *more)
         settings, self.clock, self.state = day.settings, day.clock, State()
         self.lines, self._logs, self.said = dict[str, SerialLine](), list[LineLog](), dict.fromkeys(NAMES, 0)
