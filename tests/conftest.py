@@ -60,6 +60,12 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     items.sort(key=lambda item: "guest" not in item.path.parts)
 
 
+def pytest_runtest_teardown() -> None:
+    """A program whose start was tried in this process may have made it urgent, which starves all tests beside the next ones."""
+    if os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK == os.SCHED_FIFO:
+        os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+
+
 @pytest.hookimpl(tryfirst=True)
 def pytest_pyfunc_call(pyfuncitem: pytest.Function) -> bool | None:
     """A test may be a coroutine: it runs in a loop of its own, or by the fixture `runner`. A fixture that is an asynchronous
