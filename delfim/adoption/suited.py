@@ -9,6 +9,11 @@ TURNED_DEG: Final = 60.0  # by which a motor that is found steers, at most
 BY_HAND: Final = "try each motor by hand (docs/bench.md), and write [adopted] proven = true"  # for boats that are unfit
 
 
+def parts_told(rows: Sequence[ThrusterTable]) -> int:
+    """How many numbers a boat is told in a trial: a part for each row, and one for each that turns."""
+    return len(rows) + sum(row.steer is not None for row in rows)
+
+
 def unfit(rows: Sequence[ThrusterTable]) -> str:
     """Why the motors of a boat cannot be found in this way, in words; empty: they can."""
     if len(rows) == 1:

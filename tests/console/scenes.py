@@ -2,12 +2,13 @@
 
 import asyncio
 import base64
+import contextlib
 import io
 import itertools
 import math
 import sys
 import tempfile
-from collections.abc import Awaitable, Callable
+from collections.abc import AsyncIterator, Awaitable, Callable
 from pathlib import Path
 from typing import TypeAlias
 
@@ -164,6 +165,21 @@ async def caught_up(page: Page, gateway: Standin) -> None:
 async def show(page: Page, south_m: float, west_m: float, north_m: float, east_m: float) -> None:
     a, b = place(south_m, west_m), place(north_m, east_m)
     await page.value(f"delfim.fit({a[0]}, {a[1]}, {b[0]}, {b[1]})")
+
+
+@contextlib.asynccontextmanager
+async def a_minute_at_work(width: int, height: int) -> AsyncIterator[tuple[Page, Standin]]:
+    """A page of a fresh browser, for pictures, and its gateway, whose boats have worked for a minute."""
+    gateway = at_work()
+    with tempfile.TemporaryDirectory(prefix="pictures-", ignore_cleanup_errors=True) as home:
+        async with gateway.serving(), browser(Path(home)) as page:
+            day = Day(gateway)
+            await day.sail(0.1)
+            await opened(page, gateway, width=width, height=height)
+            await page.value("document.querySelector('#hint button').click()")
+            await show(page, -150, -300, 180, 260)
+            await day.sail(60)
+            yield page, gateway
 
 
 async def pixel(page: Page, north_m: float, east_m: float) -> tuple[float, float]:

@@ -4,14 +4,13 @@ its command line it keeps pictures for docs/operator.md (`make pictures`).
 
 import asyncio
 import sys
-import tempfile
 from pathlib import Path
 
-from tests.console.scenes import Day, alert, at_work, choose, opened, pixel, show
+from tests.console.scenes import a_minute_at_work, alert, at_work, choose, opened, pixel
 from tests.console.standin import Message, Standin
 from tests.kit.page import sailing, shown
 from tests.kit.pictures import keeper
-from tests.services.browser import Page, browser, shrink, tab
+from tests.services.browser import Page, shrink, tab
 
 DEAD = "port propeller turns 1 instead of 945 rpm: stop"
 LINE = "document.querySelector('#bar p').textContent"
@@ -94,22 +93,15 @@ async def test_the_time_in_the_bar_is_the_consoles() -> None:
 
 def main(folder: Path) -> None:
     async def keep() -> None:
-        gateway, picture = at_work(), keeper(folder, "console")
-        with tempfile.TemporaryDirectory(prefix="alerts-", ignore_cleanup_errors=True) as home:
-            async with gateway.serving(), browser(Path(home)) as page:
-                day = Day(gateway)
-                await day.sail(0.1)
-                await opened(page, gateway, width=DESK[0], height=DESK[1])
-                await page.value("document.querySelector('#hint button').click()")
-                await show(page, -150, -300, 180, 260)
-                await day.sail(60)
-                await watched(page, gateway)
-                await picture(page, "alerts")
-                await page.press("a")
-                await page.mouse(await pixel(page, -210, 60))
-                await choose(page, "Screen", "Night colours")
-                await page.press("a")
-                await picture(page, "alerts-night")
+        picture = keeper(folder, "console")
+        async with a_minute_at_work(*DESK) as (page, gateway):
+            await watched(page, gateway)
+            await picture(page, "alerts")
+            await page.press("a")
+            await page.mouse(await pixel(page, -210, 60))
+            await choose(page, "Screen", "Night colours")
+            await page.press("a")
+            await picture(page, "alerts-night")
 
     asyncio.run(keep())
     shrink(folder.glob("console-alerts*.png"))

@@ -5,11 +5,10 @@ With a folder on its command line it keeps a picture for docs/operator.md (`make
 import asyncio
 import contextlib
 import sys
-import tempfile
 from pathlib import Path
 
 from delfim.console.watch.operators import OperatorsFile, add_operator
-from tests.console.scenes import Day, at_work, choose, opened, show
+from tests.console.scenes import a_minute_at_work, at_work, choose, opened
 from tests.console.standin import Message, Standin
 from tests.console.test_gateway import opened as real
 from tests.kit.page import sailing, shown
@@ -107,18 +106,11 @@ async def ordered(page: Page, entry: str) -> None:
 
 def main(folder: Path) -> None:
     async def keep() -> None:
-        gateway, picture = at_work(), keeper(folder, "console")
-        with tempfile.TemporaryDirectory(prefix="bridge-", ignore_cleanup_errors=True) as home:
-            async with gateway.serving(), browser(Path(home)) as page:
-                day = Day(gateway)
-                await day.sail(0.1)
-                await opened(page, gateway, width=DESK[0], height=DESK[1])
-                await page.value("document.querySelector('#hint button').click()")
-                await show(page, -150, -300, 180, 260)
-                await day.sail(60)
-                await says(page, gateway, word(1, holder=1), "You command")
-                await page.value(f"{BUTTON}.click()")
-                await picture(page, "bridge")
+        picture = keeper(folder, "console")
+        async with a_minute_at_work(*DESK) as (page, gateway):
+            await says(page, gateway, word(1, holder=1), "You command")
+            await page.value(f"{BUTTON}.click()")
+            await picture(page, "bridge")
 
     asyncio.run(keep())
     shrink(folder.glob("console-bridge.png"))

@@ -13,6 +13,7 @@ from typing import Final
 import msgspec
 
 from delfim import config
+from delfim.adoption.suited import parts_told
 from delfim.adoption.trial.manoeuvres import BoatOnTrial, MotionSeen, Played, SeaTrial, TrialEnded
 from delfim.adoption.trial.motors import DriftNoise, MotorsFound, Wiring, wiring
 from delfim.base.errors import DelfimError
@@ -87,7 +88,7 @@ def _is_whole(kept: TrialProgress) -> bool:
         alike = len(found.sides) == len(found.signs) == len(found.least) == len(kept.thrusters)
         if not alike or not {*found.sides, *found.signs} <= {1, -1} or (not found.steers and set(found.sides) != {1, -1}):
             return False
-    parts = len(kept.thrusters) + sum(row.steer is not None for row in kept.thrusters)
+    parts = parts_told(kept.thrusters)
     times_s = [each.at_s for each in kept.tape]
     if any(len(value) != VALUES.get(kind, 0) for each in kept.tape for kind, value in (each.measured or {}).items()):
         return False

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from typing import Any, Final, Protocol
 
 from delfim.adoption.record import BoatRecord, Manoeuvre, Series
+from delfim.adoption.suited import parts_told
 from delfim.adoption.trial.manoeuvres import MotionSeen, Played
 from delfim.adoption.trial.motors import MotorsFound, as_corrected
 from delfim.base.errors import DelfimError
@@ -41,7 +42,7 @@ def record_of(progress: TapedTrial, *, is_estimated: bool) -> BoatRecord:
         velocity, heading, turn = (_measured(progress, kind) for kind in ("velocity", "heading", "rate"))
     return BoatRecord(
         thrusters=tuple(row.name for row in rows),
-        told=Series.of(told, len(rows) + sum(row.steer is not None for row in rows)),
+        told=Series.of(told, parts_told(rows)),
         position=Series.of([(each.at_s, each.north_m, each.east_m) for each in tape], 2),
         velocity=Series.of(velocity, 2),
         heading=Series.of(heading, 1),
