@@ -38,7 +38,7 @@ class Boat:
             *more,
         )
         self.folder, self._words = folder, [VEHICLE, *(word for value in values for word in ("--set", value))]
-        self._nodes = self._started("nodes")
+        self.nodes = self._started("nodes")
         self.supervisor = self._started("supervise")
 
     def _started(self, name: str) -> subprocess.Popen[bytes]:
@@ -49,7 +49,7 @@ class Boat:
         self.supervisor = self._started("supervise")
 
     def end(self) -> None:
-        for program in (self.supervisor, self._nodes):
+        for program in (self.supervisor, self.nodes):
             program.send_signal(signal.SIGTERM)
             program.wait(200)
 
@@ -119,6 +119,7 @@ def test_a_killed_runtime_holds_and_goes_on_when_it_is_told(boat):
         assert "it was in play on leg 1; hold now" in restarted(state)
         assert state["mission"] == "Doca"
         assert check(state, "fence")["reason"].startswith("1 zones")
+        boat.kept(b'{"mode":"hold"')
         boat.asked("continue")
         assert boat.until(lambda state: state["mode"] == "play")["reason"] == "operator continues"
         boat.kept(b'{"mode":"play"')
@@ -143,6 +144,20 @@ def test_a_boat_that_is_told_to_end_stays_idle_with_its_mission_aboard(boat):
     state = boat.until(lambda state: check(state, "fence")["ok"] and state["mission"] == "Doca")
     assert state["mode"] == "idle"
     assert not restarted(state)
+
+
+def test_a_boat_that_dies_again_before_it_knows_where_it_is_goes_on_all_the_same(boat):
+    boat.supervisor.send_signal(signal.SIGSTOP)  # it does not start the runtime before navigation is silent
+    os.kill(boat.runtime(), signal.SIGKILL)
+    boat.nodes.send_signal(signal.SIGSTOP)
+    boat.supervisor.send_signal(signal.SIGCONT)
+    boat.until(lambda state: "waits for navigation" in restarted(state))
+    boat.kill()
+    boat.until(lambda state: "waits for navigation" in restarted(state))
+    boat.nodes.send_signal(signal.SIGCONT)
+    state = boat.until(lambda state: state["mode"] == "hold")
+    assert "it was in play" in restarted(state)
+    assert state["mission"] == "Doca"
 
 
 def test_a_disk_that_is_gone_does_not_take_the_voyage_with_it(boat):

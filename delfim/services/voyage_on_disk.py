@@ -75,8 +75,10 @@ class VoyageKeeping:
             log.error("voyage: the mission of before is not aboard: %s", refused)
 
     def look(self) -> None:
-        """Keep what has changed."""
+        """Keep what has changed, once the boat goes on with what was kept before."""
         self._keeper.poll()
+        if self._boat.returning.is_pending:
+            return
         helm, state = self._boat.helm, self._boat.state
         mission, zones = self._plan_of
         if helm.plans.mission is not mission or helm.plans.zones is not zones:
@@ -113,7 +115,9 @@ class VoyageKeeping:
 
     def end(self, in_order: bool) -> None:
         """Keep the end of the voyage. `in_order`: the program was asked to end, and the boat was stopped for that."""
-        if in_order and self._plan_line is not None:
+        if in_order and self._boat.returning.is_pending and self._found is not None:
+            self._keeper.put(voyage.ended(self._found))
+        elif in_order and self._plan_line is not None:
             self._keep((), in_order=True)
 
     async def close(self) -> None:

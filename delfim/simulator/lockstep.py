@@ -107,6 +107,7 @@ class Lockstep:
         self._cycle_s = 1.0 / settings.navigation.rate_hz
         self._watchdog_s = self._console_s = 0.0
         self._changes = -1  # of the bus, when it was looked at last
+        self._told = b""  # of the voyage before the last restart
         self.ordered: Ordered | None = None  # the last one
 
     def _start(self) -> None:
@@ -124,7 +125,9 @@ class Lockstep:
         self.guest = self.vehicle.guest
 
     def kept(self, boot: str = "a boot") -> bytes:
-        """The voyage as the boat keeps it now."""
+        """The voyage as the boat keeps it now: that of before, while it does not go on with it yet."""
+        if self.vehicle.returning.is_pending:
+            return self._told
         plan = voyage.plan_command(self.vehicle.helm)
         line = Sliced(console.written(plan)).finish() if plan is not None else b""
         return voyage.text(self._own(boot), self.vehicle.helm, self.state, line)
@@ -135,7 +138,7 @@ class Lockstep:
     def restart(self, off_s: float, kept: bytes | None = None, boot: str = "a boot") -> None:
         """Let the boat's program die, and start again after this time with the voyage that it had kept, or with this one.
         Another `boot`: the computer was off."""
-        told = self.kept() if kept is None else kept
+        self._told = self.kept() if kept is None else kept
         for end in self._opened:
             end.close()
         self._opened.clear()
@@ -145,7 +148,7 @@ class Lockstep:
         while self.elapsed_s < until_s:
             self._drift()
         self._start()
-        found = voyage.read(told, self.settings, self._own(boot))
+        found = voyage.read(self._told, self.settings, self._own(boot))
         for command in (found.back, *found.sent):
             self.vehicle.on_command(command, RESTART)
 

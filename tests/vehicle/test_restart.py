@@ -231,6 +231,46 @@ def test_a_voyage_that_is_not_this_one_is_not_gone_on_with(changes, words):
         assert fence.ok
 
 
+@pytest.mark.parametrize("seconds", [0.0, 0.1, 0.4, 1.0, 2.0])
+@pytest.mark.parametrize("boots", [("a boot", "a boot"), ("the second", "the third")], ids=["program", "computer"])
+def test_a_boat_that_restarts_again_and_again_goes_on_all_the_same(seconds, boots):
+    """A battery that cannot carry the load, or a program that dies at its start: the record of the voyage outlasts that."""
+    run = sailing(Mode.PLAY, 'failsafe.restarted.action="resume"')
+    zones, mission, leg = run.vehicle.helm.plans.zones, run.vehicle.helm.plans.mission, run.vehicle.helm.memory.leg
+    run.clock.step(1e9)  # to a time that a clock may show
+    for boot in boots:
+        run.restart(1.0, boot=boot)
+        go_on(run, seconds)
+    run.restart(1.0, boot="the last")
+    go_on(run, 3.0)
+    helm = run.vehicle.helm
+    assert run.state.mode is Mode.PLAY
+    assert (helm.plans.zones, helm.plans.mission) == (zones, mission)
+    assert leg <= helm.memory.leg <= leg + 1
+    assert not run.state.fence_lost
+
+
+def test_a_boat_that_is_ended_in_order_before_it_goes_on_keeps_its_plan_and_stays_idle():
+    run = sailing(Mode.PLAY, 'failsafe.restarted.action="resume"')
+    mission = run.vehicle.helm.plans.mission
+    run.restart(1.0)
+    run.restart(1.0, voyage.ended(run.kept()))
+    go_on(run, 3.0)
+    assert run.state.mode is Mode.IDLE
+    assert run.state.restarted.endswith(ENDED)
+    assert run.vehicle.helm.plans.mission == mission
+
+
+def test_what_an_operator_says_before_the_boat_goes_on_is_kept():
+    run = sailing(Mode.PLAY, 'failsafe.restarted.action="resume"')
+    run.restart(1.0)
+    assert run.command(console.Stop()) is None
+    run.restart(1.0)
+    go_on(run, 3.0)
+    assert run.state.mode is Mode.IDLE
+    assert not run.state.restarted
+
+
 @given(st.data())
 @settings(max_examples=150)
 def test_a_damaged_record_brings_nothing_back_and_says_so(data):

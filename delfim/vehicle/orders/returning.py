@@ -30,7 +30,12 @@ class Returning:
         self._limits, self._helm, self._state = settings.failsafe.restarted, helm, state
         self._back: console.Return | None = None  # what is still to be done
         self._began_s = 0.0
-        self._is_loaded = False  # the plan is aboard, or there was none
+        self._is_loaded = True  # the plan is aboard, or there was none
+
+    @property
+    def is_pending(self) -> bool:
+        """The boat does not do what the record says yet: the record of before must outlast another restart until it does."""
+        return self._back is not None or not self._is_loaded
 
     def obey(self, command: console.Commands, operator: str, now_s: float) -> str | None:
         """The program tells itself the voyage of before; nobody commands by that. Returns why not, or None."""
@@ -85,7 +90,7 @@ class Returning:
 
     def overruled(self, command: console.Commands) -> None:
         """Somebody commands: the boat does that, and nothing of before."""
-        self._back, self._state.restarted = None, ""
+        self._back, self._state.restarted, self._is_loaded = None, "", True
         if isinstance(command, console.Plan | console.Unload):
             self._state.fence_lost, self._helm.plans.spared = "", NOTHING
 

@@ -87,6 +87,12 @@ def text(kept: KeptHead, helm: Helm, state: State, plan: bytes) -> bytes:
     return b"\n".join([_encode(kept), *told, plan])
 
 
+def ended(told: bytes) -> bytes:
+    """The same record, of a program that was told to end. `told` was read before."""
+    first, _, rest = told.partition(b"\n")
+    return _encode(msgspec.structs.replace(_kept.decode(first), in_order=True)) + b"\n" + rest
+
+
 class KeptVoyage(msgspec.Struct, frozen=True):
     """A kept voyage, read: what the boat is told at its start, in order."""
 
