@@ -449,6 +449,25 @@ def operators_of_console(here: Path) -> Said:
     return refused(lambda: names.extend(each.name for each in read_operators(here / "operators.json"))) or names
 
 
+def alerts_of_console(here: Path) -> Said:
+    """As a console takes them, and as its pages get them."""
+    from delfim.console.gateway.alertsfile import read_alerts
+    from delfim.console.watch.alerts import AlertList
+
+    def told() -> None:
+        alerts = AlertList(lambda: 0.0)
+        alerts.restore(read_alerts(here / "alerts.json"))
+        for boat in (1, 2):
+            alerts.troubles(boat, 3)
+        json.dumps([alerts.shown(), list(alerts.history)], allow_nan=False)
+
+    return refused(told)
+
+
+def log_of_watch(here: Path) -> Said:
+    return command("console", "--sessions", str(here), "--watch-log", "1e9")
+
+
 def page_token(here: Path) -> Said:
     from delfim.console.gateway.admission import kept_token
 
@@ -559,6 +578,8 @@ READERS = {
     "certificate": Reader("boat.pem", certificate, TEXT),
     "kept voyage": Reader("voyage-1", kept_voyage, (*BINARY, *TEXT)),
     "page's token": Reader("token", page_token, TEXT),
+    "alerts of a console": Reader("alerts.json", alerts_of_console, TEXT),
+    "log of the watch": Reader("20260921-100000.csv", log_of_watch, (*BINARY, *TEXT)),
     "operators of a console": Reader("operators.json", operators_of_console, TEXT),
     "supervisor's record": Reader("record", supervisors_record, TEXT),
 }

@@ -24,8 +24,10 @@ from delfim.campaign.runplan import read
 from delfim.campaign.store import Store
 from delfim.console.boats.fleet import Fleet
 from delfim.console.boats.soundings import HEAD
+from delfim.console.gateway.watchlog import WatchLine, table
 from delfim.console.link.session import Session
 from delfim.console.tapes.replay import open_tapes
+from delfim.console.watch.alerts import AlertList
 from delfim.logging import nodelog
 from delfim.logging.chain import Chain
 from delfim.logging.kept.writer import packed
@@ -246,6 +248,14 @@ def keys(folder: Path) -> None:
     (folder / "voyage-1").write_bytes(packed(1, b"\n".join(map(msgspec.json.encode, voyage)), b""))
     operator = {"name": "Ana", "role": "command", "key_sha256": 32 * "7f"}
     (folder / "operators.json").write_text(json.dumps([operator, operator | {"name": "Rui"}]))
+    alerts = AlertList(lambda: 1_790_000_000.5)
+    for boat, text in ((1, "port propeller: no report for 1.0 s: stop"), (2, "fence left: stop"), (None, "the disk is full")):
+        alerts.hear(boat, 2, text, is_boats=boat == 1)
+    alerts.troubles(1, 64)
+    alerts.acknowledge("Ana", [1, 3])
+    (folder / "alerts.json").write_bytes(msgspec.json.encode(alerts.kept()))
+    lines = (WatchLine(1_790_000_000.0 + n, n % 3 or None, "boat", "Ana, too", "order", f'=play "{n}"') for n in range(20))
+    (folder / "20260921-100000.csv").write_text(table(lines))
     (folder / "token").write_text("Zm9vYmFyYmF6cXV4cXV1eA\n")
     record = {"stage": "safe", "at_s": 12.5, "holders": ["state", "can0"], "deadman": {"at_s": 1.5, "reason": "silent"}}
     (folder / "record").write_text(json.dumps(record))
@@ -345,6 +355,8 @@ SAMPLES = {
         "supervisor's record",
         "page's token",
         "operators of a console",
+        "alerts of a console",
+        "log of the watch",
         "kept voyage",
     ),
     images: ("image", "boot environment", "manifest of a slot"),
@@ -417,6 +429,8 @@ READ_BY = {  # function: the readers above that come by it
     "console/charts/charts.py: _add_tiles": {"MBTiles"},
     "console/gateway/admission.py: kept_token": {"page's token"},
     "console/watch/operators.py: read_operators": {"operators of a console"},
+    "console/gateway/alertsfile.py: read_alerts": {"alerts of a console"},
+    "console/gateway/watchlog.py: kept_lines": {"log of the watch"},
     "logging/kept/record.py: newest": {"kept voyage"},
     "console/terminal/drive.py: _file": {"mission to send"},
     "survey/enc/reading.py: _whole": {"official chart", "update of an official chart", "catalogue of official charts"},

@@ -3,18 +3,31 @@
 import csv
 import io
 import itertools
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import common as mavlink
 
+from delfim.__main__ import main
 from delfim.base.clock import ManualClock
-from delfim.console.gateway.watchlog import HEADER, KEPT_MAX, WatchLine, WatchLog, table
+from delfim.console.gateway.watchlog import HEADER, KEPT_MAX, WatchLine, WatchLog, since, table
 from delfim.console.link.session import Session
-from delfim.console.watch.alerts import HISTORY_MAX, MORE, OF_BOAT, SILENCE_S, AlertList, cause, is_trouble
+from delfim.console.watch.alerts import (
+    HISTORY_MAX,
+    MORE,
+    OF_BOAT,
+    SILENCE_S,
+    UNTOLD_S,
+    AlertList,
+    KeptAlerts,
+    cause,
+    is_trouble,
+)
 from delfim.console.watch.alertstate import UNSEEN, AlertState, Happening, Priority, after
 from tests.console.test_gateway import opened
 
@@ -89,6 +102,7 @@ DEEDS = st.one_of(
     st.tuples(st.just("silence"), st.just(0), st.integers(0, 40), st.just(0)),
     st.tuples(st.just("transfer"), st.just(0), st.just(0), st.just(0)),
     st.tuples(st.just("give_back"), st.just(0), st.just(0), st.just(0)),
+    st.tuples(st.just("restart"), st.just(0), st.just(0), st.just(0)),
     st.tuples(st.just("later"), st.just(0), st.integers(1, 40), st.just(0)),
 )
 
@@ -125,6 +139,8 @@ def test_nothing_that_nobody_has_seen_is_lost_whatever_happens(deeds: list[tuple
             unseen = {key for key in unseen if (key[0], MORE) not in taken or key in standing(alerts)}
         elif deed == "give_back":
             alerts.give_back()
+        elif deed == "restart":
+            alerts = started_again(alerts, lambda: now_s[0])
         elif deed == "later":
             now_s[0] += number
             alerts.tick()
@@ -135,6 +151,13 @@ def test_nothing_that_nobody_has_seen_is_lost_whatever_happens(deeds: list[tuple
             assert key in shown or (key[0], MORE) in shown, (deed, key)
         assert all(sum(each["boat"] == b for each in alerts.shown()) <= OF_BOAT + 2 for b in (1, 2, 3))
     assert len(alerts.history) <= HISTORY_MAX
+
+
+def started_again(alerts: AlertList, utc_s: Callable[[], float]) -> AlertList:
+    """The console ended, and another one read what it had kept."""
+    after_it = AlertList(utc_s)
+    after_it.restore(msgspec.json.decode(msgspec.json.encode(alerts.kept()), type=KeptAlerts))
+    return after_it
 
 
 def standing(alerts: AlertList) -> set[tuple[int, str]]:
@@ -255,6 +278,61 @@ def test_a_boat_without_bits_has_alerts_until_they_are_seen() -> None:
     assert told(alerts) == []
 
 
+def test_a_trouble_whose_words_were_lost_is_an_alert_once() -> None:
+    now_s = [0.0]
+    alerts = AlertList(lambda: now_s[0])
+    alerts.troubles(1, 1 << 10)
+    now_s[0] = UNTOLD_S - 0.1
+    alerts.troubles(1, 1 << 10)
+    assert told(alerts) == [], "its words may still come"
+    for now_s[0] in (UNTOLD_S, UNTOLD_S + 60.0):
+        alerts.troubles(1, 1 << 10)
+        assert told(alerts) == [("fence: the boat's words were lost on the link", "unacknowledged")]
+    alerts.acknowledge("Ana", [1])
+    alerts.troubles(1, 1 << 10)
+    assert told(alerts) == [("fence: the boat's words were lost on the link", "acknowledged")]
+    alerts.troubles(1, 0)
+    assert told(alerts) == []
+
+
+def test_a_trouble_that_was_told_is_no_second_alert_even_before_its_first_bits() -> None:
+    now_s = [0.0]
+    alerts = AlertList(lambda: now_s[0])
+    alerts.hear(1, 2, f"{DEAD}: stop", is_boats=True)
+    for now_s[0] in (1.0, 100.0):
+        alerts.troubles(1, 1 << 6)
+    assert told(alerts) == [(f"{DEAD}: stop", "unacknowledged")]
+
+
+def test_alerts_come_back_as_they_were_with_their_first_times() -> None:
+    now_s = [100.0]
+    alerts = AlertList(lambda: now_s[0])
+    alerts.troubles(1, 0)
+    for boat, text in ((1, f"{DEAD}: stop"), (2, "fence left: stop"), (3, "shallow: hold")):
+        alerts.hear(boat, 2, text, is_boats=True)
+    alerts.troubles(1, 1 << 6)
+    alerts.hold(None, 4, "recording of the session: the disk is full", True)
+    alerts.hold(2, 4, "link lost", True)
+    ids = {each["text"]: each["id"] for each in alerts.shown()}
+    alerts.acknowledge("Ana", [ids["link lost"]])
+    alerts.transfer("Rui")
+    alerts.acknowledge("Ana", [ids[f"{DEAD}: stop"], ids["shallow: hold"]])
+    now_s[0] = 500.0
+    again = started_again(alerts, lambda: now_s[0])
+    assert {each["text"]: each["state"] for each in again.shown()} == {
+        f"{DEAD}: stop": "acknowledged",
+        "fence left: stop": "unacknowledged",
+        "link lost": "unacknowledged",  # nobody commands after a restart
+        "recording of the session: the disk is full": "rectified",
+    }
+    assert {each["at_s"] for each in again.shown()} == {100.0}
+    assert [each["text"] for each in again.history] == ["shallow: hold"]
+    again.hear(3, 2, "a new one: stop")
+    assert max(each["id"] for each in again.shown()) > max(ids.values()), "no number comes twice"
+    again.troubles(1, 0)
+    assert f"{DEAD}: stop" not in [each["text"] for each in again.shown()]
+
+
 def test_a_forgotten_boat_takes_its_alerts_into_the_history() -> None:
     alerts = alert_list()
     alerts.hold(1, 4, "link lost", True)
@@ -332,6 +410,52 @@ async def test_a_page_that_opens_hears_what_was_and_one_page_acknowledges_for_al
     [frames], [kept] = sessions.glob("*.tlog"), sessions.glob("*.csv")
     assert frames.stem == kept.stem
     assert "play leg=3: not now" in kept.read_text()
+
+
+def test_a_watch_goes_on_with_the_lines_of_the_sessions_before(tmp_path: Path) -> None:
+    hard = ["=cmd()", "two\nlines, and a comma", "'quoted'", "plain"]
+    for n, name in enumerate(("20260921-100000", "20260921-110000", "20260921-110000-1")):
+        log = WatchLog()
+        for text in hard:
+            log.put(WatchLine(1_790_000_000.0 + 3600 * n, 1, "boat1", "Ana", "order", f"{text} {n}"))
+        log.write(tmp_path / f"{name}.csv")
+    with (tmp_path / "20260921-110000.csv").open("a") as out:
+        out.write("half a li")
+    (tmp_path / "soundings.csv").write_text("not of the watch")
+    log = WatchLog()
+    log.resume(tmp_path)
+    assert [line.text for line in log.lines] == [f"{text} {n}" for n in range(3) for text in hard]
+    assert [round(line.at_s) for line in since(tmp_path, 1_790_003_600.0)] == [1_790_003_600] * 4 + [1_790_007_200] * 4
+    log.write(tmp_path / "new.csv")
+    assert not (tmp_path / "new.csv").exists(), "each line is in one table"
+    assert main(["console", "--sessions", str(tmp_path), "--watch-log", "1e9"]) == 0
+
+
+async def test_alerts_and_log_outlive_the_console(tmp_path: Path) -> None:
+    sessions = tmp_path / "sessions"
+    async with opened(tmp_path, sessions=sessions) as sea, sea.session.ws_connect(sea.url + "ws") as page:
+        await sea.until(page, lambda m: m["t"] == "boats" and len(m["boats"]) == 2)
+        for boat, words in ((0, b"port propeller blocked: stop"), (1, b"fence left: stop")):
+            sea.boats[boat].say(mavlink.MAVLink_statustext_message(2, words, 0, 0))
+        first = (await sea.until(page, lambda m: m["t"] == "alerts" and len(m["alerts"]) == 2))["alerts"]
+        await page.send_json({"t": "acknowledge", "seq": 2, "ids": [first[0]["id"]]})
+        await sea.until(page, lambda m: m["t"] == "alerts" and len(m["alerts"]) == 1)
+    async with opened(tmp_path, sessions=sessions) as sea, sea.session.ws_connect(sea.url + "ws") as page:
+        lines = (await sea.until(page, lambda m: m["t"] == "log"))["lines"]
+        assert ("acknowledged", first[0]["text"]) in [(each["what"], each["text"]) for each in lines]
+        assert [each["text"] for each in (await sea.until(page, lambda m: m["t"] == "ended"))["alerts"]] == [first[0]["text"]]
+        [left] = (await sea.until(page, lambda m: m["t"] == "alerts"))["alerts"]
+        assert left == first[1]
+        await page.send_json({"t": "acknowledge", "seq": 3, "ids": [left["id"]]})
+        await sea.until(page, lambda m: m["t"] == "ended" and m["alerts"][0]["text"] == left["text"])
+
+
+async def test_a_damaged_file_of_alerts_is_told_and_put_aside(tmp_path: Path) -> None:
+    (tmp_path / "alerts.json").write_text('{"last": "many"}')
+    async with opened(tmp_path, sessions=tmp_path) as sea, sea.session.ws_connect(sea.url + "ws") as page:
+        told_ = await sea.until(page, lambda m: m["t"] == "alerts" and m["alerts"])
+        assert "the alerts of the session before are lost" in told_["alerts"][0]["text"]
+    assert (tmp_path / "alerts.damaged").exists()
 
 
 def test_the_file_is_that_of_the_session(tmp_path: Path) -> None:

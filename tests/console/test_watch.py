@@ -6,6 +6,7 @@ command line it keeps a picture of each step.
 import asyncio
 import base64
 import re
+import signal
 import sys
 import tempfile
 from collections.abc import Awaitable, Callable
@@ -144,6 +145,44 @@ async def watch(folder: Path, keep: Path | None = None) -> None:
 @pytest.mark.long
 def test_a_watch_over_three_boats(tmp_path: Path) -> None:
     asyncio.run(watch(tmp_path))
+
+
+async def killed(folder: Path) -> None:
+    """The console is killed under a stopped boat: what nobody has seen comes back with its first time, and so does the log."""
+    async with operating(folder, "simulation.faults=true", count=1) as sea:
+        page, boat = sea.page, sea.boats[0]
+        await pressed(page, boat, "h", "heading")
+        await page.press("5")
+        await boat.until(lambda state: state["speed_mps"] > 0.5)
+        await boat.delfim("fault", "thruster_dead", "port")
+        await page.until(f"{of(1, '.trouble.bad')}?.textContent.startsWith('stopped: ')")
+        why = await page.value(f"{of(1, '.trouble.bad')}.textContent.slice(9, 30)")
+        await alert(sea, why, "unacknowledged")
+        since = "document.querySelector('#bar small').textContent"
+        began = await page.value(since)
+        kept = folder / "sessions/alerts.json"
+        async with asyncio.timeout(PATIENCE_S):
+            while why not in (kept.read_text() if kept.exists() else ""):
+                await asyncio.sleep(0.01)
+        sea.gateway.end(signal.SIGKILL)
+        await page.until("!document.getElementById('offline').hidden")
+        await asyncio.to_thread(sea.gateway.start)
+        await page.until("document.getElementById('offline').hidden && document.querySelectorAll('.chip').length === 1", 60)
+        await alert(sea, why, "unacknowledged")
+        assert await page.value(since) == began
+        await page.mouse((640.0, 700.0))
+        await choose(page, "Screen", "Log of the watch")
+        await page.until("[...document.querySelectorAll('#log tr')].some((each) => each.textContent.includes('heading'))")
+        await page.press("Escape")
+        await noted(sea, why)
+        await alert(sea, why, "acknowledged")
+        assert all("/ws" in each for each in page.complaints), "it called for the gateway, and for nothing else"
+        page.complaints.clear()
+
+
+@pytest.mark.long
+def test_alerts_and_log_outlive_a_killed_console(tmp_path: Path) -> None:
+    asyncio.run(killed(tmp_path))
 
 
 if __name__ == "__main__":

@@ -45,6 +45,12 @@ def options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--missions", default="missions", metavar="FOLDER", help="The operator's missions.")
     parser.add_argument("--charts", default="charts", metavar="FOLDER", help="The operator's charts.")
     parser.add_argument("--sessions", default="sessions", metavar="FOLDER", help="Record sessions here.")
+    parser.add_argument(
+        "--watch-log",
+        type=float,
+        metavar="HOURS",
+        help="Print the log of the watch of the last HOURS, of all sessions in --sessions, as a table (CSV), and exit.",
+    )
     parser.add_argument("--trials", default="adopt", metavar="FOLDER", help="Keep trials of boats here (docs/adopt.md).")
     parser.add_argument(
         "--replay",
@@ -81,9 +87,11 @@ def _of_operators(parser: argparse.ArgumentParser) -> None:
 
 
 def run(asked: argparse.Namespace) -> int:
+    import time
     from pathlib import Path
 
     from delfim.console.gateway.serving import run
+    from delfim.console.gateway.watchlog import since, table
     from delfim.console.link.mavlink import keygen
     from delfim.console.watch.operators import add_operator, revoke_operator
 
@@ -96,6 +104,9 @@ def run(asked: argparse.Namespace) -> int:
     if asked.revoke_operator:
         revoke_operator(operators, asked.revoke_operator)
         print(f"delfim: the key of {asked.revoke_operator} opens nothing any more")
+        return 0
+    if asked.watch_log is not None:
+        print(table(since(Path(asked.sessions), time.time() - 3600.0 * asked.watch_log)), end="")
         return 0
     if asked.keygen:
         keygen(Path(asked.keygen))

@@ -117,7 +117,7 @@ class Gateway:
         self._clock, self._pages = clock, set[Page]()
         self.viewers: list[Callable[[dict[str, Any]], None]] = []  # other programs that hear what pages hear
         self.fleet: Fleet | TapePlayer
-        self.watch = WatchKeeper(self._broadcast, self._utc_s, self._name)
+        self.watch = WatchKeeper(self._broadcast, self._utc_s, self._name, sessions if self.session is not None else None)
         self.bridge = BridgeDesk(admission.operators, partial(self.watch.note, None), self._handed)
         if tapes:
             self.fleet = TapePlayer(tapes, clock, self.tell)
@@ -159,6 +159,8 @@ class Gateway:
         if self.session is not None:
             self.session.flush()
             self._keep()
+        if self.watch.file is not None:
+            self.watch.file.close()
         if self.soundings is not None:
             self.soundings.flush()
         self.charts.close()
@@ -192,6 +194,7 @@ class Gateway:
                 self._keep()
             self._complain("recording of the session", self.session.reason)
             self._complain("log of the watch", self.watch.log.reason)
+            self._complain("file of alerts", self.watch.file.reason if self.watch.file is not None else "")
         if self.soundings is not None:
             self.soundings.tick()
             self._complain("recording of the depths", self.soundings.reason)
@@ -411,7 +414,8 @@ class Gateway:
             case page_messages.Profile(boat=number, profile=profile):
                 fleet.command(number, "profile", {"profile": profile}, answer)
             case page_messages.Forget(boat=number):
-                fleet.forget(number)
+                if number in fleet.boats:  # else its alerts are of a session before
+                    fleet.forget(number)
                 self.watch.alerts.forget(number, page.who)
                 self.tell({"t": "forgotten", "boat": number})
                 answer(True, "")

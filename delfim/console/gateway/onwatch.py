@@ -1,10 +1,12 @@
 """Keeps the watch: its log and its alerts, and what pages hear of both."""
 
 from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
 from typing import Any, Final
 
 from delfim.console.boats.boat import SILENT_S, Boat
 from delfim.console.gateway import page_messages
+from delfim.console.gateway.alertsfile import AlertsFile
 from delfim.console.gateway.watchlog import WatchLine, WatchLog
 from delfim.console.watch.alerts import CAUTION, WARNING, AlertList, StandingAlert, priority_of
 
@@ -17,11 +19,22 @@ Answer = Callable[[bool, str], None]
 
 
 class WatchKeeper:
-    """`tell` informs the pages, `utc_s` is the time that they show, `name` that of a boat."""
+    """`tell` informs the pages, `utc_s` is the time that they show, `name` that of a boat. The watch goes on where that of the
+    console before ended, whose files are in `sessions`."""
 
-    def __init__(self, tell: Callable[[dict[str, Any]], None], utc_s: Callable[[], float], name: Callable[[int], str]) -> None:
+    def __init__(
+        self,
+        tell: Callable[[dict[str, Any]], None],
+        utc_s: Callable[[], float],
+        name: Callable[[int], str],
+        sessions: Path | None = None,
+    ) -> None:
         self.alerts, self.log = AlertList(utc_s, self._over), WatchLog()
         self._tell, self._utc_s, self._name = tell, utc_s, name
+        self.file = AlertsFile(sessions) if sessions is not None else None
+        if self.file is not None and sessions is not None:
+            self.log.resume(sessions)
+            self.file.restore(self.alerts)
 
     def greet(self, tell: Callable[[dict[str, Any]], None]) -> None:
         """What a page that opens has missed."""
@@ -103,3 +116,7 @@ class WatchKeeper:
         if self.alerts.changed:
             self.alerts.changed = False
             self._tell({"t": "alerts", "alerts": self.alerts.shown()})
+            if self.file is not None:
+                self.file.put(self.alerts)
+        if self.file is not None:
+            self.file.tick()

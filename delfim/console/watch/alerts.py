@@ -2,29 +2,38 @@
 of it, on any page (`delfim.console.watch.alertstate`); then it is in the history.
 
 A boat says its troubles in words, once each, and which of them are there now as bits (`TROUBLES`): an alert belongs to the bits
-that came with its words. Of a boat that tells no such bits nobody hears that a cause is over: its alerts last until they are
-acknowledged.
+that came with its words. Where the link lost the words, the bit alone makes one. Of a boat that tells no such bits nobody hears
+that a cause is over: its alerts last until they are acknowledged.
 """
 
+import math
 import re
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Annotated, Any, Final, TypedDict, cast
+
+import msgspec
 
 from delfim.base.modes import Mode
 from delfim.console.watch.alertstate import UNSEEN, AlertState, Happening, Priority, after
+from delfim.vehicle.failsafe.troubles import Trigger
 
 OF_BOAT: Final = 25  # alerts of one boat; what is beyond is one more, which sends to the log of the watch
 MORE: Final = "more alerts than are listed: see the log of the watch"
 HISTORY_MAX: Final = 200
 SILENCE_S: Final = 30.0
+BITS: Final = 31  # of the boat's troubles
+UNTOLD_S: Final = 6.0  # a trouble is there, and its words are not: the boat has said them twice meanwhile
+TEXT_MAX: Final = 1000  # characters
 GRAVE: Final = 3  # MAVLink's severities up to this one
 WARNING: Final = 4  # the same
 CAUTION: Final = 5
 _DOES: Final = re.compile(r": (warn|hold|back|home|stop|disconnect)$")  # what the boat does about it
 _MODES: Final = frozenset(mode.name.lower() for mode in Mode)
 _FIGURES: Final = re.compile(r"[\d.]+")
+_NAMES: Final = {each.value: each.name.lower().replace("_", " ") for each in Trigger}
+Words = Annotated[str, msgspec.Meta(max_length=TEXT_MAX)]
 
 
 @dataclass(slots=True)
@@ -32,10 +41,10 @@ class StandingAlert:
     id: int
     boat: int | None
     priority: Priority
-    text: str
+    text: Words
     at_s: float  # since 1970, when it began
     state: AlertState = AlertState.NORMAL
-    by: str = ""  # who acknowledged or silenced it, or answers for it
+    by: Words = ""  # who acknowledged or silenced it, or answers for it
     lasts: bool | None = None  # its cause is there now; None: nobody will tell when it is over
     bits: int | None = 0  # of the boat's troubles; None: they are told next
     quiet_s: float = 0.0  # since 1970: until then it was silenced
@@ -48,6 +57,29 @@ class StandingAlert:
         return {name: getattr(self, name) for name in names} | of_state
 
 
+class EndedAlert(TypedDict):
+    """One of the history, as pages have it."""
+
+    id: int
+    boat: int | None
+    text: Words
+    at_s: float
+    by: Words
+    priority: Words
+    state: Words
+    sounds: bool
+    until_s: float
+
+
+class KeptAlerts(msgspec.Struct, frozen=True):
+    """What outlives the console."""
+
+    last: int  # of the numbers
+    alerts: list[StandingAlert]
+    bits: dict[int, int]
+    history: Annotated[list[EndedAlert], msgspec.Meta(max_length=HISTORY_MAX)]
+
+
 class AlertList:
     """Those that last or that nobody has seen. `utc_s` tells the time since 1970, `over` is told when a cause is over.
 
@@ -55,12 +87,27 @@ class AlertList:
 
     def __init__(self, utc_s: Callable[[], float], over: Callable[[StandingAlert], None] = lambda alert: None) -> None:
         self.changed = False
-        self.history = deque[dict[str, Any]](maxlen=HISTORY_MAX)  # the newest stands last
-        self.ended = deque[dict[str, Any]](maxlen=HISTORY_MAX)
+        self.history = deque[EndedAlert](maxlen=HISTORY_MAX)  # the newest stands last
+        self.ended = deque[EndedAlert](maxlen=HISTORY_MAX)
         self._utc_s, self._over = utc_s, over
         self._alerts: dict[tuple[int | None, str], StandingAlert] = {}  # by boat and cause
         self._bits: dict[int, int] = {}  # by boat, as it told them last
+        self._untold: dict[tuple[int, int], float] = {}  # by boat and bits that no alert has: since when; inf: one was made
         self._last = 0
+
+    def kept(self) -> KeptAlerts:
+        return KeptAlerts(self._last, list(self._alerts.values()), self._bits, list(self.history))
+
+    def restore(self, kept: KeptAlerts) -> None:
+        """Goes on where the console before this one ended. Nobody commands yet, so nobody answers for anything; what that
+        console warned of itself is over until this one finds it again."""
+        self._last, self._bits = max([kept.last, *(each.id for each in kept.alerts)]), dict(kept.bits)
+        self._alerts = {(each.boat, cause(each.text)): each for each in kept.alerts}
+        self.history.extend(kept.history)
+        self.changed = True
+        for each in [each for each in kept.alerts if each.boat is None and each.lasts]:
+            self._happen(each, Happening.ENDS)
+        self.give_back()
 
     def shown(self) -> list[dict[str, Any]]:
         """For the page: those that nobody has seen stand first, the gravest before others, then the newest."""
@@ -72,9 +119,9 @@ class AlertList:
         """Something went wrong, or is told again in other words. `severity`: MAVLink's. `is_boats`: the boat says so itself."""
         if (boat, cause(text)) not in self._alerts and sum(each.boat == boat for each in self._alerts.values()) >= OF_BOAT:
             text, is_boats = MORE, False
-        alert = self._begin(boat, severity, text)
-        if is_boats and boat in self._bits and not alert.bits:
-            alert.lasts, alert.bits = True, None
+        alert = self._begin(boat, severity, text[:TEXT_MAX])
+        if is_boats and not alert.bits:
+            alert.lasts, alert.bits = True if boat in self._bits else alert.lasts, None
 
     def hold(self, boat: int | None, severity: int, text: str, is_so: bool) -> bool:
         """An alert of the console's own, which lasts while this is so. Whether that has changed just now."""
@@ -91,13 +138,35 @@ class AlertList:
         """What is wrong aboard now."""
         new, self._bits[boat] = bits & ~self._bits.get(boat, 0), bits
         for each in [each for each in self._alerts.values() if each.boat == boat and each.bits != 0]:
-            each.bits = (new or bits) if each.bits is None else each.bits
+            if each.bits is None:
+                each.bits, each.lasts = new or bits, True
             if each.lasts != bool(each.bits & bits):
                 self._happen(each, Happening.ENDS if each.lasts else Happening.BEGINS)
+        self._look_for_untold(boat, bits)
+
+    def _look_for_untold(self, boat: int, bits: int) -> None:
+        """A trouble whose words the link lost is an alert as well: there are fewer alerts than troubles."""
+        now_s, groups, before = self._utc_s(), _grouped(self._masks(boat, bits), bits), self._untold
+        self._untold = {key: since_s for key, since_s in before.items() if key[0] != boat}
+        for group, count in groups:
+            if group.bit_count() <= count:
+                continue
+            since_s = self._untold[boat, group] = before.get((boat, group), now_s)
+            if now_s - since_s >= UNTOLD_S:
+                self._untold[boat, group] = math.inf
+                names = (_NAMES.get(bit, f"trouble {bit}") for bit in range(BITS) if group >> bit & 1)
+                text = f"{' or '.join(names)}: the boat's words were lost on the link"
+                self.hear(boat, GRAVE, text)
+                if (alert := self._alerts.get((boat, cause(text)))) is not None:
+                    alert.lasts, alert.bits = True, group
+
+    def _masks(self, boat: int, bits: int) -> list[int]:
+        return [each.bits & bits for each in self._alerts.values() if each.boat == boat and each.bits and each.bits & bits]
 
     def forget(self, boat: int, who: str) -> None:
         """The operator has nothing to do with this boat any more."""
         self._bits.pop(boat, None)
+        self._untold = {key: since_s for key, since_s in self._untold.items() if key[0] != boat}
         for each in [each for each in self._alerts.values() if each.boat == boat]:
             each.by = who
             self._end(each)
@@ -168,10 +237,20 @@ class AlertList:
 
     def _end(self, alert: StandingAlert) -> None:
         self._alerts = {key: each for key, each in self._alerts.items() if each is not alert}
-        line = alert.shown(0.0) | {"until_s": self._utc_s()}
+        line = cast(EndedAlert, alert.shown(0.0) | {"until_s": self._utc_s()})
         for kept in (self.history, self.ended):
             kept.append(line)
         self.changed = True
+
+
+def _grouped(masks: list[int], bits: int) -> list[tuple[int, int]]:
+    """Bits that the same alerts may be of, and how many alerts these are."""
+    groups = [(1 << bit, 0) for bit in range(BITS) if bits >> bit & 1]
+    for mask in masks:
+        its = [each for each in groups if each[0] & mask]
+        groups = [each for each in groups if not each[0] & mask]
+        groups.append((sum(group for group, _ in its), 1 + sum(count for _, count in its)))
+    return groups
 
 
 def priority_of(severity: int) -> Priority:

@@ -139,7 +139,11 @@ export class Alerts {
       return line;
     };
     const heads = (...words: string[]) => make("tr", ...words.map((each) => make("th", each)));
-    const note = ({ id, state }: Alert) => (UNSEEN.has(state) ? [button("Acknowledge", "", () => void this.net.ask({ t: "acknowledge", ids: [id] }))] : []);
+    const note = ({ id, state, boat }: Alert) => {
+      if (UNSEEN.has(state)) return [button("Acknowledge", "", () => void this.net.ask({ t: "acknowledge", ids: [id] }))];
+      // Of a boat that went home before the console was started again nobody else will tell that it is over.
+      return boat === null || this.state.byId(boat) ? [] : [button("Forget the boat", "", () => void this.net.ask({ t: "forget", boat }))];
+    };
     for (const each of [this.was, this.past]) each.hidden = !this.history.length;
     this.table.replaceChildren(heads(this.list.length ? "" : "none", "boat", "since", "", "", ""), ...this.list.map((each) => row(each, STATES[each.state](each.by), ...note(each))));
     this.past.replaceChildren(heads("", "boat", "from", "", "until", "acknowledged by"), ...this.history.map((each) => row(each, clock(each.until_s), each.by)));
