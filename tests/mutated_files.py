@@ -451,8 +451,8 @@ def operators_of_console(here: Path) -> Said:
 
 def alerts_of_console(here: Path) -> Said:
     """As a console takes them, and as its pages get them."""
-    from delfim.console.gateway.alertsfile import read_alerts
     from delfim.console.watch.alerts import AlertList
+    from delfim.console.watch.alertsfile import read_alerts
 
     def told() -> None:
         alerts = AlertList(lambda: 0.0)

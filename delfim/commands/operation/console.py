@@ -45,12 +45,6 @@ def options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--missions", default="missions", metavar="FOLDER", help="The operator's missions.")
     parser.add_argument("--charts", default="charts", metavar="FOLDER", help="The operator's charts.")
     parser.add_argument("--sessions", default="sessions", metavar="FOLDER", help="Record sessions here.")
-    parser.add_argument(
-        "--watch-log",
-        type=float,
-        metavar="HOURS",
-        help="Print the log of the watch of the last HOURS, of all sessions in --sessions, as a table (CSV), and exit.",
-    )
     parser.add_argument("--trials", default="adopt", metavar="FOLDER", help="Keep trials of boats here (docs/adopt.md).")
     parser.add_argument(
         "--replay",
@@ -82,6 +76,12 @@ def _of_operators(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--add-operator", metavar="NAME:ROLE", help="Add an operator (watch, command or maintain), print the key, and exit."
+    )
+    parser.add_argument(
+        "--watch-log",
+        type=float,
+        metavar="HOURS",
+        help="Print the log of the watch of the last HOURS, of all sessions in --sessions, as a table (CSV), and exit.",
     )
     parser.add_argument("--revoke-operator", metavar="NAME", help="Take an operator out of the file, and exit.")
 

@@ -6,9 +6,9 @@ from typing import Any, Final
 
 from delfim.console.boats.boat import SILENT_S, Boat
 from delfim.console.gateway import page_messages
-from delfim.console.gateway.alertsfile import AlertsFile
 from delfim.console.gateway.watchlog import WatchLine, WatchLog
 from delfim.console.watch.alerts import CAUTION, WARNING, AlertList, StandingAlert, priority_of
+from delfim.console.watch.alertsfile import AlertsFile
 
 GREETED: Final = 200  # lines for a page that opens
 LOST: Final = "link lost: nothing is heard from it"
