@@ -51,7 +51,7 @@ DEFAULT_SENSOR, *_OTHERS = of_kind(OWN.values(), "sensor")
 SENSORS = DEFAULT_SENSOR, *sorted(_OTHERS)
 
 STEERED = tuple(
-    mode.name.lower() for mode in Mode if mode not in (Mode.IDLE, Mode.MANUAL, Mode.TRIAL)
+    mode.name.lower() for mode in Mode if mode not in (Mode.IDLE, Mode.MANUAL, Mode.TRIAL, Mode.UNSTICK)
 )  # those that may keep clear
 
 
@@ -84,6 +84,7 @@ PUSH_MIN = 0.1  # N and N·m: less is nothing
 TAKEN_VEHICLES = (0x40, 0xA0)  # commands to actuators, and reset, have these identifiers
 DsorVehicle = Annotated[int, msgspec.Meta(ge=0, le=0xF0, multiple_of=16)]
 ActionName = Literal["warn", "hold", "back", "home", "stop"]
+StuckAction = Literal["warn", "hold", "back", "unstick", "home", "stop"]
 ModeAction = Literal["same", "warn", "hold", "back", "home", "stop"]
 ReturnName = Literal["same", "hold", "resume", "home", "idle"]
 EndMode = Literal["hold", "idle"]
@@ -381,6 +382,15 @@ class HomeTable(Table, frozen=True):
     speed_mps: Speed = 1.5  # on the way home
 
 
+class UnstickTable(Table, frozen=True):
+    """Astern out of weeds or from the ground, by the way it came: until the boat is away from where it began, or time is up."""
+
+    distance_m: Annotated[float, msgspec.Meta(ge=2.0, le=200.0)] = 15.0  # so far away it is free
+    time_s: Annotated[float, msgspec.Meta(ge=1.0, le=600.0)] = 45.0  # after that it gives up, and holds
+    speed_mps: Annotated[float, msgspec.Meta(ge=0.1, le=5.0)] = 1.0  # astern
+    then: Literal["hold", "home"] = "hold"  # when it is free; one that was on its way home goes on home
+
+
 class ControlTable(Table, frozen=True):
     heading: HeadingTable = HeadingTable()
     speed: SpeedTable = SpeedTable()
@@ -388,6 +398,7 @@ class ControlTable(Table, frozen=True):
     goto: GotoTable = GotoTable()
     hold: HoldTable = HoldTable()
     home: HomeTable = HomeTable()
+    unstick: UnstickTable = UnstickTable()
 
 
 if TYPE_CHECKING:
@@ -451,6 +462,7 @@ class ConsoleSilent(Silence, frozen=True):
     action: ActionName = "home"
     manual: ModeAction = "stop"
     home: ModeAction = "warn"
+    unstick: ModeAction = "warn"
 
 
 class ManualSilent(Silence, frozen=True):
@@ -476,6 +488,7 @@ class BatteryLow(Trouble, frozen=True):
     action: ActionName = "home"
     manual: ModeAction = "warn"
     home: ModeAction = "warn"
+    unstick: ModeAction = "warn"
 
 
 class BatteryCritical(Trouble, frozen=True):
@@ -495,6 +508,7 @@ class EnergyShort(Trouble, frozen=True):
     action: ActionName = "home"
     manual: ModeAction = "warn"
     home: ModeAction = "warn"
+    unstick: ModeAction = "warn"
 
 
 class FenceNear(Trouble, frozen=True):
@@ -564,7 +578,7 @@ class Stuck(Trouble, frozen=True):
     speed_mps: Annotated[float, msgspec.Meta(ge=0.0, le=5.0)] = 0.2  # ... and slower than this where twice as much is asked ...
     turn_deg: Annotated[float, msgspec.Meta(gt=0.0, le=180.0)] = 45.0  # ... or so far off its heading, and not turning
     after_s: Annotated[float, msgspec.Meta(ge=0.0, le=3600.0)] = 15.0  # for this long
-    action: ActionName = "hold"
+    action: StuckAction = "hold"  # type: ignore[assignment]  # unstick: astern, out by the way it came, once at each place
 
 
 class Capsized(Trouble, frozen=True):

@@ -21,8 +21,15 @@ TROUBLES: Final = (  # bit n of the field `troubles` is the n-th: docs/failsafe.
     *("shallow", "traffic", "traffic_close", "ais_silent", "fence_left", "traffic_unclear", "restarted", "outlet"),
     *("navigation_twice", "energy", "stuck", "capsized", "beyond"),
 )
-ACTIONS: Final = ("warn", "disconnect", "hold", "back", "home", "stop")  # from harmless to severe; disconnect is for idle alone
+ACTIONS: Final = (  # from harmless to severe; disconnect is for idle alone
+    *("warn", "disconnect", "hold", "back", "unstick", "home", "stop"),
+)
 IDLE: Final = "idle"
+LEADS: Final = {  # the modes that an action leads to
+    "stop": (IDLE,),
+    **dict.fromkeys(("hold", "back"), ("hold",)),
+    **{name: (name, "hold") for name in ("unstick", "home")},
+}
 PAUSE_S: Final = 1.0  # between records, after which what they said is old
 SAME_S: Final = 0.05  # events of one look of the boat are so close together
 LOOK_S: Final = 0.45  # the boat looks ten times a second, in lock step five; so much later it has noticed and acted

@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 from typing import Final
 
-from delfim.audit.evidence import IDLE, LOOK_S, SAME_S, Evidence, LoggedOrder, ModeChange, spells
+from delfim.audit.evidence import IDLE, LEADS, LOOK_S, SAME_S, Evidence, LoggedOrder, ModeChange, spells
 from delfim.audit.rule import Finding, Rule
 
 NAMED: Final = ("manual", "heading", "course", "goto", "play", "path")  # orders that are called as their modes
@@ -18,7 +18,11 @@ RIGHTS: Final = {  # of payload programs, by their orders
     "course": "heading",
     **dict.fromkeys(("upload", "play", "continue"), "mission"),
 }
-ENDS: Final = {"goto": ("hold", IDLE), "play": ("hold",), "path": ("hold",), "home": ("hold",)}  # of modes that are done
+ENDS: Final = {  # of modes that are done
+    "goto": ("hold", IDLE),
+    **dict.fromkeys(("play", "path", "home"), ("hold",)),
+    "unstick": ("hold", "home", IDLE),
+}
 SHORTEST: Final = 8  # letters of a reason
 STICK_S: Final = 1.05  # a stick that was let go says nothing for a second
 PROGRAM: Final = ("shutdown", "end of the run", "started", "stopped")  # the program's own ends and begins
@@ -37,7 +41,7 @@ def _uncaused(e: Evidence, change: ModeChange) -> str:
         return "without a reason"
     if reason.startswith((BY_OPERATOR, f"{BY_PAYLOAD} ")):
         return _unordered(e, change)
-    if reason == f"{change.before} done":
+    if reason.partition(":")[0] == f"{change.before} done":
         return "" if mode in ENDS.get(change.before, ()) else f"{change.before} does not end in {mode}"
     if reason.startswith("restarted: "):
         return (
@@ -67,9 +71,7 @@ def _untroubled(e: Evidence, change: ModeChange) -> str:
 
 
 def _leads(action: str, mode: str) -> bool:
-    return {"stop": mode == IDLE, "hold": mode == "hold", "back": mode == "hold", "home": mode in ("home", "hold")}.get(
-        action, False
-    )
+    return mode in LEADS.get(action, ())
 
 
 def _unordered(e: Evidence, change: ModeChange) -> str:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from delfim.audit.evidence import (
     ACTIONS,
     IDLE,
+    LEADS,
     LOOK_S,
     SAME_S,
     TROUBLES,
@@ -24,7 +25,6 @@ from delfim.audit.evidence import (
 from delfim.audit.rule import Finding, Rule
 
 FOR_S: Final = re.compile(r"(?:silent|lost|frozen|command|hanging) for ([0-9.]+) s")
-ENDS: Final = {"stop": (IDLE,), "hold": ("hold",), "back": ("hold",), "home": ("home", "hold")}  # the mode of each action
 PAUSE: Final = re.compile(r"; home in [0-9.]+ s")
 HARMLESS: Final = ("warn", "disconnect")
 SURE_S: Final = 1.0  # a notice that is as late is late on a busy computer, too
@@ -52,7 +52,7 @@ def _told_as_table(e: Evidence, alarm: LoggedTrouble, told: Noted) -> Iterator[F
             )
         return
     allowed = set(rows.values())
-    if "home" in allowed or "back" in allowed:
+    if allowed & {"home", "back", "unstick"}:
         allowed |= {"hold"}  # the pause before, and without a driven track
     if "; cannot hold" in told.words or "; cannot" in told.words:
         allowed |= {"stop"}
@@ -67,7 +67,7 @@ def _told_as_table(e: Evidence, alarm: LoggedTrouble, told: Noted) -> Iterator[F
 def _is_excused(e: Evidence, alarm: LoggedTrouble) -> bool:
     """Whether the documents allow it only to warn: other thrusters carry on; the boat is where the action leads to."""
     return alarm.name in ("thruster", "handset_silent", "manual_silent") or e.mode_at(alarm.begin_s) in (
-        *ENDS[e.action(alarm.name, e.mode_at(alarm.begin_s))],
+        *LEADS[e.action(alarm.name, e.mode_at(alarm.begin_s))],
         IDLE,
     )
 
@@ -78,7 +78,7 @@ def action_taken(e: Evidence) -> Iterator[Finding]:
             if told.action in HARMLESS:
                 continue
             reached = {e.mode_at(told.t_s), *(each.mode for each in e.changes(told.t_s + LOOK_S / 2, LOOK_S / 2))}
-            if not reached & {*ENDS[told.action], IDLE} and not _is_ordered(e, told.t_s):
+            if not reached & {*LEADS[told.action], IDLE} and not _is_ordered(e, told.t_s):
                 yield Finding(
                     told.t_s, f"{alarm.name} ({told.words}): {told.action}, but the boat went on in {', '.join(reached)}"
                 )

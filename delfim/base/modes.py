@@ -21,6 +21,7 @@ class Mode(IntEnum):
     GREX = 101
     COURSE = 102
     TRIAL = 103
+    UNSTICK = 104
 
 
 PAYLOADS = 200  # on the console's link, from this number on: a payload program has the boat, by its place in the vehicle's file

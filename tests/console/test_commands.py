@@ -291,6 +291,7 @@ MODES = {
     "M": ("Manual", {"command": "mode", "mode": "manual"}),
     "H": ("Heading", heading(0.0)),
     "L": ("Go home", GO_HOME),
+    "U": ("Unstick", {"command": "mode", "mode": "unstick"}),
     "G": ("Go to waypoint 1", {"command": "goto", "latitude_deg": None}),
     "P": ("Path following", {"command": "mode", "mode": "path"}),
     "Y": ("Play mission", {"command": "play", "leg": 0}),

@@ -264,7 +264,7 @@ async def test_stop_works_in_front_of_an_open_menu(page: Page, gateway: Standin)
 async def test_a_menu_is_worked_by_keys_and_shows_the_keys(page: Page, gateway: Standin) -> None:
     await page.press("Enter")
     assert await page.value("[...document.querySelectorAll('.popup kbd')].map(k => k.textContent)") == [
-        *("Space", "B", "C", "L", "I", "M", "H", "G", "P", "Y", "X", "0 … 8")
+        *("Space", "B", "C", "L", "I", "M", "H", "U", "G", "P", "Y", "X", "0 … 8")
     ]
     for _ in range(12):
         await page.press("ArrowDown")

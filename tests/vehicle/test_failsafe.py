@@ -166,16 +166,16 @@ TABLE: dict[AnyTrigger, tuple[Action, dict[Mode, Action]]] = {
     Trigger.BATTERY_CRITICAL: (Action.STOP, {Mode.MANUAL: Action.WARN, Mode.HOME: Action.WARN}),
     Trigger.THRUSTER: (Action.STOP, {Mode.MANUAL: Action.WARN}),
     Trigger.MANUAL_SILENT: (Action.NONE, {Mode.MANUAL: Action.STOP}),
-    Trigger.CONSOLE_SILENT: (Action.HOLD, {Mode.MANUAL: Action.STOP, Mode.HOME: Action.WARN}),
+    Trigger.CONSOLE_SILENT: (Action.HOLD, {Mode.MANUAL: Action.STOP, **dict.fromkeys((Mode.HOME, Mode.UNSTICK), Action.WARN)}),
     Trigger.GUEST_SILENT: (Action.NONE, {Mode.GREX: Action.HOLD}),
     Trigger.FENCE: (Action.HOLD, {}),
     Trigger.FENCE_LEFT: (Action.STOP, {Mode.MANUAL: Action.WARN}),
-    Trigger.BATTERY_LOW: (Action.HOLD, {Mode.MANUAL: Action.WARN, Mode.HOME: Action.WARN}),
+    Trigger.BATTERY_LOW: (Action.HOLD, dict.fromkeys((Mode.MANUAL, Mode.HOME, Mode.UNSTICK), Action.WARN)),
     Trigger.LOG: (Action.WARN, {}),
     Trigger.GNSS_POOR: (Action.WARN, {}),
     Trigger.KILL: (Action.STOP, {}),
     Trigger.HANDSET_SILENT: (Action.WARN, {}),
-    OF_PARTS.ENERGY: (Action.HOLD, {Mode.MANUAL: Action.WARN, Mode.HOME: Action.WARN}),
+    OF_PARTS.ENERGY: (Action.HOLD, dict.fromkeys((Mode.MANUAL, Mode.HOME, Mode.UNSTICK), Action.WARN)),
     OF_PARTS.TRAFFIC: (Action.WARN, {}),
     OF_PARTS.TRAFFIC_CLOSE: (Action.WARN, {}),
     OF_PARTS.AIS_SILENT: (Action.WARN, {}),
@@ -183,7 +183,7 @@ TABLE: dict[AnyTrigger, tuple[Action, dict[Mode, Action]]] = {
     Trigger.OUTLET: (Action.STOP, {}),
     Trigger.RESTARTED: (Action.WARN, {}),
     Trigger.NAVIGATION_TWICE: (Action.STOP, {Mode.MANUAL: Action.WARN}),
-    Trigger.STUCK: (Action.HOLD, {Mode.MANUAL: Action.NONE, Mode.HOLD: Action.NONE, Mode.TRIAL: Action.NONE}),
+    Trigger.STUCK: (Action.HOLD, dict.fromkeys((Mode.MANUAL, Mode.HOLD, Mode.TRIAL, Mode.UNSTICK), Action.NONE)),
     Trigger.CAPSIZED: (Action.STOP, {}),
     Trigger.BEYOND: (Action.HOLD, {Mode.MANUAL: Action.WARN, Mode.HOME: Action.WARN}),
     Trigger.SHALLOW: (Action.BACK, {Mode.MANUAL: Action.WARN, Mode.HOME: Action.WARN}),
@@ -191,8 +191,8 @@ TABLE: dict[AnyTrigger, tuple[Action, dict[Mode, Action]]] = {
 
 
 def test_the_actions_differ_and_are_ordered_by_severity() -> None:
-    assert [action.name for action in sorted(Action)] == ["NONE", "WARN", "HOLD", "BACK", "HOME", "STOP", "DISCONNECT"]
-    assert list(Action) == list(range(7))
+    assert [action.name for action in sorted(Action)] == ["NONE", "WARN", "HOLD", "BACK", "UNSTICK", "HOME", "STOP", "DISCONNECT"]
+    assert list(Action) == list(range(8))
 
 
 @pytest.mark.parametrize("mode", DRIVING, ids=lambda mode: mode.name)

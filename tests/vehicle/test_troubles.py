@@ -488,7 +488,7 @@ def going(speed_mps: float, asked_mps: float, thrust: float, mode: Mode = Mode.P
         (0.0, 0.39, 0.3, Mode.PLAY, False),
         (0.0, 1.5, 0.29, Mode.PLAY, False),
         (0.0, 1.5, -0.9, Mode.HEADING, False),
-        *((0.0, 1.5, 0.9, mode, mode not in (Mode.IDLE, Mode.MANUAL, Mode.HOLD, Mode.TRIAL)) for mode in Mode),
+        *((0.0, 1.5, 0.9, mode, mode not in (Mode.IDLE, Mode.MANUAL, Mode.HOLD, Mode.TRIAL, Mode.UNSTICK)) for mode in Mode),
     ],
 )
 def test_a_boat_that_pushes_and_does_not_go_is_stuck(speed_mps, asked_mps, thrust, mode, is_told) -> None:

@@ -104,7 +104,7 @@ def warnings(state: dict[str, Any]) -> list[tuple[str, Text]]:
     found = []
     if state["mode"] == "idle":
         found.append(("idle", Text(state["reason"], style="yellow")))
-    colours = {"warn": "yellow", "hold": "yellow", "back": "yellow", "home": "yellow"}
+    colours = {"warn": "yellow", "hold": "yellow", "back": "yellow", "unstick": "yellow", "home": "yellow"}
     found += [
         (
             notice["name"].replace("_", " "),

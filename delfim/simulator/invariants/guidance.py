@@ -20,6 +20,7 @@ NEAR: Final = 0.25
 STOPS_S: Final = 3.0  # a hold begins so far ahead of the boat
 BEHIND_RAD: Final = math.radians(120.0)
 STEERED: Final = frozenset(Mode) - {Mode.IDLE, Mode.MANUAL, Mode.TRIAL}
+LATE_S: Final = 1.0  # after its time a mode has ended
 Point = tuple[float, float]
 
 
@@ -79,6 +80,7 @@ class Guidance:
             Mode.HOME: self._home,
             Mode.PATH: self._path,
             Mode.HOLD: self._hold,
+            Mode.UNSTICK: self._unstick,
         }
 
     def look(self, cycle: CycleSeen) -> Iterator[str]:
@@ -219,6 +221,17 @@ class Guidance:
             leg = was.leg if left_m > over_m else onwards
             if cycle.memory.leg != leg:
                 yield f"path goes on with piece {cycle.memory.leg}, not {leg}, {left_m:.1f} m before the end"
+
+    def _unstick(self, cycle: CycleSeen) -> Iterator[str]:
+        """Whether the boat goes out no faster, no farther and for no longer than its file says."""
+        state, was, limits = cycle.state, cycle.was.memory, cycle.run.vehicle.helm.limits.control.unstick
+        if state.reference.done:
+            return
+        if abs(abs(state.reference.speed_mps or 0.0) - limits.speed_mps) > SAME:
+            yield f"unstick asks for {state.reference.speed_mps} m/s, not {limits.speed_mps} astern"
+        far_m = math.dist((was.north_m, was.east_m), (state.motion.north_m, state.motion.east_m))
+        if far_m > limits.distance_m + SAME or cycle.now_s - state.mode_s > limits.time_s + LATE_S:
+            yield f"unstick goes on after {cycle.now_s - state.mode_s:.1f} s, {far_m:.1f} m away"
 
     def _hold(self, cycle: CycleSeen) -> Iterator[str]:
         state, was, after = cycle.state, cycle.was.memory, cycle.memory

@@ -17,7 +17,8 @@ from delfim.vehicle.state import Line, Motion, Setpoint, Waypoint
 
 SAME: Final = 1e-9
 NEAR: Final = 1e-6
-ACTIONS: Final = ("none", "warn", "hold", "back", "home", "stop")
+ACTIONS: Final = ("none", "warn", "hold", "back", "unstick", "home", "stop")
+STOP: Final = ACTIONS.index("stop")
 HALTS: Final = console.Stop | console.ShutDown
 ASKS: Final = console.Alive | console.TellState | console.Watch
 FREE: Final = ("alive", "sight", "sampled", "tell")  # what a payload program may say though the boat is not its own
@@ -181,8 +182,9 @@ class Orders:
                     return None
                 if mode is Mode.MANUAL:
                     setpoint = setpoint._replace(starboard=0.0, port=0.0)
-                if mode is Mode.HOME:
-                    setpoint = setpoint._replace(track=helm.track.way_home())
+                if mode in (Mode.HOME, Mode.UNSTICK):
+                    is_home = mode is Mode.UNSTICK and was.mode is Mode.HOME
+                    setpoint = setpoint._replace(track=() if is_home else helm.track.way_home())
                 if mode is Mode.PATH:
                     setpoint = setpoint._replace(piece=command.piece or 0)
                 return mode, setpoint
@@ -225,9 +227,9 @@ class Orders:
 
         if state.killed.reason:
             return "the kill"
-        if now_s - state.navigation_s > settings.navigation.stale_s and not (is_at_sea and acts("navigation_silent") < 5):
+        if now_s - state.navigation_s > settings.navigation.stale_s and not (is_at_sea and acts("navigation_silent") < STOP):
             return "navigation is silent"
-        if not (is_at_sea and acts("sensor_bad") < 5):
+        if not (is_at_sea and acts("sensor_bad") < STOP):
             for node in settings.sysstat.required or ():
                 report = state.sysstat.get(node)
                 if report is None or now_s - report[1] > settings.sysstat.stale_s or report[0].status is Status.BAD:
@@ -236,12 +238,12 @@ class Orders:
                 return None
         if acts("gnss_poor") > 1:
             return None
-        needs_log = settings.log.required and mode not in (Mode.MANUAL, Mode.HOME) and not (is_at_sea and acts("log") < 5)
+        needs_log = settings.log.required and mode not in (Mode.MANUAL, Mode.HOME) and not (is_at_sea and acts("log") < STOP)
         if needs_log and run.vehicle.log.reason():
             return "the log is not written"
         reports = [state.sysstat[side][0] for side in BATTERIES if side in state.sysstat]
         charges = [each.charge for each in reports if isinstance(each, BatteriesStatus) and each.charge is not None]
-        if min(charges, default=2.0) <= failsafe.battery_critical.charge and acts("battery_critical") == 5:
+        if min(charges, default=2.0) <= failsafe.battery_critical.charge and acts("battery_critical") == STOP:
             return "batteries are empty"
         if failsafe.battery_critical.voltage_v:
             return None

@@ -18,15 +18,15 @@ TURNING: Final = 0.04  # of full command; below this a propeller moves no boat
 FRESH_S: Final = 1.0  # an older report of a propeller does not count
 NEVER_S: Final = math.inf
 BATTERIES: Final = ("batteries_starboard", "batteries_port")
-SEVERITY: Final = ("warn", "hold", "back", "home", "stop", "disconnect")
+SEVERITY: Final = ("warn", "hold", "back", "unstick", "home", "stop", "disconnect")
 NAVIGATES: Final = frozenset({"position", "heading", "velocity"})
 NEEDS: Final = {  # docs/control.md
-    **dict.fromkeys((Mode.GOTO, Mode.PLAY, Mode.PATH, Mode.HOLD, Mode.HOME, Mode.TRIAL), NAVIGATES),
+    **dict.fromkeys((Mode.GOTO, Mode.PLAY, Mode.PATH, Mode.HOLD, Mode.HOME, Mode.TRIAL, Mode.UNSTICK), NAVIGATES),
     **dict.fromkeys((Mode.HEADING, Mode.GREX), frozenset({"heading"})),
     Mode.COURSE: frozenset({"heading", "velocity"}),
 }
 # Troubles that act by themselves in all modes.
-ENDING: Final = Mode.HOME, Mode.GOTO, Mode.PLAY, Mode.PATH
+ENDING: Final = Mode.HOME, Mode.GOTO, Mode.PLAY, Mode.PATH, Mode.UNSTICK
 FIXED: Final = {"control": "stop", "kill": "stop", "restarted": "warn"}
 
 
@@ -408,6 +408,7 @@ def _lasts_s(table: config.Failsafe, name: str) -> float:
 _DOES: Final[dict[str, tuple[Mode, ...]]] = {
     "hold": (Mode.HOLD,),
     "back": (Mode.HOLD,),
+    "unstick": (Mode.UNSTICK, Mode.HOLD),
     "home": (Mode.HOME, Mode.HOLD),
     "stop": (),
 }

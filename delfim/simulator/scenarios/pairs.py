@@ -23,11 +23,11 @@ NO_ORDERS: Final = (  # words of a console, and of the program, that ask nothing
 )
 OBEYED_ALWAYS: Final = ("stop", "kill", "leave", "speed", "rally", "take", "shutdown")  # by the helm, whatever happens
 
-MODES: Final[dict[Mode, str]] = {  # campaigns try no motors
-    mode: f"mode {mode.name.lower()}" for mode in Mode if mode is not Mode.TRIAL
+MODES: Final[dict[Mode, str]] = {  # campaigns try no motors, and go astern only where a file says so
+    mode: f"mode {mode.name.lower()}" for mode in Mode if mode not in (Mode.TRIAL, Mode.UNSTICK)
 }
 TROUBLES: Final = {number: f"trouble {name}" for name, number in NUMBERS.items() if number not in OF_LABORATORIES}
-ACTIONS: Final = tuple(f"action {action.name.lower()}" for action in Action if action is not Action.NONE)
+ACTIONS: Final = tuple(f"action {action.name.lower()}" for action in Action if action not in (Action.NONE, Action.UNSTICK))
 OBEYED: Final = tuple(f"order {name}" for name in console.KINDS if name not in NO_ORDERS)
 ORDERS: Final = (*OBEYED, *(f"{each}{REFUSED}" for each in OBEYED if each.removeprefix("order ") not in OBEYED_ALWAYS))
 THINGS: Final = (*MODES.values(), *TROUBLES.values(), *ACTIONS, *ORDERS)
@@ -161,16 +161,16 @@ class PairTape:
             found = [(trigger, each) for trigger, each in helm.troubles.items() if trigger in TROUBLES]
             on = [TROUBLES[trigger] for trigger, each in found if each.seen_s == now_s and each.acting_s <= now_s]
             action = (f"action {there[0].action}",) if there else ()
-        self._meet((MODES[run.vehicle.judged_in], *on, *action))
+        self._meet((MODES.get(run.vehicle.judged_in, ""), *on, *action))
         if run.ordered is not self._ordered and (order := run.ordered) is not None:
             self._ordered = order
             name = f"order {order.name}{REFUSED if order.refused else ''}"
             if name in NUMBER and HELD_BY_HAND not in order.refused:
-                self._meet((MODES[order.mode], name))
+                self._meet((MODES.get(order.mode, ""), name))
                 self._meet((*on, *action, name))
 
     def _meet(self, things: tuple[str, ...]) -> None:
-        numbers = tuple(sorted([NUMBER[each] for each in things]))
+        numbers = tuple(sorted([NUMBER[each] for each in things if each in NUMBER]))
         if numbers in self._seen:
             return
         self._seen.add(numbers)

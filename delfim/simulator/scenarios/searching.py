@@ -98,7 +98,7 @@ class _Aimed:
         self.action, self.order = (named.get(kind, [""])[0] for kind in ("action", "order"))
         self.silences = {"manual_silent", "guest_silent", "console_silent", "restarted"} & {*self.troubles}
         # An order to a boat in idle, in the very cycle in which its failsafe stops it, or finds that it cannot hold.
-        self.rests = self.order in AT_REST and bool(self.troubles or self.action in ("hold", "back", "home"))
+        self.rests = self.order in AT_REST and bool(self.troubles or self.action in ("hold", "back", "home", "unstick"))
         self.lies = bool({"navigation_frozen", "navigation_jumping", "navigation_twice"} & {*self.troubles})
         brief = {"control", "navigation_silent"} & {*self.troubles}
         self.in_a_moment = self.rests or self.action == "home" or bool(brief)  # both meet in a cycle or two alone

@@ -47,6 +47,7 @@ class Craft(NamedTuple):
     turn_nm: float  # most yaw moment to either side, of the sound boat at rest
     aside_n: float  # sway to either side without surge and yaw, of the sound boat at rest; 0: it cannot push sideways
     late_s: float = 0.0  # from a command until the heading tells of it
+    astern_n: float = 0.0  # most surge astern, of the sound boat at rest
 
 
 class Gains(NamedTuple):
@@ -78,7 +79,7 @@ def craft(vehicle: config.Vehicle) -> Craft:
     if boat.yaw_nm_per_radps is not None:
         damping = boat.yaw_nm_per_radps + TURN_RADPS * (boat.yaw_nm_per_radps2 or 0.0)
     forces = ahead_n, thrusters.yaw_nm, _aside_n(thrusters)
-    return Craft(ADDED * mass_kg, inertia_kgm2, damping, linear, square, *forces, _late_s(vehicle))
+    return Craft(ADDED * mass_kg, inertia_kgm2, damping, linear, square, *forces, _late_s(vehicle), -thrusters.surge_n[0])
 
 
 def _late_s(vehicle: config.Vehicle) -> float:

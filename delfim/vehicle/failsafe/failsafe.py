@@ -26,9 +26,10 @@ class Action(IntEnum):
     WARN = 1
     HOLD = 2
     BACK = 3  # hold some way back along the driven track
-    HOME = 4
-    STOP = 5
-    DISCONNECT = 6  # the batteries of a propeller that turns although it was stopped
+    UNSTICK = 4  # astern, out by the way it came
+    HOME = 5
+    STOP = 6
+    DISCONNECT = 7  # the batteries of a propeller that turns although it was stopped
 
 
 class Episode(NamedTuple):
@@ -53,7 +54,13 @@ class Verdict(NamedTuple):
     notices: tuple[Notice, ...]
 
 
-_DOES: Final = {Action.HOME: (Mode.HOME, Mode.HOLD), Action.HOLD: (Mode.HOLD,), Action.BACK: (Mode.HOLD,), Action.STOP: ()}
+_DOES: Final = {
+    Action.HOME: (Mode.HOME, Mode.HOLD),
+    Action.UNSTICK: (Mode.UNSTICK, Mode.HOLD),
+    Action.HOLD: (Mode.HOLD,),
+    Action.BACK: (Mode.HOLD,),
+    Action.STOP: (),
+}
 NO_TROUBLE: Final[Memory] = MappingProxyType({})
 _WELL: Final = Verdict(NO_TROUBLE, Action.NONE, "", ())
 _NEVER_S: Final = math.inf

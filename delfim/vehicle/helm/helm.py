@@ -34,6 +34,7 @@ from delfim.vehicle.propulsion.propulsion import Propulsion
 from delfim.vehicle.report import Check
 from delfim.vehicle.state import Reference, Setpoint, State, StateLog, Wanted
 
+ASTERN = 0.05  # of the surge ahead: a boat that pushes less astern cannot go there
 Shape = Callable[[Mode, Memory, Stepped, Settings, float], Stepped]  # of a step of the mode, with the memory before it
 
 
@@ -78,6 +79,7 @@ class Helm:
         self._announcing, self.stations = Announcing(state, log), Stations(state, log)
         self._seeking: Sliced[tuple[Point, float]] | None = None  # the search for a better place to hold
         self.detour: detour.Detour | None = None  # and for a way round zones
+        self._unstuck: tuple[Point, Mode] | None = None  # where the boat went astern last, and in which mode it got stuck
         self._retreat: tuple[Point, ...] = ()  # the driven track, up to where the boat went back to; empty: it did not
         self._controlled_s = clock.monotonic_s()
 
@@ -122,11 +124,13 @@ class Helm:
         if words := state.relieve(f"failsafe: {reason}"):
             self.note(words)
         action = self.possible(action)
+        if action is Action.UNSTICK and state.mode is not Mode.UNSTICK and (why_not := self._cannot_unstick(again=False)):
+            action, reason = Action.HOLD, f"{reason}; {why_not}"
         if action >= Action.STOP:
             self.propulsion.disconnect(state.overdue)
         if action is Action.DISCONNECT:
             return
-        setpoint = state.setpoint._replace(track=self.track.way_home())
+        setpoint = state.setpoint._replace(track=self._way(Mode.UNSTICK if action is Action.UNSTICK else Mode.HOME))
         mode, reason = failsafe.fallback(action, reason, state.motion.has, setpoint)
         holds, place = action is Action.HOLD and self._seeking is None, (self.memory.north_m, self.memory.east_m)
         if mode is not state.mode or (mode is Mode.HOLD and holds and fence.cuts_off(self.plans.fence, state.motion, place)):
@@ -139,6 +143,18 @@ class Helm:
     def possible(self, action: Action) -> Action:
         """This action, or a stop where nobody knows yet what the motors do."""
         return action if self.settings.adopted.proven else failsafe.unsteered(action)
+
+    def _way(self, mode: Mode) -> tuple[Point, ...]:
+        """The driven track. On the way home its newest point lies ahead, and the way out is straight astern."""
+        return () if mode is Mode.UNSTICK and self.state.mode is Mode.HOME else self.track.way_home()
+
+    def _cannot_unstick(self, *, again: bool) -> str:
+        """Why the boat does not go astern out of where it is, in words; empty: it does. `again`: also where it just did."""
+        if self.limits.hull.astern_n < ASTERN * self.limits.hull.ahead_n:
+            return "it cannot go astern: its thrusters push ahead alone"
+        near_m, here = 2.0 * self.limits.control.unstick.distance_m, (self.state.motion.north_m, self.state.motion.east_m)
+        was_here = self._unstuck is not None and math.dist(self._unstuck[0], here) < near_m
+        return "" if again or not was_here else "it went astern here before"
 
     def _go_back(self) -> None:
         """Hold some way back along the driven track, and further back once the boat is there and still in trouble."""
@@ -196,7 +212,12 @@ class Helm:
         if state.mode is Mode.TRIAL:
             self.stop(state.reference.reason)
             return
-        if state.mode in (Mode.PLAY, Mode.PATH) and state.setpoint.plan is not None and state.setpoint.plan.then_home:
+        goes_home = state.setpoint.plan is not None and state.setpoint.plan.then_home and state.mode in (Mode.PLAY, Mode.PATH)
+        if state.mode is Mode.UNSTICK:
+            end = f"{end}: {state.reference.reason}"
+            was_home = self._unstuck is not None and self._unstuck[1] is Mode.HOME
+            goes_home = not state.reference.distance_m and (was_home or self.limits.control.unstick.then == "home")
+        if goes_home:
             setpoint = state.setpoint._replace(track=self.track.way_home())
             if (reason := admit(Mode.HOME, state.motion.has, setpoint)) is None:
                 state.setpoint = setpoint
@@ -220,6 +241,8 @@ class Helm:
         if mode is Mode.IDLE:
             state.relieve(reason)
         self._remember(mode)
+        if mode is Mode.UNSTICK and state.mode is not Mode.UNSTICK:
+            self._unstuck = (state.motion.north_m, state.motion.east_m), state.mode
         self.memory, self._seeking, self._retreat = begin(mode, state.motion, state.setpoint, self.limits), None, ()
         if self.detour is not None:
             self.plans.remains.add(*self.detour.held)
@@ -241,11 +264,12 @@ class Helm:
             self._log.note(f"{mode.name.lower()}: {reason}")
 
     def _remember(self, entered: Mode) -> None:
-        """A hold remembers the mode that it interrupts; every other mode forgets it. Play that was left begins with its leg."""
+        """A hold remembers the mode that it interrupts, and so does the way astern; every other mode forgets it. Play that was
+        left begins with its leg."""
         state = self.state
-        if entered is not Mode.HOLD:
+        if entered not in (Mode.HOLD, Mode.UNSTICK):
             self.paused = None
-        elif state.mode not in (Mode.IDLE, Mode.MANUAL, Mode.TRIAL, Mode.HOLD) and not state.reference.done:
+        elif state.mode not in (Mode.IDLE, Mode.MANUAL, Mode.TRIAL, Mode.HOLD, Mode.UNSTICK) and not state.reference.done:
             plan = state.setpoint.plan
             self.paused = Paused(state.mode, self.memory, plan.number if plan is not None else 0)
         if state.mode is Mode.PLAY and entered is not Mode.PLAY and not state.reference.done:
@@ -255,14 +279,16 @@ class Helm:
         """The one door: enter the mode the operator asks for, with its set points, or the one after a restart, which gives a
         reason. Raises Refused; nothing has changed then."""
         state = self.state
-        if mode is Mode.HOME:
-            setpoint = setpoint._replace(track=self.track.way_home())
+        if mode in (Mode.HOME, Mode.UNSTICK):
+            setpoint = setpoint._replace(track=self._way(mode))
         if mode is not state.mode and resumed is None:
             setpoint = setpoint._replace(override_mps=None)
         if mode is not Mode.IDLE:
             reason = refusal(self.rules, mode, self.checks(), state.has_left_idle) or admit(mode, state.motion.has, setpoint)
             if reason is None and mode is Mode.GREX and now_s - state.guest_s > self.settings.failsafe.guest_silent.after_s:
                 reason = "no set point from the guest"
+            if reason is None and mode is Mode.UNSTICK:
+                reason = self._cannot_unstick(again=True) or None
             memory = begin(mode, state.motion, setpoint, self.limits) if resumed is None else resumed
             to = None if reason else setpoints.first(mode, memory, setpoint)
             reason = reason or setpoints.too_far(to, state.motion) or self.plans.barred(mode, memory.leg)

@@ -12,6 +12,7 @@ export const KEYED: readonly { key: string; mode: Mode; title: string; says: str
   { key: "M", mode: "manual", title: "Manual", says: "thrusters are set here" },
   { key: "H", mode: "heading", title: "Heading", says: "follow a heading" },
   { key: "L", mode: "home", title: "Go home", says: "leave: back along the way it came, then hold" },
+  { key: "U", mode: "unstick", title: "Unstick", says: "astern, out by the way it came, then hold" },
   { key: "G", mode: "goto", title: "Go to waypoint 1", says: "then hold: thrusters start again; or idle, if its file says so" },
   { key: "P", mode: "path", title: "Path following", says: "follow the path that connects the waypoints" },
   { key: "Y", mode: "play", title: "Play mission", says: "each waypoint in turn, then hold" },
