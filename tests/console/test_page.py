@@ -266,7 +266,7 @@ async def test_a_menu_is_worked_by_keys_and_shows_the_keys(page: Page, gateway: 
     assert await page.value("[...document.querySelectorAll('.popup kbd')].map(k => k.textContent)") == [
         *("Space", "B", "C", "L", "I", "M", "H", "U", "G", "P", "Y", "X", "0 … 8")
     ]
-    for _ in range(12):
+    for _ in range(13):
         await page.press("ArrowDown")
     await page.press("Enter")
     await page.until("document.querySelector('.field') !== null")
