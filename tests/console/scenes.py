@@ -83,7 +83,7 @@ def chart() -> bytes:
 def two_boats() -> list[Message]:
     delfim = boat(1, "Delfim", "#f4f6f7", north_m=-90, east_m=120, heading_deg=285.0, course_deg=285.0)
     delfim["link"].update(profile="radio", rtt_ms=184.0, loss_pct=1.4)
-    delfimx = boat(2, "DelfimX", "#f2c230", north_m=-40, east_m=-170, heading_deg=0.0, course_deg=0.0)
+    delfimx = boat(2, "DelfimX", "#56b4e9", north_m=-40, east_m=-170, heading_deg=0.0, course_deg=0.0)
     return [delfim, delfimx]
 
 
@@ -220,7 +220,7 @@ async def work(page: Page, picture: Picture) -> None:
 async def silent(page: Page, gateway: Standin, day: Day, picture: Picture) -> None:
     """One boat falls silent, the other has a failsafe; the colours of the night."""
     await page.mouse(await pixel(page, -210, 60))
-    await choose(page, "Screen", "Night colours")
+    await choose(page, "Screen", "Colours", "Night")
     delfim = gateway.boat(1)
     at = delfim["latitude_deg"], delfim["longitude_deg"]
     delfim["age_s"] = dict.fromkeys(delfim["age_s"], 23.0)
@@ -306,12 +306,12 @@ async def many(page: Page, picture: Picture) -> None:
 
 
 def fleet(size: int) -> list[Message]:
-    colours = ("#f4f6f7", "#f2c230", "#e4572e", "#4c9f70", "#3f7cac", "#9b5de5", "#f28482", "#00a6a6", "#8d6a4f", "#c0ca33")
+    colours = ("#f4f6f7", "#56b4e9", "#00835f", "#7a3fb5", "#13233f")
     return [
         boat(
             i + 1,
             f"Boat {i + 1}",
-            colours[i % 10],
+            colours[i % 5],
             north_m=60 * (i % 4) - 90,
             east_m=90 * (i // 4) - 120,
             mode="play",
@@ -392,7 +392,7 @@ async def traffic(page: Page, picture: Picture) -> None:
         await page.mouse(await pixel(page, 80, 80))
         await choose(page, "Screen", "Guard zone", "100 m")
         await page.mouse(await pixel(page, 80, 80))
-        await choose(page, "Screen", "Night colours")
+        await choose(page, "Screen", "Colours", "Night")
         await gateway.look()
         await caught_up(page, gateway)
         await picture("traffic-night")

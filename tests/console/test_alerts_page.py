@@ -99,7 +99,7 @@ def main(folder: Path) -> None:
             await picture(page, "alerts")
             await page.press("a")
             await page.mouse(await pixel(page, -210, 60))
-            await choose(page, "Screen", "Night colours")
+            await choose(page, "Screen", "Colours", "Night")
             await page.press("a")
             await picture(page, "alerts-night")
 

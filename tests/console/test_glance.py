@@ -65,7 +65,7 @@ OUTSIDE = """[...document.querySelectorAll('.chip *, .popup *')].filter((each) =
 def three() -> list[Message]:
     """Under way, with the longest words that they say."""
     boats = [
-        boat(n, name, "#f2c230", mode="play", armed=True, speed_mps=1.6)
+        boat(n, name, "#56b4e9", mode="play", armed=True, speed_mps=1.6)
         for n, name in enumerate(("Alfa", "Bravo", "Charlie"), 1)
     ]
     for each in boats:

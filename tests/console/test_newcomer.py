@@ -290,7 +290,7 @@ async def test_there_are_land_and_harbours_without_a_network_until_they_would_be
     assert await page.value(base) == "No chart here. How to add one: Screen in the menu"
     await page.mouse((600.0, 300.0))
     await choose(page, "Screen")
-    await page.until("document.querySelector('.popup').textContent.includes('Night colours')")
+    await page.until("document.querySelector('.popup').textContent.includes('Colours')")
     assert f"put charts into the folder {it.folder}" in await page.value("document.querySelector('.popup').textContent")
 
 

@@ -15,7 +15,7 @@ SQUARE = [(-40.0, -60.0), (40.0, -60.0), (40.0, 60.0), (-40.0, 60.0)]
 
 
 def two() -> list[Message]:
-    return [boat(1, "Delfim", "#f4f6f7", north_m=-90, east_m=-60), boat(2, "DelfimX", "#f2c230", north_m=-90, east_m=60)]
+    return [boat(1, "Delfim", "#f4f6f7", north_m=-90, east_m=-60), boat(2, "DelfimX", "#56b4e9", north_m=-90, east_m=60)]
 
 
 @contextlib.asynccontextmanager

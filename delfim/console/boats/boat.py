@@ -16,7 +16,7 @@ from delfim.console.link.reception import Reception
 from delfim.console.link.statustext import Words
 from delfim.vehicle.plans.mission import ROWS
 
-COLOURS: Final = ("#d1495b", "#2e86ab", "#e8b04a", "#5b9a68", "#8e5ea2", "#d97b29", "#3a7d7c", "#b0567f", "#6b705c", "#1b4965")
+COLOURS: Final = ("#f4f6f7", "#56b4e9", "#00835f", "#7a3fb5", "#13233f")  # every eye tells them apart; none is that of an alert
 SILENT_S: Final = 3.5
 WEAK_PCT, WEAK_MS = 10.0, 1000.0  # lost, round trip: from there on a stop may come late
 CHECKSUM_S: Final = 6.0  # the time for a boat to send the checksum of its plans before they are read

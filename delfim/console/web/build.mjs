@@ -15,12 +15,15 @@ const { metafile } = await build({
   outdir: out,
   absWorkingDir: here,
   bundle: true,
+  preserveSymlinks: true, // names in the lists below do not depend on where the packages lie
   minify: true,
   format: "esm",
   target: "es2022",
   charset: "utf8",
   legalComments: "none",
   metafile: true,
+  loader: { ".woff2": "file" },
+  assetNames: "[name]",
 });
 copyFileSync(join(here, "src/index.html"), join(out, "index.html"));
 copyFileSync(join(here, "harbours.tsv"), join(out, "harbours.tsv"));
@@ -38,9 +41,10 @@ const licences = [...packages].sort().map((name) => {
   const text = file ? readFileSync(join(folder, file), "utf8").trim() : license;
   return `${name} ${version} (${license})\n\n${text}\n`;
 });
+licences.push(`B612 (OFL-1.1)\n\n${readFileSync(join(here, "face/OFL.txt"), "utf8").trim()}\n`);
 writeFileSync(join(out, "LICENSES.txt"), licences.join("\n" + "-".repeat(78) + "\n\n"));
 
 // What it was made of, so that a test can tell a bundle from before the last change.
-const sources = ["build.mjs", "harbours.tsv", "land.mjs", "package-lock.json", ...readdirSync(join(here, "src")).map((name) => `src/${name}`)].sort();
+const sources = ["build.mjs", ...readdirSync(join(here, "face")).map((name) => `face/${name}`), "harbours.tsv", "land.mjs", "package-lock.json", ...readdirSync(join(here, "src")).map((name) => `src/${name}`)].sort();
 const digest = (name) => createHash("sha256").update(readFileSync(join(here, name))).digest("hex");
 writeFileSync(join(out, "sources.json"), JSON.stringify(Object.fromEntries(sources.map((name) => [name, digest(name)])), null, 1) + "\n");

@@ -4,7 +4,7 @@ import { type Geometry, LineString, Point } from "ol/geom";
 import Polygon, { circular } from "ol/geom/Polygon";
 import { Circle as Disc, Fill, Stroke, Style, Text } from "ol/style";
 import { point } from "./chart";
-import { cased, palette } from "./palette";
+import { FACE, cased, palette } from "./palette";
 import type { Boat, Place } from "./wire";
 
 export function keptAboard(kept: Pick<Boat, "fence" | "obstacles" | "zones" | "home">, planned = false): Feature[] {
@@ -12,12 +12,12 @@ export function keptAboard(kept: Pick<Boat, "fence" | "obstacles" | "zones" | "h
   const dash = planned ? { lineDash: [6, 5] } : {};
   const line = (way: Geometry) => {
     const edge = new Feature(way);
-    edge.setStyle(cased(palette.danger, 2, planned ? [10, 6] : undefined));
+    edge.setStyle(cased(palette.limit, 2, planned ? [10, 6] : undefined));
     made.push(edge);
   };
   const filled = (area: Geometry) => {
     const out = new Feature(area);
-    out.setStyle(new Style({ fill: new Fill({ color: palette.dangerFill }), stroke: new Stroke({ color: palette.danger, width: 1.8, ...dash }) }));
+    out.setStyle(new Style({ fill: new Fill({ color: palette.limitback }), stroke: new Stroke({ color: palette.limit, width: 1.8, ...dash }) }));
     made.push(out);
   };
   const ring = (corners: [number, number][]) => [...corners, corners[0]!].map(([latitude_deg, longitude_deg]) => point({ latitude_deg, longitude_deg }));
@@ -34,7 +34,7 @@ export function keptAboard(kept: Pick<Boat, "fence" | "obstacles" | "zones" | "h
     home.setStyle(
       new Style({
         image: new Disc({ radius: 10, fill: new Fill({ color: palette.handle }), stroke: new Stroke({ color: palette.soft, width: 2 }) }),
-        text: new Text({ text: "H", font: "700 12px system-ui, sans-serif", fill: new Fill({ color: palette.ink }), offsetY: 1 }),
+        text: new Text({ text: "H", font: `700 12px ${FACE}`, fill: new Fill({ color: palette.ink }), offsetY: 1 }),
       }),
     );
     made.push(home);

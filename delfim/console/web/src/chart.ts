@@ -17,7 +17,7 @@ import ImageStatic from "ol/source/ImageStatic";
 import XYZ from "ol/source/XYZ";
 import { Fill, Stroke, Text } from "ol/style";
 import { DangerLayer } from "./dangers";
-import { palette } from "./palette";
+import { FACE, palette } from "./palette";
 import type { Background, Place } from "./wire";
 
 const LONG_PRESS_MS = 550;
@@ -74,7 +74,7 @@ export class Chart {
     if (this.graticule) this.map.removeLayer(this.graticule);
     const ink = (words: "start" | "end", base: CanvasTextBaseline) =>
       new Text({
-        font: "500 12px system-ui, sans-serif",
+        font: `500 12px ${FACE}`,
         fill: new Fill({ color: palette.soft }),
         stroke: new Stroke({ color: palette.halo, width: 3 }),
         textAlign: words,

@@ -1,6 +1,6 @@
 // Boxes over the map: the stop corner, the key card, the result of a dry run, the position of the pointer.
 import type { Actions } from "./actions";
-import { attribute, make, text } from "./dom";
+import { make, text } from "./dom";
 import { position as boatPosition } from "./fleet";
 import { bearing, bearing_deg, distance_m, duration, metres, position } from "./geo";
 import { CARD, REPLAY_CARD } from "./keys";
@@ -34,7 +34,6 @@ export class Corner {
   draw(): void {
     const { boat } = this.state;
     text(this.name, boat?.name ?? "");
-    attribute(this.stop, "aria-label", boat ? `Stop ${boat.name}` : "Stop");
     const stopping = boat !== null && this.actions.stopping.has(boat.id);
     this.stop.dataset["state"] = stopping ? "stopping" : boat?.mode === "idle" ? "idle" : "ready";
     const others = this.state.boats.filter((each) => each.id !== this.state.selected);
@@ -73,6 +72,7 @@ export function card(parent: HTMLElement, state: State): { toggle(): void; close
   box.id = "card";
   box.setAttribute("role", "dialog");
   box.setAttribute("aria-label", "Keys and lines");
+  box.tabIndex = 0; // arrows scroll it
   box.hidden = true;
   box.addEventListener("click", () => (box.hidden = true));
   parent.append(box);

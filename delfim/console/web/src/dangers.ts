@@ -36,12 +36,12 @@ function drawn(each: FeatureLike): Style {
     const blue = STEPS_M.filter((step) => least_m >= step).length;
     return new Style({ zIndex: 0, fill: new Fill({ color: least_m < 0 ? palette.land : palette.depths[Math.max(blue - 1, 0)]! }) });
   }
-  if (kind === "no-go") return new Style({ zIndex: 2, fill: new Fill({ color: palette.forbidden }), stroke: new Stroke({ color: palette.danger, width: 1.5 }) });
+  if (kind === "no-go") return new Style({ zIndex: 2, fill: new Fill({ color: palette.forbidden }), stroke: new Stroke({ color: palette.limit, width: 1.5 }) });
   const stands = String(each.get("why")).startsWith("land");
   return new Style({
     zIndex: stands ? 3 : 4, // red is water
     ...(stands ? { fill: new Fill({ color: palette.land }) } : {}),
     stroke: new Stroke({ color: palette.soft, width: 1 }),
-    image: new Circle({ radius: 3, fill: new Fill({ color: palette.danger }), stroke: new Stroke({ color: palette.halo, width: 1 }) }),
+    image: new Circle({ radius: 3, fill: new Fill({ color: palette.limit }), stroke: new Stroke({ color: palette.halo, width: 1 }) }),
   });
 }

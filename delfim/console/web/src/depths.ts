@@ -16,8 +16,8 @@ type Told = Extract<Heard, { t: "depths" }>;
 type Extent = [west: number, south: number, east: number, north: number]; // degrees
 
 const SIDE = 100;
-const RAMP = ["#fde725", "#7ad151", "#22a884", "#2a788e", "#414487", "#440154"]; // shallow to deep, for every eye
-const GAP = [200, 40, 50, 90] as const;
+const RAMP = ["#9bdba6", "#3fb59a", "#23868f", "#2e6490", "#3d3f86", "#3b0f55"]; // shallow to deep, for every eye; without the yellow of alerts
+const GAP = [150, 60, 190, 100] as const;
 const GAPS_MS = 2000; // between two looks for what is not covered
 const CELLS_MOST = 250_000; // of an area
 const KEPT = "delfim.depths";

@@ -10,7 +10,7 @@ import { keptAboard } from "./aboard";
 import type { Chart, Pixel } from "./chart";
 import { point } from "./chart";
 import { distance_m, towards } from "./geo";
-import { cased, inked, palette, theme } from "./palette";
+import { FACE, cased, inked, palette, theme } from "./palette";
 import type { State } from "./state";
 import { age_s, ageWords, freshness } from "./state";
 import type { Boat, Place } from "./wire";
@@ -265,8 +265,8 @@ export class Fleet {
     shown.icon = new Icon({ img: symbol(boat.colour, lost), rotateWithView: true, scale: 0.5 });
     shown.name = new Text({
       text: label,
-      font: `${chosen ? 650 : 500} 14px system-ui, sans-serif`,
-      fill: new Fill({ color: lost ? palette.danger : palette.ink }),
+      font: `${chosen ? 650 : 500} 14px ${FACE}`,
+      fill: new Fill({ color: lost ? palette.bad : palette.ink }),
       stroke: new Stroke({ color: palette.halo, width: 4 }),
     });
     shown.symbol.setStyle(new Style({ image: shown.icon, text: shown.name, zIndex: chosen ? 9 : 8 }));
@@ -381,7 +381,7 @@ function symbol(colour: string, hollow: boolean): HTMLCanvasElement {
     pen.stroke(hull);
   };
   stroke(palette.halo, 11);
-  stroke(hollow ? inked(colour) : theme === "day" ? "#0d2230" : "#02080c", 5.5);
+  stroke(hollow ? inked(colour) : palette.hull, 5.5);
   pen.fillStyle = hollow ? palette.sea : colour;
   pen.fill(hull);
   symbols.set(key, canvas);

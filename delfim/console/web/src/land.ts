@@ -9,7 +9,7 @@ import VectorSource from "ol/source/Vector";
 import { Circle, Fill, Stroke, Style, Text } from "ol/style";
 import type { Chart } from "./chart";
 import { text } from "./dom";
-import { palette } from "./palette";
+import { FACE, palette } from "./palette";
 import type { State } from "./state";
 
 const STEPS = 500; // of a degree: web/land.mjs
@@ -80,7 +80,7 @@ export class Land {
   private named(name: string): Style {
     const text = new Text({
       text: name,
-      font: "500 11px system-ui, sans-serif",
+      font: `500 11px ${FACE}`,
       offsetX: 6,
       textAlign: "start",
       fill: new Fill({ color: palette.soft }),

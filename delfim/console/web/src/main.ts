@@ -1,5 +1,6 @@
 // The console's page: puts the parts together and passes the gateway's messages to them.
 import "ol/ol.css";
+import "./tokens.css";
 import "./style.css";
 import { Actions } from "./actions";
 import { Adopt } from "./adopt";

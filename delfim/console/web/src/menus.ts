@@ -8,7 +8,7 @@ import type { Field } from "./form";
 import { bearing, position } from "./geo";
 import { KEYED } from "./keys";
 import * as M from "./mission";
-import { setTheme, theme } from "./palette";
+import { THEMES, setTheme, theme } from "./palette";
 import { HOLDS_THERE, NONE } from "./planning";
 import type { Planning } from "./planning";
 import type { Handle, Plans } from "./plans";
@@ -188,17 +188,12 @@ export class Menus {
   }
 
   private screen(): Entry[] {
-    const night = theme === "night";
-    const change = () => {
-      setTheme(night ? "day" : "night");
-      this.state.tell("theme");
-    };
     const charts = this.state.backgrounds.map(
       ({ name }): Item => ({ title: `Chart: ${name}`, tick: this.chart.shown(name), do: () => this.toggle(name) }),
     );
     if (!charts.length) charts.push({ title: "Charts: none", refuse: `put charts into ${this.state.chartFolder} and start the console again` });
     return [
-      { title: "Night colours", tick: night, do: change },
+      { title: "Colours", note: theme, sub: () => this.themes() },
       { title: "Knots", tick: inKnots, do: () => setKnots(!inKnots) },
       { title: "Sound", tick: this.sound.on, do: () => this.sound.toggle() },
       { title: "Guard zone", note: this.watch.zone_m ? `${this.watch.zone_m} m around each boat, on this page` : "none on this page", sub: () => this.zones() },
@@ -210,6 +205,19 @@ export class Menus {
       { title: "Clear the tracks", do: () => this.fleet.clearTracks() },
       { title: "Full screen", do: () => void document.documentElement.requestFullscreen() },
     ];
+  }
+
+  themes(): Entry[] {
+    return THEMES.map(
+      (each): Item => ({
+        title: capital(each),
+        tick: theme === each,
+        do: () => {
+          setTheme(each);
+          this.state.tell("theme");
+        },
+      }),
+    );
   }
 
   /** A vessel nearer than this is marked and heard on this page; the boat's own limits are in its file. */

@@ -10,7 +10,7 @@ import type { Chart, Pixel } from "./chart";
 import { point } from "./chart";
 import { position } from "./fleet";
 import { moved, towards } from "./geo";
-import { cased, palette, theme } from "./palette";
+import { FACE, cased, palette, theme } from "./palette";
 import type { State } from "./state";
 import { speedWords } from "./units";
 import { worst } from "./watch";
@@ -72,7 +72,7 @@ export class Others {
   private vessel(vessel: Vessel, named: boolean): Feature[] {
     const here = point(vessel);
     const grave = this.watch.gravity(vessel);
-    const ink = grave === "none" ? palette.ink : palette.danger;
+    const ink = grave === "none" ? palette.ink : palette.bad;
     const made: Feature[] = [];
     const add = (shape: Geometry, style: Style | Style[]) => {
       const feature = new Feature(shape);
@@ -106,7 +106,7 @@ export class Others {
       const isWest = Math.sin(boat.order.course_deg * RAD) < 0;
       const words = new Text({
         text: boat.order.words.replace(/, (?!CPA)/g, ",\n"),
-        font: "600 13px system-ui, sans-serif",
+        font: `600 13px ${FACE}`,
         textAlign: isWest ? "right" : "left", // beyond the line, not over it
         offsetX: isWest ? -14 : 14,
         offsetY: -16 * Math.cos(boat.order.course_deg * RAD),
@@ -127,7 +127,7 @@ export class Others {
       const place = position(boat);
       if (!place) return [];
       const ring = new Feature(circular([place.longitude_deg, place.latitude_deg], zone_m, 64).transform("EPSG:4326", "EPSG:3857"));
-      ring.setStyle(cased(palette.danger, 1.8, [3, 6]));
+      ring.setStyle(cased(palette.limit, 1.8, [3, 6]));
       return [ring];
     });
   }
@@ -144,16 +144,16 @@ function domain(vessel: Vessel): number[][] {
 }
 
 const inQuestion = (isDanger: boolean): Style =>
-  new Style({ fill: new Fill({ color: palette.dangerFill }), stroke: new Stroke({ color: palette.danger, width: isDanger ? 2.2 : 1.2, lineDash: [6, 4] }) });
+  new Style({ fill: new Fill({ color: palette.danger }), stroke: new Stroke({ color: palette.bad, width: isDanger ? 2.2 : 1.2, lineDash: [6, 4] }) });
 
 function label(vessel: Vessel, grave: boolean): Text {
   return new Text({
     text: labelWords(vessel),
-    font: `${grave ? 650 : 500} 12px system-ui, sans-serif`,
+    font: `${grave ? 650 : 500} 12px ${FACE}`,
     textAlign: "left",
     offsetX: 16,
     offsetY: 8,
-    fill: new Fill({ color: grave ? palette.danger : palette.soft }),
+    fill: new Fill({ color: grave ? palette.bad : palette.soft }),
     stroke: new Stroke({ color: palette.halo, width: 3.5 }),
   });
 }
@@ -217,7 +217,7 @@ function symbol(vessel: Vessel, grave: boolean, turned: boolean): HTMLCanvasElem
       cross.lineTo(12, -side);
     }
   }
-  const ink = grave || kind === "distress" ? palette.danger : palette.ink;
+  const ink = grave || kind === "distress" ? palette.bad : palette.ink;
   const stroke = (tint: string, width: number) => {
     [pen.strokeStyle, pen.lineWidth] = [tint, width];
     pen.setLineDash(vessel.lost && tint !== palette.halo ? [8, 6] : []);

@@ -12,7 +12,7 @@ import { keptAboard } from "./aboard";
 import { bearing, bearing_deg, distance_m, metres } from "./geo";
 import { insertRingCorner, isSurvey, moveRingCorner, ringsOf } from "./area";
 import { alike, cornerPlace, insertCorner, insertWaypoint, leg, moveCorner, moveWaypoint, path as pathOf, setObstacle } from "./mission";
-import { cased, inked, palette } from "./palette";
+import { FACE, cased, inked, palette } from "./palette";
 import { drawnAreas } from "./survey";
 import type { State } from "./state";
 import type { Boat, Mission, Place, Station, Waypoint } from "./wire";
@@ -23,7 +23,7 @@ const LEG_FOR_MIDDLE_PX = 80;
 const NUMBER_PX = 24; // between two discs with numbers
 const ASIDE_PX = 25; // between two discs that stand side by side
 const DRAFT = [8, 6];
-const STATES: Record<Station["state"], "steer" | "done" | "danger"> = { waiting: "steer", sampled: "done", failed: "danger" }; // colours of a station's frame
+const STATES: Record<Station["state"], "steer" | "done" | "bad"> = { waiting: "steer", sampled: "done", failed: "bad" }; // colours of a station's frame
 
 export interface Handle {
   kind: "waypoint" | "middle" | "corner" | "edge" | "obstacle" | "home" | "area" | "side";
@@ -179,9 +179,9 @@ export class Plans {
     if (aboard && !isAboard) this.drawMission(aboard, boat!, { colour: palette.plan, small: mission.waypoints.length > 0 });
     this.legs.addFeatures([...drawnAreas(mission), ...keptAboard(mission, true)]);
     this.drawMission(mission, boat, isAboard ? { colour: palette.plan } : { colour: palette.draft, lineDash: DRAFT });
-    mission.fence.forEach((each) => this.marks.addFeature(drawnCorner(cornerPlace(each), palette.danger, 5.5)));
+    mission.fence.forEach((each) => this.marks.addFeature(drawnCorner(cornerPlace(each), palette.limit, 5.5)));
     ringsOf(mission).forEach(({ corners }) => corners.forEach((each) => this.marks.addFeature(drawnCorner(cornerPlace(each), palette.survey, 5.5))));
-    const tints: Record<string, string> = { edge: palette.danger, side: palette.survey };
+    const tints: Record<string, string> = { edge: palette.limit, side: palette.survey };
     this.middles(mission).forEach(({ kind, place }) => this.marks.addFeature(drawnPlus(place, tints[kind] ?? (isAboard ? palette.plan : palette.draft))));
   }
 
@@ -347,7 +347,7 @@ function drawnWaypoint(place: Waypoint, index: number, current: boolean, { colou
       image: place.tries ? new RegularShape({ ...its, points: 4, angle: Math.PI / 4, radius: 1.35 * its.radius }) : new Disc(its),
       text: new Text({
         text: String(index + 1),
-        font: "650 12px system-ui, sans-serif",
+        font: `650 12px ${FACE}`,
         fill: new Fill({ color: current ? palette.handle : palette.ink }),
         offsetX: aside_px,
         offsetY: 1,
@@ -367,7 +367,7 @@ function drawnCorner(place: Place, colour: string, radius: number): Feature {
 function drawnCrossing(place: Place): Feature {
   const feature = new Feature(new Point(point(place)));
   const ring = (color: string, width: number) => new Style({ image: new Disc({ radius: 12, stroke: new Stroke({ color, width }) }) });
-  feature.setStyle([ring(palette.halo, 6), ring(palette.danger, 3)]);
+  feature.setStyle([ring(palette.halo, 6), ring(palette.limit, 3)]);
   return feature;
 }
 
@@ -382,7 +382,7 @@ function drawnRuler(from: Place, to: Place): Feature[] {
   const words = `${metres(distance_m(from, to))}  ${bearing(bearing_deg(from, to))}`;
   const text = new Text({
     text: words,
-    font: "600 14px system-ui, sans-serif",
+    font: `600 14px ${FACE}`,
     fill: new Fill({ color: palette.ink }),
     stroke: new Stroke({ color: palette.halo, width: 4 }),
     offsetY: -14,

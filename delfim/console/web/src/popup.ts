@@ -32,7 +32,7 @@ export class Popup {
     parent: HTMLElement,
     private readonly stop: HTMLElement,
   ) {
-    this.box.setAttribute("role", "menu");
+    this.box.setAttribute("role", "dialog");
     this.box.hidden = true;
     parent.append(this.box);
     this.box.addEventListener("contextmenu", (event) => event.preventDefault());
@@ -126,6 +126,7 @@ export class Popup {
   /** Beside the pointer, within the window, and never on the stop corner. */
   private place(): void {
     this.box.hidden = false;
+    this.box.setAttribute("aria-label", this.box.querySelector("header b")?.textContent || "menu");
     this.opened();
     [this.shownAt, this.meant] = [performance.now(), false];
     this.fit();
@@ -167,7 +168,9 @@ class MenuView implements Open {
       head.classList.add("pressable");
       head.addEventListener("click", () => tell.back());
     }
-    box.replaceChildren(head, ...entries.map((entry) => (entry === "line" ? make("hr") : this.row(entry))));
+    const rows = make("div", ...entries.map((entry) => (entry === "line" ? make("hr") : this.row(entry))));
+    rows.setAttribute("role", "menu");
+    box.replaceChildren(head, rows);
   }
 
   move(by: number): void {

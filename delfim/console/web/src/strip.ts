@@ -227,7 +227,7 @@ class Graph {
       padding: [3, 0, 2, 0],
       scales: { x: { time: false }, y: { range: () => [this.least, this.most] } },
       axes: [{ show: false }, { show: false }],
-      series: [{}, { width: 1.6, stroke: () => palette[side], fill: () => `${palette[side]}26`, spanGaps: false, points: { show: false } }],
+      series: [{}, { width: 1.6, stroke: () => palette.ink, fill: () => `${palette.soft}33`, spanGaps: false, points: { show: false } }],
       hooks: { drawClear: [(plot) => zeroLine(plot)] },
     };
     this.plot = new uPlot(options, [[], []], this.root);

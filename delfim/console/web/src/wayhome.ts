@@ -10,7 +10,7 @@ import { point } from "./chart";
 import { position } from "./fleet";
 import { distance_m, metres, towards } from "./geo";
 import type { Net } from "./net";
-import { cased, inked, palette } from "./palette";
+import { FACE, cased, inked, palette } from "./palette";
 import type { State } from "./state";
 import type { Boat, Heard, Place } from "./wire";
 
@@ -84,7 +84,7 @@ export class WayHome {
     if (!here || !words) return;
     const ring = range_m.map((far_m, i) => point(towards(here, (360 * i) / range_m.length, far_m)));
     const shape = new Feature(new Polygon([[...ring, ring[0]!]]));
-    const text = new Text({ text: words, placement: "line", font: "600 12px system-ui, sans-serif", fill: new Fill({ color: palette.steer }), stroke: new Stroke({ color: palette.halo, width: 4 }) });
+    const text = new Text({ text: words, placement: "line", font: `600 12px ${FACE}`, fill: new Fill({ color: palette.steer }), stroke: new Stroke({ color: palette.halo, width: 4 }) });
     shape.setStyle(new Style({ fill: new Fill({ color: inked(palette.steer, 0.06) }), stroke: new Stroke({ color: palette.steer, width: 1.4, lineDash: [2, 5] }), text }));
     this.lines.addFeature(shape);
   }
@@ -103,7 +103,7 @@ export class WayHome {
     way.setStyle(cased(palette.steer, 2.2, [12, 7]));
     const end = new Feature(new Point(point(points[0]!)));
     const ink = (color: string, width: number) => new Stroke({ color, width });
-    const text = new Text({ text: this.words(boat.id), font: "600 13px system-ui, sans-serif", offsetY: 20, fill: new Fill({ color: palette.steer }), stroke: ink(palette.halo, 4) });
+    const text = new Text({ text: this.words(boat.id), font: `600 13px ${FACE}`, offsetY: 20, fill: new Fill({ color: palette.steer }), stroke: ink(palette.halo, 4) });
     end.setStyle(new Style({ image: new Disc({ radius: 7, fill: new Fill({ color: palette.handle }), stroke: ink(palette.steer, 2.2) }), text }));
     this.lines.addFeatures([way, end]);
   }
