@@ -41,6 +41,9 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--frames-per-s", type=int, default=2000, help="on the bus in test_power_cut.py (%(default)s)")
     parser.addoption("--minutes", type=float, default=0.1, help="of the black box on a full bus, in a guest (%(default)s)")
     parser.addoption("--mutations", type=int, default=40, help="of each kind of file, in test_mutated_files.py (%(default)s)")
+    parser.addoption(
+        "--outages", type=int, default=20, help="of one of two links, in tests/console/test_links.py (%(default)s)"
+    )
     parser.addoption("--seeds", type=int, default=100, help="runs of mixed faults in lock step (%(default)s)")
 
 
@@ -97,6 +100,13 @@ def mutations(request: pytest.FixtureRequest) -> int:
 def seeds(request: pytest.FixtureRequest) -> range:
     """Of the runs of mixed faults."""
     return range(request.config.getoption("--seeds"))
+
+
+@pytest.fixture
+def outages(request: pytest.FixtureRequest) -> int:
+    """Of one of two links."""
+    count: int = request.config.getoption("--outages")
+    return count
 
 
 def _skip_is_failure(report: pytest.TestReport | pytest.CollectReport) -> None:

@@ -3,6 +3,7 @@
 import contextlib
 import json
 from collections.abc import AsyncIterator
+from pathlib import Path
 
 import pytest
 
@@ -45,6 +46,19 @@ async def test_a_weak_link_is_amber_with_its_cause_and_with_what_it_means_for_a_
         await shown(page, gateway, f"{bars}.dataset.bars === '0'")
         gateway.boat(1)["link"].update(kind="log")
         await shown(page, gateway, f"{bars}.hidden && {text_of(1, '.weak')} === ''")
+
+
+async def test_the_strip_tells_which_of_two_links_is_in_use(tmp_path: Path) -> None:
+    async with look(Standin(two()), DESK) as (page, gateway):
+        assert await page.value(text_of(1, ".links")) == ""
+        radio = {"kind": "serial", "place": "/dev/ttyUSB0", "used": False, "rtt_ms": 310.0, "loss_pct": 2.0, "age_s": 0.3}
+        lte = {"kind": "udp", "place": "10.0.0.9:14555", "used": True, "rtt_ms": 48.2, "loss_pct": 0.0, "age_s": 0.1}
+        gateway.boat(1)["link"]["all"] = [radio, lte]
+        await shown(page, gateway, f"{text_of(1, '.links')} === 'by 10.0.0.9:14555 · /dev/ttyUSB0 stands by, 310 ms'")
+        (tmp_path / "links.png").write_bytes(await page.picture())
+        lte.update(used=False, age_s=5.2)
+        radio.update(used=True)
+        await shown(page, gateway, f"{text_of(1, '.links')} === 'by /dev/ttyUSB0 · 10.0.0.9:14555 silent for 5 s'")
 
 
 async def test_a_boat_that_tells_no_revolutions_has_no_graph_of_them() -> None:

@@ -72,6 +72,7 @@ class Boat:
         self.failsafe, self.ready = "", False
         self.forced = ""  # its last text about a mode that it entered by itself
         self.link, self.signed = "udp", False  # "log": its own log is replayed
+        self.links: list[dict[str, Any]] = []  # all of them, for the page
         self.track: deque[tuple[float, float, float]] = deque(maxlen=TRACK_MAX)
         self.heard_track = HeardTrack()
         self.rtt_ms: float | None = None
@@ -85,12 +86,12 @@ class Boat:
         self.checksum: int | None = None  # of the plans aboard, as the boat sends it
         self.read: int | None = None  # the same, when they were read
         self.read_due_s = now_s + CHECKSUM_S
-        self._reception = Reception(now_s)
+        self.reception = Reception(now_s)  # on the link in use
 
     def has_weak_link(self, now_s: float) -> bool:
         """Whether a stop may come late (docs/operator.md). It ends when the link is twice as good as where it began."""
         part = 0.5 if self.link_was_weak else 1.0
-        self.link_was_weak = self._reception.loss_pct(now_s) >= part * WEAK_PCT or (self.rtt_ms or 0.0) >= part * WEAK_MS
+        self.link_was_weak = self.reception.loss_pct(now_s) >= part * WEAK_PCT or (self.rtt_ms or 0.0) >= part * WEAK_MS
         return self.link_was_weak
 
     def receive(self, message: Any, now_s: float, utc_s: float) -> None:
@@ -99,7 +100,6 @@ class Boat:
             self.is_named, self.profile, self.asks, self.synced_s, self.has_told_orders = False, "", 0, -math.inf, False
             self._orders_told.clear()
         self.heard_s = now_s
-        self._reception.count(message, now_s)
         handler = _HANDLERS.get(message.get_type())
         if handler is not None:
             handler(self, message)
@@ -232,8 +232,9 @@ class Boat:
                 "signed": self.signed,
                 "profile": self.profile,
                 "rtt_ms": self.rtt_ms,
-                "loss_pct": self._reception.loss_pct(now_s),
-                "bytes_per_s": self._reception.bytes_per_s(now_s),
+                "loss_pct": self.reception.loss_pct(now_s),
+                "bytes_per_s": self.reception.bytes_per_s(now_s),
+                "all": self.links,
             },
             "ghost": self._ghost(now_s),
             "released": self.released,

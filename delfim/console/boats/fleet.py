@@ -21,12 +21,12 @@ from delfim.console.boats.item_transfer import REFUSED
 from delfim.console.boats.plan_transfer import SAID, Exchange, planned
 from delfim.console.boats.profiles import Profiles
 from delfim.console.boats.requests import HALTS, LIFE_S, NO_ANSWER, Answer, Requests, entered
-from delfim.console.boats.routes import Address, Ways, in_words
+from delfim.console.boats.routes import Address, Ways, address_kind, in_words
 from delfim.console.link.mavlink import BOAT_NAME, BOAT_RUN, SYSTEM, TROUBLES, Codec, Key, mavlink, ownorders
 from delfim.console.watch.alerts import is_trouble
 
 HEARTBEAT_S: Final = 1.0
-TIMESYNC_S: Final = 5.0
+ASK_S: Final = 5.0  # between two requests for name, modes, profile and orders
 ASKS: Final = 12  # for a minute: requests for name, modes, profile and orders
 DEAF_S: Final = 1.0  # after a sleep messages of pages are refused for so long: a page must see that it was released
 BOATS_MAX: Final = 32
@@ -35,6 +35,9 @@ PEERS_MAX: Final = 64
 COMPLAIN_S: Final = 60.0
 AUTOPILOT: Final = mavlink.MAV_COMP_ID_AUTOPILOT1
 WARNING: Final = int(mavlink.MAV_SEVERITY_WARNING)
+ANSWERS: Final = frozenset(
+    ("COMMAND_ACK", "V2_EXTENSION", "PARAM_EXT_VALUE", "HOME_POSITION", "STATUSTEXT", *SAID)
+)  # on any link
 REASON_S: Final = 0.5  # the refusal of a plan and its reason come in separate messages
 Tell = Callable[[dict[str, Any]], None]
 
@@ -58,8 +61,8 @@ class Fleet:
         self._boats_max, self._peers_max = (BOATS_MAX, PEERS_MAX) if key is None else (SIGNED_MAX, 2 * SIGNED_MAX)
         self._peers: dict[Address, Codec] = {}
         self._ways = Ways()
-        self._requests = Requests(self._send, self._send_all)
-        self._drivers = Drivers(self._send, self._say)
+        self._requests = Requests(self._send_on_each, self._send_all)
+        self._drivers = Drivers(self._send_on_each, self._say)
         self._ticked_s, self._deaf_until_s, self._slept_s = clock.monotonic_s(), -math.inf, 0.0
         self._beat_s = self._complained_s = -math.inf
         self._texts: dict[int, tuple[float, str]] = {}
@@ -101,12 +104,27 @@ class Fleet:
         boat = self.boats[number]
         if not self._ways.hear(number, address, message, now_s):
             return
-        boat.link = address_kind(address)
+        if message.get_type() == "HEARTBEAT" and self._ways.are_idle(number, address, now_s):
+            self._requests.idle(number, address, message.get_seq())
+        if message.get_type() == "COMMAND_ACK":
+            self._on_ack(boat, address, message)
+        if address != self._ways.routes[number] and message.get_type() not in ANSWERS:
+            return
+        if message.get_type() == "STATUSTEXT" and not boat.words.is_new(message, address, now_s):
+            return
+        self._use_link(boat, now_s)
         boat.receive(message, now_s, self._utc_s())
         handler = _HANDLERS.get(message.get_type())
         if handler is not None:
             handler(self, boat, message, now_s)
         self.heard(boat, message, now_s)
+
+    def _use_link(self, boat: Boat, now_s: float) -> None:
+        """The best of its links from now on. The profile is one of each link."""
+        if self._ways.choose(boat.number, now_s):
+            self._profiles.ask(boat.number)
+        route, way = self._ways.used(boat.number)
+        boat.link, boat.reception, boat.rtt_ms = address_kind(route), way.reception, way.rtt_ms
 
     def _has_room(self, now_s: float) -> bool:
         """Whether one more boat fits. A silent boat that is unsigned and that the operator never used gives way to it."""
@@ -145,10 +163,10 @@ class Fleet:
         told = {"t": "text", "boat": number, "severity": severity, "text": text, "at_s": self._utc_s()}
         self._tell(told | {"alarm": alarm} if alarm and severity <= WARNING else told)
 
-    def _on_ack(self, boat: Boat, message: Any, now_s: float) -> None:
+    def _on_ack(self, boat: Boat, address: Address, message: Any) -> None:
         if message.result != mavlink.MAV_RESULT_IN_PROGRESS:
             accepted = message.result == mavlink.MAV_RESULT_ACCEPTED
-            self._requests.acknowledged(boat.number, message.command, accepted, message.get_seq())
+            self._requests.acknowledged(boat.number, message.command, accepted, address, message.get_seq())
 
     def _on_own(self, boat: Boat, message: Any, now_s: float) -> None:
         """The answer to an order in the boat's own words, or an order that it offers."""
@@ -163,10 +181,6 @@ class Fleet:
         """What the boat said just now; empty: nothing."""
         said_s, text = self._texts.get(number, (-math.inf, ""))
         return text if self._clock.monotonic_s() - said_s < REASON_S else ""
-
-    def _on_heartbeat(self, boat: Boat, message: Any, now_s: float) -> None:
-        if self._ways.are_idle(boat.number, now_s):
-            self._requests.idle(boat.number, message.get_seq())
 
     def _on_text(self, boat: Boat, message: Any, now_s: float) -> None:
         text = boat.words.hear(message)
@@ -191,10 +205,6 @@ class Fleet:
         if message.param_id == BOAT_NAME and boat.before:
             self.missions.get(boat.number, {}).pop("aboard", None)
             self._say(boat.number, 4, f"number {boat.number} is now {boat.name}: it was {boat.before}", "console")
-
-    def _on_sync(self, boat: Boat, message: Any, now_s: float) -> None:
-        if message.tc1:
-            boat.rtt_ms = round(now_s * 1e3 - message.ts1 / 1e6, 1)
 
     def _on_home(self, boat: Boat, message: Any, now_s: float) -> None:
         if boat.number in self._homes:
@@ -226,11 +236,13 @@ class Fleet:
             self._beat_s = now_s
             for number in self.boats:
                 words = mavlink.MAV_TYPE_GCS, mavlink.MAV_AUTOPILOT_INVALID, 0, 0, mavlink.MAV_STATE_ACTIVE
-                self._send(number, mavlink.MAVLink_heartbeat_message(*words, 3))
+                self._send_on_each(number, mavlink.MAVLink_heartbeat_message(*words, 3))
         for boat in self.boats.values():
-            if now_s - boat.synced_s >= TIMESYNC_S:
+            self._use_link(boat, now_s)
+            for address in self._ways.to_sync(boat.number, now_s):
+                self._put(address, mavlink.MAVLink_timesync_message(0, round(now_s * 1e9)))
+            if now_s - boat.synced_s >= ASK_S:
                 boat.synced_s = now_s
-                self._send(boat.number, mavlink.MAVLink_timesync_message(0, round(now_s * 1e9)))
                 self._ask_once(boat)
             self._exchange.read(boat, now_s)
             self._look_for_twins(boat, now_s)
@@ -267,6 +279,8 @@ class Fleet:
     def snapshot(self) -> list[dict[str, Any]]:
         """All boats for the page, in order of their numbers."""
         now_s = self._clock.monotonic_s()
+        for number, boat in self.boats.items():
+            boat.links = self._ways.shown(number, now_s)
         return [
             boat.snapshot(now_s)
             | {"owner": boat.commander in (0, self.me), "driver": self._drivers.page_of(number)}
@@ -388,6 +402,12 @@ class Fleet:
         if number in self._ways.routes:
             self._put(self._ways.routes[number], message)
 
+    def _send_on_each(self, number: int, message: Any) -> None:
+        """Sends on every link to the boat: whichever is faster brings it, and the boat knows what comes again. So nothing is
+        lost with a link that fails, and nobody has to notice first."""
+        for address in self._ways.links(number, self._clock.monotonic_s()):
+            self._put(address, message)
+
     def _send_all(self, number: int, message: Any) -> None:
         """Sends also to other boats that use this number."""
         for address in self._ways.to_stop(number, self._clock.monotonic_s()):
@@ -404,19 +424,11 @@ class Fleet:
         return round(self._clock.time_ns() / 1e9, 3)
 
 
-def address_kind(address: Address) -> str:
-    """The kind of a link: the first word of its addresses."""
-    return address[0] if isinstance(address, tuple) else "udp"
-
-
 _HANDLERS: Final[dict[str, Callable[[Fleet, Boat, Any, float], None]]] = {
-    "HEARTBEAT": Fleet._on_heartbeat,
-    "COMMAND_ACK": Fleet._on_ack,
     "V2_EXTENSION": Fleet._on_own,
     "STATUSTEXT": Fleet._on_text,
     "PARAM_VALUE": Fleet._on_param,
     "PARAM_EXT_VALUE": Fleet._on_name,
-    "TIMESYNC": Fleet._on_sync,
     "HOME_POSITION": Fleet._on_home,
     "WATER_DEPTH": Fleet._on_depth,
     "DEBUG_FLOAT_ARRAY": Fleet._on_array,

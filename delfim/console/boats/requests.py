@@ -9,7 +9,7 @@ reports idle.
 import json
 import secrets
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Final
 
 from delfim.base.errors import FormatError
@@ -57,7 +57,7 @@ class Request:
     line: bytes
     answer: Answer
     begun_s: float
-    answered: int | None = None  # number of the frame by which a boat took a stop
+    answered: dict[Any, int] = field(default_factory=dict)  # by link: the number of the frame by which a boat took a stop
     due_s: float = 0.0
     sent: int = 0
 
@@ -100,25 +100,25 @@ class Requests:
         for request in [each for each in self._waiting if (each.boat, each.number) == (boat, number)]:
             self._end(request, not refused, refused)
 
-    def acknowledged(self, boat: int, command: int, accepted: bool, frame: int) -> None:
+    def acknowledged(self, boat: int, command: int, accepted: bool, link: Any, frame: int) -> None:
         """The boat answered a command of MAVLink by the frame of this number."""
         for request in [each for each in self._waiting if each.boat == boat and HALTS.get(each.word, (0,))[0] == command]:
             if accepted:
-                request.answered = frame
+                request.answered[link] = frame
             else:
                 self._end(request, False, "the boat does not take it")
 
-    def idle(self, boat: int, frame: int) -> None:
+    def idle(self, boat: int, link: Any, frame: int) -> None:
         """The boat said by the frame of this number that it is idle."""
-        for request in [each for each in self._waiting if each.boat == boat and each.answered is not None]:
-            if (frame - (request.answered or 0)) & 0xFF < 128:
+        for request in [each for each in self._waiting if each.boat == boat and link in each.answered]:
+            if (frame - request.answered[link]) & 0xFF < 128:
                 self._end(request, True, "")
 
     def tick(self, now_s: float) -> None:
         """Called often: repeats requests without an answer, and gives up old ones."""
         for request in list(self._waiting):
             if now_s - request.begun_s > (STOP_LIFE_S if request.is_stop else LIFE_S):
-                said = NO_ANSWER if request.answered is None else "the boat took the stop but is not idle"
+                said = NO_ANSWER if not request.answered else "the boat took the stop but is not idle"
                 self._end(request, False, said)
             elif now_s >= request.due_s:
                 self._repeat(request, self._message(request), now_s)

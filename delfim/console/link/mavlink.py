@@ -4,6 +4,7 @@ Frames and signatures are the vehicle's (`delfim.parts.mavlink`): both ends judg
 docs/mavlink.md.
 """
 
+import secrets
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Final
@@ -69,7 +70,8 @@ STAMPS_S: Final = 10.0  # between two writings of the time stamps
 
 class Key:
     """A signing key in a file of 64 hexadecimal digits, and beside it the time stamps of its last signatures, which
-    never go back, not even over a restart. Raises ConfigError.
+    never go back, not even over a restart, and the link number: drawn once, it tells a boat that this console is one on all of
+    its links, and another one of its number is not. Raises ConfigError.
     """
 
     def __init__(self, file: Path, clock: Clock | None = None) -> None:
@@ -80,7 +82,12 @@ class Key:
         self._clock = clock or SystemClock()
         self._file = file.with_suffix(".stamps")
         self._signing = Signing(self.secret, self._clock, read_stamps(self._file), STREAMS)
+        self._signing.link = self._signing.link or secrets.randbelow(255) + 1
         self._due_s = self._clock.monotonic_s()
+
+    @property
+    def link(self) -> int:
+        return self._signing.link
 
     def stamp(self) -> int:
         """The time stamp of the next frame: ticks of 10 us since 2015, as the clock runs."""
@@ -103,8 +110,8 @@ class Codec:
         self.counts = {"heard": 0, "refused": 0}
         self.doubt = ""
         self._key, self._stream, self._cutter = key, stream, wire.Cutter()
-        secret, stamp = (None, _no_stamp) if key is None else (key.secret, key.stamp)
-        self.encode = wire.Sender(me, COMPONENT, secret, stamp).pack
+        secret, stamp, link = (None, _no_stamp, 0) if key is None else (key.secret, key.stamp, key.link)
+        self.encode = wire.Sender(me, COMPONENT, secret, stamp, link).pack
 
     def decode(self, data: bytes) -> Iterator[Any]:
         """The messages in these bytes. Other bytes are skipped one by one: no noise hides a whole frame."""

@@ -4,6 +4,8 @@ from typing import Any, Final
 
 PIECE: Final = 50  # bytes; a shorter piece is the last one
 PIECES_MAX: Final = 20
+TWICE_S: Final = 3.0
+HEARD_MAX: Final = 64
 
 
 class Words:
@@ -11,6 +13,15 @@ class Words:
 
     def __init__(self) -> None:
         self._id, self._pieces = 0, dict[int, str]()
+        self._links: dict[tuple[int, int, str], tuple[Any, float]] = {}  # of each piece: where it was heard first, and when
+
+    def is_new(self, message: Any, link: Any, now_s: float) -> bool:
+        """Whether this piece was not heard on another link just now: a boat tells it on all of them."""
+        self._links = {piece: heard for piece, heard in self._links.items() if now_s - heard[1] < TWICE_S}
+        if len(self._links) >= HEARD_MAX:
+            self._links.clear()
+        first = self._links.setdefault((message.id, message.chunk_seq, message.text), (link, now_s))
+        return bool(first[0] == link)
 
     def hear(self, message: Any) -> str | None:
         """The whole text, when this piece completes it. A piece that was lost is an ellipsis."""

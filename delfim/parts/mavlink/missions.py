@@ -232,7 +232,7 @@ class Missions:
             if done is not None and (source, message.mission_type, message.seq) == (done.source, done.kind, done.last):
                 line.tell(dialect.MAVLink_mission_ack_message(*source.party, done.result, done.kind))
             return
-        upload.heard_s = now_s
+        upload.heard_s, upload.line = now_s, line  # a console of two links may go on by the other one
         if message.seq != upload.came:
             return
         m, upload.came = message, upload.came + 1

@@ -17,7 +17,7 @@ from delfim.parts.mavlink.codec.signing import FrameVerdict, Signing
 from delfim.parts.mavlink.codec.wire import Address, Message, Speaker, dialect
 from delfim.parts.mavlink.consoles import Consoles, Obey, Review
 from delfim.parts.mavlink.peers import HEARD_S, Peer
-from delfim.parts.mavlink.received.handlers import HANDLERS
+from delfim.parts.mavlink.received.handlers import HANDLERS, ORDERS, answer_late
 from delfim.parts.mavlink.telemetry import NEVER_S, TelemetryRow, TelemetryView
 from delfim.vehicle.loop import VehicleLoop
 
@@ -91,10 +91,12 @@ class Station:
             return ""
         peer.heard_s, peer.source = now_s, source
         handler = HANDLERS.get(message.get_msgId())
-        if handler is None or not _meant(message, consoles.system):
+        if not _meant(message, consoles.system) or answer_late(consoles, peer, source, message) or handler is None:
             return ""
         if consoles.sequences.is_late(address, source, frame[4], now_s) or verdict.age_s > self._command_age_s:
             return "late"
+        if message.get_msgId() in ORDERS and self._signing and consoles.sequences.is_overtaken(source, wire.stamp_of(frame)):
+            return "overtaken"
         handler(consoles, peer, source, message)
         return ""
 

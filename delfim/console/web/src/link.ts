@@ -7,6 +7,7 @@ const WEAK_MS = 1000;
 const REPEAT_S = 0.2; // a stop is sent again so often (docs/console.md)
 const MISSED = 0.001; // the part of stops that take longer than is told
 const LOST_MOST = 0.99;
+const SILENT_S = 3.5; // as the gateway has it
 
 /** Bars of four: none on a link that is not heard, and null where there is no link. */
 export function bars({ link }: Boat, age: Freshness): number | null {
@@ -33,4 +34,15 @@ export function linkWords({ link }: Boat): string {
   if (link.loss_pct !== null) parts.push(`${link.loss_pct < 9.95 ? link.loss_pct.toFixed(1) : Math.round(link.loss_pct)} % lost`);
   parts.push(link.signed ? "signed" : "unsigned");
   return parts.join(" · ");
+}
+
+/** Which of several links carries what the boat tells, and how the others are; empty where there is one. */
+export function linksWords({ link }: Boat): string {
+  const all = link.all ?? [];
+  if (all.length < 2) return "";
+  const words = [...all].sort((a, b) => Number(b.used) - Number(a.used)).map(({ place, used, age_s, rtt_ms }) => {
+    if (age_s > SILENT_S) return `${place} silent for ${Math.round(age_s)} s`;
+    return used ? `by ${place}` : `${place} stands by${rtt_ms === null ? "" : `, ${Math.round(rtt_ms)} ms`}`;
+  });
+  return words.join(" · ");
 }

@@ -5,7 +5,7 @@ import type { Actions } from "./actions";
 import { attribute, make, text } from "./dom";
 import type { Drive } from "./drive";
 import { bearing, metres } from "./geo";
-import { bars, linkWords, weakWords } from "./link";
+import { bars, linkWords, linksWords, weakWords } from "./link";
 import { measuredWords } from "./measured";
 import { palette } from "./palette";
 import { UNNAMED } from "./mission";
@@ -74,6 +74,7 @@ class Chip {
   private readonly bars = make("span.bars", make("i"), make("i"), make("i"), make("i"));
   private readonly measured = make("p.measured");
   private readonly link = make("span.link");
+  private readonly links = make("span.links");
   private readonly missionName = make("span");
   private readonly missionAt = make("span");
   private readonly mission = make("span.mission", this.missionName, this.missionAt);
@@ -100,6 +101,7 @@ class Chip {
       make("div.row.small", this.mission, this.badge),
       make("div.row.small", this.changes),
       make("div.row.small", this.link),
+      make("div.row.small", this.links),
     );
     this.changes.tabIndex = -1;
     this.changes.addEventListener("click", (event) => {
@@ -181,6 +183,7 @@ class Chip {
   private drawLink(boat: Boat, age: number): void {
     const [count, weak] = [bars(boat, freshness(age)), weakWords(boat)];
     text(this.link, linkWords(boat));
+    text(this.links, linksWords(boat));
     text(this.weak, weak);
     this.weak.hidden = !weak || count === 0;
     this.bars.hidden = count === null;

@@ -133,6 +133,7 @@ export interface Boat {
     loss_pct: number | null;
     bytes_per_s: number | null;
     signed: boolean;
+    all?: { kind: string; place: string; used: boolean; rtt_ms: number | null; loss_pct: number; age_s: number }[]; // links to it, several at once
   };
   mission: { name: string; count: number; current: number | null; state: "same" | "differs" | "unknown" | "none"; digest: string | null };
   lines_done?: number[]; // of the survey aboard

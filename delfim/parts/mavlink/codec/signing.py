@@ -1,11 +1,15 @@
 """Signed MAVLink 2 frames: only holders of the key, no frame twice or late (mavlink.io/en/guide/message_signing.html).
 
+A speaker may have several links at once, of which one is slower: a frame may come up to OVERTAKEN_S after one that was signed
+later, once. Whoever commands by several links numbers what he says by its stamps (`stamp_of` in `wire.py`).
+
 A signature is the first 48 bits of SHA-256 over key and frame, with a time stamp that only grows: authentication, not secrecy.
 Hashing a frame takes about a microsecond, so the loop does it.
 """
 
 import hashlib
 import hmac
+from collections import deque
 from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Final, NamedTuple
@@ -14,6 +18,7 @@ import msgspec
 
 from delfim.base.clock import MADE_NS, Clock
 from delfim.base.input.untrusted import UNREADABLE, read_file
+from delfim.parts.mavlink.codec.wire import stamp_of
 
 EPOCH_NS: Final = 1_420_070_400_000_000_000  # time stamps count 10 us since 2015
 PER_S: Final = 100_000  # of them
@@ -21,7 +26,10 @@ OFF_S: Final = 60.0  # a speaker's clock may be this far ahead of this one, and 
 STREAMS: Final = 64  # speakers at most
 WAYS: Final = 4  # addresses of a speaker, on the average, whose delays are known
 DRIFT: Final = 1e-4  # of two clocks against each other, generously
+OVERTAKEN_S: Final = 3.0  # by a frame on a faster link
+RECENT: Final = 1024  # stamps of a speaker that are known one by one
 _OFF: Final = round(OFF_S * PER_S)
+_OVERTAKEN: Final = round(OVERTAKEN_S * PER_S)
 
 Stream = tuple[int, int, int]  # link, system, component
 TimeStamp = Annotated[int, msgspec.Meta(ge=0, lt=1 << 48)]
@@ -46,11 +54,32 @@ class FrameVerdict(NamedTuple):
 
 
 class Kept(msgspec.Struct):
-    """The time stamps that last over a restart: the last sent, the last of each speaker, the last of those forgotten."""
+    """The time stamps that last over a restart: the last sent, the last of each speaker, the last of those forgotten; and the
+    number by which this one is known on all of its links, 0: none."""
 
     sent: TimeStamp = 0
     forgotten: TimeStamp = 0
     heard: list[tuple[Stream, TimeStamp]] = []
+    link: Annotated[int, msgspec.Meta(ge=0, le=255)] = 0
+
+
+class RecentStamps:
+    """The last stamps of one speaker: which of them came, and up to which one none is new."""
+
+    def __init__(self, floor: int) -> None:
+        self._floor, self._came, self._order = floor, set[int](), deque[int]()
+
+    def take(self, stamp: int, newest: int) -> bool:
+        """Whether this stamp is new."""
+        while self._order and (self._order[0] < newest - _OVERTAKEN or len(self._order) >= RECENT):
+            oldest = self._order.popleft()
+            self._came.discard(oldest)
+            self._floor = max(self._floor, oldest)
+        if stamp <= max(self._floor, newest - _OVERTAKEN) or stamp in self._came:
+            return False
+        self._came.add(stamp)
+        self._order.append(stamp)
+        return True
 
 
 class Signing:
@@ -72,7 +101,8 @@ class Signing:
         kept = kept or Kept()
         self.key, self._clock, self._streams, self._is_right = key, clock, streams, is_right
         self.heard = dict(kept.heard[:streams])
-        self._sent, self._forgotten = kept.sent, kept.forgotten
+        self._sent, self._forgotten, self.link = kept.sent, kept.forgotten, kept.link
+        self._recent: dict[Stream, RecentStamps] = {}
         self._greatest = max((*self.heard.values(), kept.forgotten))
         self._begin = kept.sent - self._ran()
         self._least_s: dict[
@@ -80,7 +110,7 @@ class Signing:
         ] = {}  # least delay, clocks' difference included; and when
 
     def kept(self) -> Kept:
-        return Kept(self._sent, self._forgotten, list(self.heard.items()))
+        return Kept(self._sent, self._forgotten, list(self.heard.items()), self.link)
 
     def stamp(self) -> int:
         """The stamp of the next frame to send: this clock's time, but later than the stamp before. A clock that is set back by
@@ -96,7 +126,7 @@ class Signing:
         signature = hashlib.sha256(self.key + frame[:-6]).digest()[:6]
         if not hmac.compare_digest(signature, frame[-6:]):
             return FrameVerdict("forged")
-        stream, stamp = (frame[-13], frame[5], frame[6]), int.from_bytes(frame[-12:-6], "little")
+        stream, stamp = (frame[-13], frame[5], frame[6]), stamp_of(frame)
         is_set = self._is_set()
         now = self._now() if is_set else self._running()
         if is_set and self._greatest > now + _OFF:
@@ -106,9 +136,12 @@ class Signing:
         last = self.heard.get(stream)
         if last is None and stamp < now - _OFF:
             return FrameVerdict("replayed", 0.0, (stamp - now) / PER_S if is_set else 0.0)
-        if stamp <= (self._forgotten if last is None else last) or (last is None and not self._has_room(stamp)):
+        if last is None and (stamp <= self._forgotten or not self._has_room(stamp)):
             return FrameVerdict("replayed")
-        self.heard[stream] = stamp
+        recent = self._recent.setdefault(stream, RecentStamps(stamp - 1 if last is None else last))
+        if not recent.take(stamp, max(stamp, last or 0)):
+            return FrameVerdict("replayed")
+        self.heard[stream] = max(stamp, last or 0)
         self._greatest = max(self._greatest, stamp)
         return FrameVerdict("", self._age_s((stream, way), stamp))
 
@@ -121,10 +154,12 @@ class Signing:
         if stamp <= self.heard[oldest]:
             return False
         self._forgotten = max(self._forgotten, self.heard.pop(oldest))
+        self._recent.pop(oldest, None)
         return True
 
     def _cut(self, most: int) -> None:
         """No stamp is greater from now on."""
+        self._recent.clear()
         self._least_s = {way: least for way, least in self._least_s.items() if self.heard.get(way[0], 0) <= most}
         self.heard = {stream: min(stamp, most) for stream, stamp in self.heard.items()}
         self._forgotten, self._greatest = min(self._forgotten, most), most

@@ -113,6 +113,11 @@ def link_of(frame: bytes) -> int:
     return frame[-13]
 
 
+def stamp_of(frame: bytes) -> int:
+    """The time stamp of a signed frame: one sequence of its sender, on whichever links he speaks."""
+    return int.from_bytes(frame[-12:-6], "little")
+
+
 def decode(frame: bytes) -> Message | None:
     """The message in a frame; None for an unknown message number. Raises FormatError for a wrong checksum."""
     try:
@@ -123,12 +128,13 @@ def decode(frame: bytes) -> Message | None:
 
 
 class Sender:
-    """One direction of one link: numbers frames and, with a key, signs them. `stamp` gives the time stamp of a signature."""
+    """One direction of one link: numbers frames and, with a key, signs them. `stamp` gives the time stamp of a signature, and
+    `link` is its link number: that of the sender, the same on all of his links."""
 
-    def __init__(self, system: int, component: int, key: bytes | None, stamp: Callable[[], int]) -> None:
+    def __init__(self, system: int, component: int, key: bytes | None, stamp: Callable[[], int], link: int = 0) -> None:
         self._codec = dialect.MAVLink(None, system, component)
         self._signing, self._stamp = self._codec.signing, stamp
-        self._signing.secret_key, self._signing.sign_outgoing = key, key is not None
+        self._signing.secret_key, self._signing.sign_outgoing, self._signing.link_id = key, key is not None, link
 
     def pack(self, message: Message) -> bytes:
         """The frame of a message. Raises struct.error if a field does not fit: a defect of the caller."""

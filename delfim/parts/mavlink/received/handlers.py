@@ -71,22 +71,35 @@ def _ordered(consoles: Consoles, peer: Peer, source: Speaker, order: commands.Or
 
 
 def _own_order(consoles: Consoles, peer: Peer, source: Speaker, message: Message) -> None:
-    """V2_EXTENSION: an order in the boat's own words, always answered; one whose number comes again is not obeyed again."""
+    """V2_EXTENSION: an order in the boat's own words, always answered."""
     if message.message_type != ownorders.ORDER or message.target_system != consoles.system:
         return
     number, line = ownorders.numbered(message)
-    key = (*source.party, number)
-    if key not in consoles.answered:
-        try:
-            reason = consoles.ask(source, console.parse_order(line))
-        except FormatError as error:
-            reason = str(error)
-        if reason:
-            consoles.peers.say(dialect.MAV_SEVERITY_WARNING, reason)
-        while len(consoles.answered) >= ANSWERS_KEPT:
-            del consoles.answered[next(iter(consoles.answered))]
-        consoles.answered[key] = ownorders.answer(source.party, number, reason or "")
-    consoles.peers.tell(peer, [consoles.answered[key]])
+    try:
+        reason = consoles.ask(source, console.parse_order(line))
+    except FormatError as error:
+        reason = str(error)
+    if reason:
+        consoles.peers.say(dialect.MAV_SEVERITY_WARNING, reason)
+    while len(consoles.answered) >= ANSWERS_KEPT:
+        del consoles.answered[next(iter(consoles.answered))]
+    consoles.answered[*source.party, number] = answer = ownorders.answer(source.party, number, reason or "")
+    consoles.peers.tell(peer, [answer])
+
+
+def answer_late(consoles: Consoles, peer: Peer, source: Speaker, message: Message) -> bool:
+    """Whether this is answered however late it comes: a question for the time, by which a console measures the link; an order
+    whose number has come before, on whichever link. It gets the answer that it had, and is not obeyed again."""
+    if message.get_msgId() == dialect.MAVLINK_MSG_ID_TIMESYNC:
+        _timesync(consoles, peer, source, message)
+        return True
+    if message.get_msgId() != ownorders.EXTENSION or message.message_type != ownorders.ORDER:
+        return False
+    answer = consoles.answered.get((*source.party, ownorders.numbered(message)[0]))
+    if answer is None or message.target_system != consoles.system:
+        return False
+    consoles.peers.tell(peer, [answer])
+    return True
 
 
 def _set_mode(consoles: Consoles, peer: Peer, source: Speaker, message: Message) -> None:
@@ -354,7 +367,6 @@ HANDLERS: Final[dict[int, Callable[[Consoles, Peer, Speaker, Message], None]]] =
     dialect.MAVLINK_MSG_ID_GPS_RTCM_DATA: _corrections,
     dialect.MAVLINK_MSG_ID_AIS_VESSEL: othervessels.vessel,
     dialect.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: othervessels.sister,
-    dialect.MAVLINK_MSG_ID_TIMESYNC: _timesync,
     dialect.MAVLINK_MSG_ID_PING: _ping,
     dialect.MAVLINK_MSG_ID_MISSION_REQUEST_LIST: _listed,
     dialect.MAVLINK_MSG_ID_MISSION_REQUEST_INT: _requested,
@@ -375,3 +387,16 @@ HANDLERS: Final[dict[int, Callable[[Consoles, Peer, Speaker, Message], None]]] =
     dialect.MAVLINK_MSG_ID_LOG_REQUEST_LIST: _logs,
     dialect.MAVLINK_MSG_ID_LOG_REQUEST_DATA: _log,
 }
+ORDERS: Final = frozenset(  # what is obeyed at once, and must not be obeyed after what was said later
+    {
+        dialect.MAVLINK_MSG_ID_COMMAND_LONG,
+        dialect.MAVLINK_MSG_ID_COMMAND_INT,
+        dialect.MAVLINK_MSG_ID_V2_EXTENSION,
+        dialect.MAVLINK_MSG_ID_SET_MODE,
+        dialect.MAVLINK_MSG_ID_MISSION_SET_CURRENT,
+        dialect.MAVLINK_MSG_ID_MANUAL_CONTROL,
+        dialect.MAVLINK_MSG_ID_RC_CHANNELS_OVERRIDE,
+        dialect.MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED,
+        dialect.MAVLINK_MSG_ID_SET_POSITION_TARGET_GLOBAL_INT,
+    }
+)
