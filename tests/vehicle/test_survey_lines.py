@@ -2,6 +2,7 @@
 stays on a path."""
 
 import json
+import math
 from pathlib import Path
 
 import pytest
@@ -119,6 +120,37 @@ def test_a_path_begins_with_the_run_in_of_a_line(sea) -> None:
     assert [line for line, _ in told] == [0, 2, 0]
     assert numbers(sea) == [3]
     assert sea.command(console.SetMode("path", line=3)) == "path refused: the mission has no line 3"
+
+
+@pytest.mark.parametrize("way", ["paused", "restarted"])
+@pytest.mark.parametrize("late_s", [0.0, 12.0], ids=["as the line begins", "in its middle"])
+def test_a_line_that_was_left_goes_on_where_it_was_left(sea, way, late_s) -> None:
+    """By true places: the water carries the boat on and aside while it lies there."""
+    assert sea.command(console.LoadMission(canonical(LAID))) is None
+    begun, on_s, left_s, places = False, 0.0, None, list[tuple[float, float]]()
+    model = sea.nodes.model
+    model.current_north_mps, model.current_east_mps = 0.15, 0.2
+    for _ in sea.cycles(600.0):
+        begun = begun or sea.command(console.SetMode("path")) is None
+        on_s += 0.2 if sea.state.reference.line == 1 else 0.0
+        if sea.state.reference.line == 1:
+            places.append(tuple(math.degrees(each) for each in (model.latitude_rad, model.longitude_rad)))
+        if left_s is None and on_s > late_s:
+            left_s = sea.elapsed_s
+            if way == "paused":
+                assert sea.command(console.Pause()) is None
+            else:
+                sea.restart(40.0)
+        if left_s is not None and sea.elapsed_s - left_s > 50.0 and sea.state.mode is Mode.HOLD and on_s < 300.0:
+            if sea.state.reason.endswith("done"):
+                break
+            assert sea.command(console.Continue()) is None
+            assert sea.state.reference.line == 0
+    assert sea.state.reason == "path done"
+    flat = [((lat - HERE[0]) / NORTH_DEG, (lon - HERE[1]) / EAST_DEG) for lat, lon in places]
+    for north_m in range(17, 45):
+        assert min(math.dist(place, (north_m, 0.0)) for place in flat) < 2.5, north_m
+    assert numbers(sea) == [0, 1, 2, 3], "nothing twice"
 
 
 def test_programs_are_told_when_a_line_begins_and_ends(sea) -> None:

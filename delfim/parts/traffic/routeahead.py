@@ -9,7 +9,7 @@ from delfim.base.modes import OF_PARTS, Mode
 from delfim.parts.traffic.encounter import Own
 from delfim.parts.traffic.trialways import RouteAhead
 from delfim.vehicle.control.memory import Memory, Settings
-from delfim.vehicle.control.modes.path import arc_point, nearest, piece_of, start
+from delfim.vehicle.control.modes.path import arc_point, goal, nearest, piece_of
 from delfim.vehicle.helm import setpoints
 from delfim.vehicle.plans.underway import SAILS
 from delfim.vehicle.plans.zones import Point
@@ -73,7 +73,7 @@ def _along_path(memory: Memory, setpoint: Setpoint, motion: Motion, settings: Se
     path, first, leg = setpoint.plan.path, list[Point](), memory.leg
     if leg < 0:
         leg = piece_of(leg)
-        first = [start(path[leg])]
+        first = [goal(memory, path)]
     else:
         tangent_rad, cross_m, left_m, _ = nearest(path[leg], motion, memory.swept_rad)
         if abs(cross_m) > settings.control.path.lookahead_m:

@@ -193,7 +193,7 @@ class Guidance:
         onwards = was.leg + 1 if piece is not None else -1 - was.leg
         following = plan.path[onwards] if onwards < len(plan.path) else None
         if piece is None and isinstance(following, Line):
-            a, b, speed_mps = (was.north_m, was.east_m), (following.north_m, following.east_m), following.speed_mps
+            a, b, speed_mps = (was.north_m, was.east_m), _beginning(following, was.line_m), following.speed_mps
         elif isinstance(piece, Line):
             a, b, speed_mps = (piece.north_m, piece.east_m), (piece.to_north_m, piece.to_east_m), piece.speed_mps
         else:
@@ -258,6 +258,13 @@ class Guidance:
             yield from self._steers(cycle, heading_rad, driving * min(far_m / 5.0, hold.speed_mps))
         elif not cycle.run.vehicle.helm.limits.hull.aside_n:
             yield from self._steers(cycle, None, 0.0)
+
+
+def _beginning(piece: Line, line_m: float) -> Point:
+    """Where a path begins: with a survey's line that was left, so far before its end."""
+    begin, end = (piece.north_m, piece.east_m), (piece.to_north_m, piece.to_east_m)
+    part = line_m / math.dist(begin, end) if line_m else 1.0
+    return end[0] + part * (begin[0] - end[0]), end[1] + part * (begin[1] - end[1])
 
 
 def begun(mode: Mode, setpoint: Setpoint, motion: Motion) -> Memory:

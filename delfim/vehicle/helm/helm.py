@@ -16,6 +16,7 @@ from delfim.vehicle.control.control import Memory, Settings, Stepped, admit, lac
 from delfim.vehicle.control.control import control as step
 from delfim.vehicle.control.control import enter as begin
 from delfim.vehicle.control.hull import filled
+from delfim.vehicle.control.modes import path
 from delfim.vehicle.control.safe import STOP
 from delfim.vehicle.failsafe import failsafe
 from delfim.vehicle.failsafe.checks import checks, refusal
@@ -197,7 +198,8 @@ class Helm:
             self.state.setpoint, reason = found
             self.enter(Mode.GOTO, reason)
         self.stations.look(self.memory, self._clock.monotonic_s())
-        self.state.announced = self._announcing.news(self.plans.mission, self.memory.leg)
+        leg = path.piece_of(self.memory.leg) if self.memory.line_m else self.memory.leg  # back to where its line was left
+        self.state.announced = self._announcing.news(self.plans.mission, leg)
 
     def _seek(self) -> None:
         """The place to hold moves to a better one as soon as that is found, and the radius to what the fence leaves."""
@@ -283,6 +285,8 @@ class Helm:
             setpoint = setpoint._replace(track=self._way(mode))
         if mode is not state.mode and resumed is None:
             setpoint = setpoint._replace(override_mps=None)
+        if mode is Mode.PATH and resumed is not None and setpoint.plan is not None:
+            resumed = path.resumed(resumed, state.motion, setpoint.plan, self.limits)
         if mode is not Mode.IDLE:
             reason = refusal(self.rules, mode, self.checks(), state.has_left_idle) or admit(mode, state.motion.has, setpoint)
             if reason is None and mode is Mode.GREX and now_s - state.guest_s > self.settings.failsafe.guest_silent.after_s:

@@ -59,7 +59,7 @@ def first(mode: Mode, memory: Memory, setpoint: Setpoint) -> tuple[float, float]
     if mode is Mode.PLAY and plan is not None:
         to = plan.waypoints[setpoint.leg]
     if mode is Mode.PATH and plan is not None and memory.leg < 0:
-        return path.start(plan.path[path.piece_of(memory.leg)])
+        return path.goal(memory, plan.path)
     return None if to is None else (to.north_m, to.east_m)
 
 

@@ -3,10 +3,11 @@
 A boat goes to the beginning of the first piece, or of the one that it is told to begin with, wherever it is. At a corner the
 boat leaves a line early by R tan(angle / 2), where a turn of radius R begins that ends on the next one. A boat that kept clear
 of others comes back at 45 degrees. A piece at whose end the boat stays for a while is sailed to its end, slowly at last, and
-the boat stays there as in hold mode.
+the boat stays there as in hold mode. A survey's line that was interrupted goes on where it was left, with a run-in.
 """
 
 import math
+from collections.abc import Sequence
 
 from delfim.base.geodesy import wrap
 from delfim.vehicle.control.autopilot import entered, steer
@@ -22,6 +23,8 @@ SENTENCE = "Follows the mission's lines and arcs, stays at their ends where told
 APPROACH = -1  # leg: on the way to where the first piece begins; to the second it is -2, and so on
 TURN_S = 3.0  # radius of a turn at a corner, over speed
 CORNER_MAX_RAD = math.radians(120.0)
+RUN_IN = 2.5  # lookaheads: one for the corner where the boat comes onto its line, the others to settle on it
+STRAIGHT_RAD = 0.01
 
 
 def lacks(setpoint: Setpoint) -> str | None:
@@ -49,6 +52,33 @@ def piece_before(plan: Plan, line: int) -> int | None:
     return found if not found or plan.path[found - 1].line else found - 1
 
 
+def resumed(memory: Memory, motion: Motion, plan: Plan, settings: Settings) -> Memory:
+    """The memory with which an interrupted path goes on: on a survey's line from a run-in before where it was left, as far as
+    the way before that is straight."""
+    if memory.leg < 0 or not memory.line_m:
+        return memory
+    piece, before = plan.path[memory.leg], plan.path[memory.leg - 1] if memory.leg else None
+    straight_m = _length_m(piece)
+    if before is not None and abs(wrap(_start_tangent_rad(piece) - _start_tangent_rad(before))) < STRAIGHT_RAD:
+        straight_m += _length_m(before)
+    line_m = min(memory.line_m + RUN_IN * settings.control.path.lookahead_m, straight_m)
+    return memory._replace(leg=APPROACH - memory.leg, north_m=motion.north_m, east_m=motion.east_m, line_m=line_m)
+
+
+def goal(memory: Memory, path: Sequence[Line | Arc]) -> tuple[float, float]:
+    """(north_m, east_m) of where a boat begins that is on its way to the path."""
+    piece = path[piece_of(memory.leg)]
+    if not memory.line_m:
+        return start(piece)
+    tangent_rad, (north_m, east_m) = _start_tangent_rad(piece), end_of(piece)
+    return north_m - memory.line_m * math.cos(tangent_rad), east_m - memory.line_m * math.sin(tangent_rad)
+
+
+def _length_m(piece: Line | Arc) -> float:
+    """Of a line; 0 of an arc."""
+    return math.dist(piece[:2], piece[2:4]) if isinstance(piece, Line) else 0.0
+
+
 def step(
     memory: Memory, motion: Motion, setpoint: Setpoint, settings: Settings, dt_s: float
 ) -> tuple[Memory, Reference, Wanted]:
@@ -58,7 +88,7 @@ def step(
     onwards = memory.leg + 1 if memory.leg >= 0 else piece_of(memory.leg)
     if memory.left_s > 0.0:
         return _stay(memory, motion, setpoint, settings, dt_s, onwards == len(path))
-    piece = path[memory.leg] if memory.leg >= 0 else _approach(memory, path[onwards])
+    piece = path[memory.leg] if memory.leg >= 0 else _approach(memory, path)
     tangent_rad, cross_m, left_m, swept_rad = nearest(piece, motion, memory.swept_rad)
     ahead_m, stops = settings.control.path.lookahead_m, onwards == len(path) or piece.hold_s > 0.0
     is_gentle = abs(cross_m) > ahead_m and not (stops and left_m < abs(cross_m))  # onto it at 45 degrees, but for its end
@@ -71,9 +101,11 @@ def step(
     integrals, wanted = steer(memory.integrals, motion, heading_rad, speed_mps, settings, dt_s, turn_radps)
     north_m, east_m = end_of(piece)
     reference = Reference(wrap(heading_rad), speed_mps, cross_m, max(left_m, 0.0), north_m, east_m, piece_of(memory.leg))
+    after = Memory(integrals, course, *memory[2:5], swept_rad, line_m=memory.line_m)
+    if memory.leg >= 0:
+        after = after._replace(line_m=max(left_m, 0.0) if piece.line and isinstance(piece, Line) else 0.0)
     if piece.line:
         reference = reference._replace(line=piece.line)
-    after = Memory(integrals, course, *memory[2:5], swept_rad)
     if stops and (left_m > 0.0 or not piece.hold_s):
         return after, reference._replace(done=True) if left_m <= 0.0 else reference, wanted
     if stops:
@@ -96,9 +128,9 @@ def _stay(
     return memory._replace(leg=memory.leg + 1, swept_rad=0.0, driving=0, left_s=0.0), reference, wanted
 
 
-def _approach(memory: Memory, first: Line | Arc) -> Line:
-    to_north_m, to_east_m = start(first)
-    return Line(memory.north_m, memory.east_m, to_north_m, to_east_m, first.speed_mps)
+def _approach(memory: Memory, path: Sequence[Line | Arc]) -> Line:
+    to_north_m, to_east_m = goal(memory, path)
+    return Line(memory.north_m, memory.east_m, to_north_m, to_east_m, path[piece_of(memory.leg)].speed_mps)
 
 
 def nearest(piece: Line | Arc, motion: Motion, swept_rad: float) -> tuple[float, float, float, float]:
