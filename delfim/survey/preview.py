@@ -18,6 +18,7 @@ from delfim.survey.areafile import CORNERS, Corner, Ring, Shape, read_area
 
 MEMORY_BYTES: Final = 2 << 30  # of addresses; numpy and Shapely take half a gigabyte of them
 NICE: Final = 5
+SHARE: Final = "lines", "way", "time_s", "mission"  # of a boat's share
 NEEDS: Final = "a survey needs the package shapely, which is not installed: pip install 'delfim[ground]'"
 
 
@@ -42,6 +43,7 @@ class PreviewAsked(msgspec.Struct, forbid_unknown_fields=True):
     lines: list[tuple[Corner, Corner]] = []  # as they were planned: what is left of them is asked for
     across: int = 0  # so many of them, the last ones, lie across
     at: Corner | None = None  # where the boat is
+    others: list[Corner | None] = []  # where other boats are, among whom and this one what is left is divided
     heard: list[str] = []  # files of soundings, by which it is known what is left
     sailed: bool = False  # time and energy by four lines that the simulated boat sails: they take half a second
 
@@ -64,6 +66,10 @@ class PreviewTold(NamedTuple):
     counts: str = ""  # ... in words
     known: Sequence[tuple[Corner, Corner]] = ()  # all lines of the survey, whose rest these are ...
     known_across: int = 0  # ... the last ones across
+    shares: Sequence[
+        dict[str, Any] | None
+    ] = ()  # of each boat where there are several: its mission, lines, way, and time_s; ...
+    # ... None: no line is left for it
     energy_wh: float | None = None  # in usual weather; None: not asked for, or this boat's devices are not simulated
 
 
@@ -133,7 +139,8 @@ def _ends(at: Origin, lines: Iterable[tuple[Corner, Corner]]) -> list[tuple[Corn
 
 
 def _rest(asked: PreviewAsked, settings: config.Vehicle) -> dict[str, Any]:
-    """The lines of what is left of a survey, from where the boat is. Raises DelfimError, also where nothing is left."""
+    """The lines of what is left of a survey, from where the boat is, or the boats are among whom they are divided. Raises
+    DelfimError, also where nothing is left."""
     from delfim.survey import missions, progress
     from delfim.survey.ground import in_plane, laid, swaths
 
@@ -144,20 +151,45 @@ def _rest(asked: PreviewAsked, settings: config.Vehicle) -> dict[str, Any]:
     counts = progress.told(survey, lines)[0].partition(": ")[2]
     fenced = msgspec.structs.replace(settings.fence, keep_in=fence.keep_in, keep_out=fence.keep_out)
     boat = missions.SurveyBoat("boat", msgspec.structs.replace(settings, fence=fenced))
-    start = in_plane(ground.at, *asked.at) if asked.at is not None else None
-    (plan,) = missions.rest(survey, [boat], [start]) or [None]
-    if plan is None:
+    starts = [in_plane(ground.at, *each) if each is not None else None for each in (asked.at, *asked.others)]
+    plans = missions.rest(survey, [boat] * len(starts), starts)
+    sailing = [plan for plan in plans if plan is not None]
+    if not sailing:
         raise DelfimError(f"nothing is left: {counts}")
     done = [part for each in zip(lines, survey.done, strict=True) for part in progress.parts(*each)]
-    both = swaths([*done, *plan.lines], plan.wanted.cut.wide_m, plan.wanted.cut.side)
-    its = _as_told(plan, asked, settings)._replace(
+    plan, each_told = sailing[0], [plan and _as_told(plan, asked, settings) for plan in plans]
+    both = swaths([*done, *(line for plan in sailing for line in plan.lines)], plan.wanted.cut.wide_m, plan.wanted.cut.side)
+    its = _together([told for told in each_told if told is not None])._replace(
         covered=(both.intersection(plan.free).area / plan.free.area, both.intersection(ground.area).area / ground.area.area),
         done=_ends(ground.at, done),
         counts=counts,
         known=survey.lines,
         known_across=survey.across,
+        shares=[told and {key: getattr(told, key) for key in SHARE} for told in each_told] if asked.others else (),
     )
     return its._asdict()
+
+
+def _together(each: list[PreviewTold]) -> PreviewTold:
+    """What several boats sail at the same time, as if it were of one."""
+    first, energies = each[0], [told.energy_wh for told in each]
+    along, crossing = ([line for told in each for line in told.lines[part(told)]] for part in (_along, _crossing))
+    return first._replace(
+        lines=along + crossing,
+        across=len(crossing),
+        line_m=sum(told.line_m for told in each),
+        way_m=sum(told.way_m for told in each),
+        time_s=max(told.time_s for told in each),
+        energy_wh=None if None in energies else sum(filter(None, energies)),
+    )
+
+
+def _along(told: PreviewTold) -> slice:
+    return slice(len(told.lines) - told.across)
+
+
+def _crossing(told: PreviewTold) -> slice:
+    return slice(len(told.lines) - told.across, None)
 
 
 def _known(asked: PreviewAsked) -> Any:

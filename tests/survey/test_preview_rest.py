@@ -54,6 +54,24 @@ def test_what_two_boats_have_sounded_counts_together_and_the_rest_begins_at_the_
     assert told(**known)["refused"].startswith("nothing is left: ")
 
 
+def test_what_is_left_is_divided_among_the_boats_that_go_on(tmp_path: Path) -> None:
+    whole = told(areas=AREAS, spacing_m=20.0, cross_m=40.0, name="basin")
+    plan, draw = planned(laid(AREAS), LinesWanted(20.0, 1.5), config.Zones()), Random("page")
+    places = soundings(plan, draw)
+    heard = [kept(tmp_path, "1", places[: len(places) // 4])]
+    here, there = (in_degrees(plan.ground.at, *places[at]) for at in (len(places) // 4, -1))
+    known = {"areas": AREAS, "spacing_m": 20.0, "lines": whole["lines"], "across": whole["across"], "heard": heard}
+    alone, both = told(**known, at=here), told(**known, at=here, others=[there])
+    one, other = both["shares"]
+    assert alone["shares"] == ()
+    assert sorted(map(str, [*one["lines"], *other["lines"]])) == sorted(map(str, both["lines"]))
+    assert both["across"] == alone["across"] > 0
+    assert both["counts"] == alone["counts"]
+    assert max(one["time_s"], other["time_s"]) == both["time_s"] < 0.7 * alone["time_s"]
+    assert math.dist(flat(other["way"][0]), flat(there)) < math.dist(flat(other["way"][0]), flat(here))
+    assert all(each["mission"]["waypoint"] for each in (one, other))
+
+
 def flat(place: Any) -> Place:
     return place[0] * 111_111.0, place[1] * 111_111.0 * math.cos(math.radians(38.69))
 

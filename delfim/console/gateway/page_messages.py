@@ -165,6 +165,7 @@ class Survey(Said, frozen=True):
     lines: Annotated[list[tuple[Corner, Corner]], msgspec.Meta(max_length=1000)] = []  # of the survey, as it was planned
     across: Annotated[int, msgspec.Meta(ge=0)] = 0  # so many of the lines, the last ones, lie across
     at: Corner | None = None  # where the boat is that sails what is left
+    others: Annotated[list[Corner | None], msgspec.Meta(max_length=7)] = []  # and other boats, who get a share of it each
     closed: Annotated[list[Ring], msgspec.Meta(max_length=200)] = []  # zones of the plan, which the boat must not enter
     spacing_m: Length = 0.0  # 0: by swath and overlap
     swath_m: Length = 0.0  # that a line covers; 0: the spacing

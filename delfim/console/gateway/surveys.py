@@ -154,6 +154,7 @@ def _tell(told: dict[str, Any], asked: page_messages.Survey, tell: Tell, answer:
     """Passes the answer of the process on, the mission as the page has it."""
     if "refused" in told:
         return answer(False, str(told["refused"]))
-    mission = page_of(msgspec.convert(told.pop("mission"), Mission))
-    tell({"t": "survey", "boat": asked.boat, "seq": asked.seq, **told, "mission": mission})
+    for its in filter(None, (told, *told["shares"])):
+        its["mission"] = page_of(msgspec.convert(its["mission"], Mission))
+    tell({"t": "survey", "boat": asked.boat, "seq": asked.seq, **told})
     return answer(True, "")

@@ -75,9 +75,9 @@ export function bearing(deg: number): string {
 }
 
 export function duration(s: number): string {
-  if (s < 60) return `${Math.round(s)} s`;
-  const minutes = Math.floor(s / 60);
-  const rest = String(Math.round(s % 60)).padStart(2, "0");
+  if (Math.round(s) < 60) return `${Math.round(s)} s`;
+  const minutes = Math.floor(Math.round(s) / 60);
+  const rest = String(Math.round(s) % 60).padStart(2, "0");
   if (minutes < 60) return `${minutes} min ${rest} s`;
   return `${Math.floor(minutes / 60)} h ${String(minutes % 60).padStart(2, "0")} min`;
 }

@@ -17,7 +17,7 @@ import type { Plans } from "./plans";
 import type { Entry, Item, Popup } from "./popup";
 import type { State } from "./state";
 import { enteredSpeed_mps, inKnots, speedUnit } from "./units";
-import type { Area, Heard, Mission, Place, Ring, Said } from "./wire";
+import type { Area, Boat, Heard, Mission, Place, Ring, Said } from "./wire";
 
 type Told = Extract<Heard, { t: "survey" }>;
 type Asked = Extract<Said, { t: "survey" }>;
@@ -29,6 +29,7 @@ const BEGIN = [10, 0, 20, 0, 0, 0, 0, 0, 0, 0]; // of the form: spacing, swath, 
 const HOLE = /^hole \d+$/; // a zone that a survey made
 const CLOSE_PX = 14;
 const RESTS_MS = 400; // a form that is not changed for so long gets the energy of its lines
+const BOATS_MOST = 8;
 const ENDINGS = ".geojson,.json,.kml,.gpx,.shp,.plan";
 
 export class Survey {
@@ -79,6 +80,7 @@ export class Survey {
       "line",
       { title: "Lines…", refuse: none, do: () => this.form() },
       this.filling(),
+      ...this.dividing(),
       { title: "Delete the areas", refuse: none, do: () => this.change(withAreas(this.mission, [])) },
     ];
   }
@@ -170,9 +172,10 @@ export class Survey {
     const kept = before.survey?.values ?? [];
     const fields = formFields(kept.length === BEGIN.length ? kept : BEGIN);
     let values: number[] = [];
-    this.shape("Survey lines", fields, before, (now) => asked(before, (values = [...now])), (told) => {
+    const ask = (now: number[]) => ({ ...asked(before, (values = [...now])), ...this.from(this.state.boat) });
+    this.shape("Survey lines", fields, before, ask, (told) => {
       const { across } = told;
-      return { areas: areasOf(before), values, lines: told.lines, across };
+      this.change(planned(before, told.mission, { areas: areasOf(before), values, lines: told.lines, across }));
     });
   }
 
@@ -188,19 +191,50 @@ export class Survey {
   /** The form of the lines that are left, by what this console heard: from where the boat is now. */
   fill(): void {
     const before = this.mission;
-    const { values: kept = [], across = 0, areas = [] } = before.survey ?? {};
-    const begin = kept.length === BEGIN.length ? kept : areas.length ? BEGIN : BEGIN.map(() => 0);
-    const ask = ([speed]: number[]) => ({ ...asked(before, begin.with(-1, speed!)), lines: linesOf(before), across });
-    this.shape("Fill the gaps", [speedField(begin.at(-1)!)], before, ask, (told) => ({ areas, values: kept, lines: told.known, across: told.known_across }));
+    const { left, speed_mps } = rest(before);
+    const ask = ([speed]: number[]) => ({ ...left(speed!), ...this.from(this.state.boat) });
+    this.shape("Fill the gaps", [speedField(speed_mps)], before, ask, (told) => this.change(planned(before, told.mission, known(before, told))));
   }
 
-  /** A form that shows its lines on the map, from where the boat is; OK makes them the plan, of a survey that `kept` tells. */
-  private shape(title: string, fields: Field[], before: Mission, ask: (values: number[]) => Asked, kept: (told: Told) => Mission["survey"]): void {
-    const { boat } = this.state;
-    const at = boat?.latitude_deg == null ? null : corner(boat as Place);
+  /** The entry of a menu that divides what is left among several boats. */
+  dividing(): Item[] {
+    const note = "what is left, among those that go on";
+    return this.hasLines && this.state.boats.length > 1 ? [{ title: "Divide among the boats…", note, do: () => this.divide() }] : [];
+  }
+
+  /** As `fill`, for several boats: each gets lines side by side, from where it is now, as its plan. */
+  private divide(): void {
+    const before = this.mission;
+    const { left, speed_mps } = rest(before);
+    const boats = this.state.boats.slice(0, BOATS_MOST);
+    const fields = boats.map((each): Field => ({ title: each.name, unit: "", value: goesOn(each) ? 0 : 1, step: 1, least: 0, most: 1, zero: "takes part", show: () => "stays out" }));
+    let who: Boat[] = [];
+    const ask = ([speed, ...out]: number[]) => {
+      who = boats.filter((_, i) => !out[i]);
+      const [first, ...others] = who;
+      return first ? { ...left(speed!), ...this.from(first), others: others.map(whereIs) } : null;
+    };
+    this.shape("Divide among the boats", [speedField(speed_mps), ...fields], before, ask, (told) => {
+      const shares = told.shares.length ? told.shares : [told];
+      who.forEach(({ id }, i) => {
+        const its = shares[i];
+        const home = this.state.plan(id).mission.home;
+        if (its) this.edit(id, planned({ ...before, home }, its.mission, known(before, told)));
+      });
+    }, () => who);
+  }
+
+  private from(boat: Boat | null) {
+    return { at: boat && whereIs(boat), boat: this.state.planning };
+  }
+
+  /** A form that shows its lines on the map; OK makes them plans. `who`: the boats of its shares. */
+  private shape(title: string, fields: Field[], before: Mission, ask: (values: number[]) => Asked | null, done: (told: Told) => void, who = (): Boat[] => []): void {
     const live = (values: number[]) => {
-      this.ask({ ...ask(values), at, boat: this.state.planning });
-      return this.words(before);
+      const next = ask(values);
+      if (!next) return { refuse: "no boat takes part" };
+      this.ask(next);
+      return this.words(before, who());
     };
     this.beside = null;
     this.plans.preview({ ...before, waypoints: [], path: [] });
@@ -210,7 +244,7 @@ export class Survey {
       [this.told, this.asked, this.wanted, this.again] = [null, "", null, () => {}];
       this.plans.preview(null);
       this.draw();
-      if (ok && told) this.change(planned(before, told, kept(told)));
+      if (ok && told) done(told);
     });
   }
 
@@ -258,7 +292,7 @@ export class Survey {
     this.chart.fitBeside([...surveyed(this.mission), ...told.way.map(cornerPlace)], this.popup.covers, document.getElementById("strips")!.offsetWidth);
   }
 
-  private words(before: Mission) {
+  private words(before: Mission, who: Boat[]) {
     const { answer, told, wanted } = this;
     if (!answer || wanted) return { refuse: "the lines are being made" };
     if (!answer.ok || !told) return { refuse: answer.reason };
@@ -266,11 +300,12 @@ export class Survey {
     const left = free === area ? "" : `, which is ${area} of the area: ${told.room_m} m about holes and fences are left`;
     const old = before.waypoints.length ? `\nThey take the place of the plan’s ${before.waypoints.length} waypoints.` : "";
     const across = told.across ? `, ${told.across} across` : "";
+    const shares = told.shares.map((its, i) => `\n${who[i]?.name}: ${its ? `${its.lines.length} lines, ${duration(its.time_s)}` : "no line is left for it"}`).join("");
     const filled = told.counts && `${told.counts} heard here. What was not heard, because a link was lost, is a gap.\n`;
     return (
       `${filled}${told.lines.length} lines${across}, ${metres(told.spacing_m)} apart, ${bearing(told.heading_deg)}\n` +
       `${metres(told.line_m)} of lines, ${metres(told.way_m)} in all, ${duration(told.time_s)}${this.energy(told)}\n` +
-      `covered${filled && ", all together"}: ${free} of what may be sailed${left}${old}`
+      `covered${filled && ", all together"}: ${free} of what may be sailed${left}${old}${shares}`
     );
   }
 
@@ -293,13 +328,28 @@ export class Survey {
 }
 
 /** The plan with these lines as its waypoints. Its fence, obstacles and home stay; holes of an earlier survey go. */
-function planned(before: Mission, told: Told, survey: Mission["survey"]): Mission {
-  const made = understood(told.mission);
+function planned(before: Mission, mission: Mission, survey: Mission["survey"]): Mission {
+  const made = understood(mission);
   const zones = [...(before.zones ?? []).filter(({ name }) => !HOLE.test(name)), ...(made.zones ?? [])];
   const { patterns: _, ...rest } = before;
   const name = rest.name === "Mission" ? "Survey" : rest.name;
   return { ...rest, name, waypoints: made.waypoints, path: made.path ?? [], zones, ...(survey && { survey }) };
 }
+
+/** What is asked of the lines that are left, by the speed, and that of the survey. */
+function rest(mission: Mission) {
+  const { values: kept = [], across = 0, areas = [] } = mission.survey ?? {};
+  const begin = kept.length === BEGIN.length ? kept : areas.length ? BEGIN : BEGIN.map(() => 0);
+  const left = (speed: number): Asked => ({ ...asked(mission, begin.with(-1, speed)), lines: linesOf(mission), across });
+  return { left, speed_mps: begin.at(-1)! };
+}
+
+const known = ({ survey }: Mission, told: Told) => ({ areas: survey?.areas ?? [], values: survey?.values ?? [], lines: told.known, across: told.known_across });
+
+const whereIs = (boat: Boat) => (boat.latitude_deg == null ? null : corner(boat as Place));
+
+/** Whether a boat takes part unless it is told otherwise: one that is heard, and neither on its way home nor there. */
+const goesOn = ({ mode, reason, ghost, failsafe }: Boat): boolean => mode !== "home" && !reason.endsWith("home done") && !ghost && !failsafe;
 
 function asked(mission: Mission, [spacing, swath, overlap, heading, cross, start, edges, side, run_in, speed]: number[]): Asked {
   return {
@@ -341,15 +391,19 @@ function joined(areas: Area[]): Area[] {
   return areas.filter(([outline]) => outline.length).map(([outline, holes], i) => [outline, i ? holes : [...holes, ...loose]]);
 }
 
-function drawnLines({ lines, across, way, done }: Told): Feature[] {
-  const thin = new Feature(new LineString(way.map((each) => point(cornerPlace(each)))));
-  thin.setStyle(cased(palette.draft, 1.1));
+function drawnLines({ lines, across, way, done, shares }: Told): Feature[] {
+  const ways = shares.length ? shares.flatMap((its) => (its ? [its.way] : [])) : [way];
+  const thin = ways.map((its) => {
+    const line = new Feature(new LineString(its.map((each) => point(cornerPlace(each)))));
+    line.setStyle(cased(palette.draft, 1.1));
+    return line;
+  });
   const past = done.map((ends) => {
     const line = new Feature(new LineString(ends.map((each) => point(cornerPlace(each)))));
     line.setStyle(cased(palette.done, 3.2));
     return line;
   });
-  return [thin, ...past, ...lines.flatMap(([from, to], i) => directed(cornerPlace(from), cornerPlace(to), i < lines.length - across ? palette.survey : palette.steer))];
+  return [...thin, ...past, ...lines.flatMap(([from, to], i) => directed(cornerPlace(from), cornerPlace(to), i < lines.length - across ? palette.survey : palette.steer))];
 }
 
 /** A line, its direction at its middle. */

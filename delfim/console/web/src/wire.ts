@@ -149,6 +149,14 @@ export interface Boat {
   driver: number; // the page of this console that drives it by hand; 0: none
 }
 
+/** What a boat has of a survey that several sail. */
+export interface Share {
+  lines: Line[];
+  way: Ring;
+  time_s: number;
+  mission: Mission;
+}
+
 export type Gravity = "none" | "near" | "danger";
 
 /** How near a vessel comes to a boat, if both keep course and speed. */
@@ -271,7 +279,7 @@ export type Heard =
   | { t: "answer"; seq: number; ok: boolean; reason: string; stage?: string }
   | { t: "mission"; boat: number; where: "here" | "aboard"; mission: Mission }
   | { t: "missions"; names: string[] }
-  | { t: "survey"; boat: number; lines: Line[]; across: number; way: Ring; heading_deg: number; spacing_m: number; line_m: number; way_m: number; time_s: number; covered: [number, number]; room_m: number; mission: Mission; done: Line[]; counts: string; known: Line[]; known_across: number; energy_wh: number | null }
+  | { t: "survey"; boat: number; lines: Line[]; across: number; way: Ring; heading_deg: number; spacing_m: number; line_m: number; way_m: number; time_s: number; covered: [number, number]; room_m: number; mission: Mission; done: Line[]; counts: string; known: Line[]; known_across: number; shares: (Share | null)[]; energy_wh: number | null }
   | { t: "adoption"; boat: number | null; is_running: boolean; circle: (Place & { radius_m: number }) | null; steps: TrialStep[]; part: number; lines: string[]; question: string; end: string; file: string; is_written: boolean; report: boolean }
   | { t: "depths"; tile: [row: number, column: number]; extent: [number, number, number, number]; whole?: string; cells?: [cell: number, depth_cm: number][] }
   | { t: "no_depths" }
@@ -293,7 +301,7 @@ export type Said =
   | { t: "command"; boat: number | "all"; command: string; [key: string]: Values[string] }
   | { t: "mission"; boat: number; do: MissionDeed; mission?: Mission; name?: string }
   | { t: "profile"; boat: number; profile: string }
-  | { t: "survey"; boat: number; areas: Area[]; heading_deg: number | null; start: string; side: string; inside: boolean; fence: Ring; obstacles: Obstacle[]; closed: Ring[]; name: string; lines?: Line[]; across?: number; sailed?: boolean; at?: Ring[0] | null; [key: `${string}_m` | `${string}_mps` | `${string}_pct`]: number }
+  | { t: "survey"; boat: number; areas: Area[]; heading_deg: number | null; start: string; side: string; inside: boolean; fence: Ring; obstacles: Obstacle[]; closed: Ring[]; name: string; lines?: Line[]; across?: number; sailed?: boolean; at?: Ring[0] | null; others?: (Ring[0] | null)[]; [key: `${string}_m` | `${string}_mps` | `${string}_pct`]: number }
   | { t: "depths"; do: "forget" }
   | { t: "adopt"; boat: number; do: "begin" | "afresh" | "berth" | "yes" | "no" | "end" | "close"; radius_m?: number }
   | { t: "forget"; boat: number }
