@@ -54,7 +54,7 @@ class Memory(NamedTuple):
     heading_rad: float | None = None  # that hold keeps while it rests, or that of a turn's reference; None: the present one
     room: float = 1.0  # part of the radius of hold that the fence leaves at the point
     turn_radps: float = 0.0  # of a turn's reference
-    line_m: float = 0.0  # path: left of a survey's line that the boat is on, or from where on it goes back to it; else 0
+    line_m: float = 0.0  # path: left of the straight piece that the boat is on, or from where on it goes back to it
 
 
 def lacking(memory: Memory, short: tuple[float, float, float]) -> Memory:

@@ -25,6 +25,7 @@ TURN_S = 3.0  # radius of a turn at a corner, over speed
 CORNER_MAX_RAD = math.radians(120.0)
 RUN_IN = 2.5  # lookaheads: one for the corner where the boat comes onto its line, the others to settle on it
 STRAIGHT_RAD = 0.01
+BEFORE_LINE = 4  # pieces, from a run-out to the next line
 
 
 def lacks(setpoint: Setpoint) -> str | None:
@@ -53,9 +54,10 @@ def piece_before(plan: Plan, line: int) -> int | None:
 
 
 def resumed(memory: Memory, motion: Motion, plan: Plan, settings: Settings) -> Memory:
-    """The memory with which an interrupted path goes on: on a survey's line from a run-in before where it was left, as far as
-    the way before that is straight."""
-    if memory.leg < 0 or not memory.line_m:
+    """The memory with which an interrupted path goes on: on a survey's line, or shortly before one, from a run-in before where
+    it was left, as far as the way before that is straight: a boat that has drifted onto the line begins before it."""
+    ahead = plan.path[memory.leg : memory.leg + BEFORE_LINE] if memory.leg >= 0 else ()
+    if not memory.line_m or not any(piece.line for piece in ahead):
         return memory
     piece, before = plan.path[memory.leg], plan.path[memory.leg - 1] if memory.leg else None
     straight_m = _length_m(piece)
@@ -101,9 +103,8 @@ def step(
     integrals, wanted = steer(memory.integrals, motion, heading_rad, speed_mps, settings, dt_s, turn_radps)
     north_m, east_m = end_of(piece)
     reference = Reference(wrap(heading_rad), speed_mps, cross_m, max(left_m, 0.0), north_m, east_m, piece_of(memory.leg))
-    after = Memory(integrals, course, *memory[2:5], swept_rad, line_m=memory.line_m)
-    if memory.leg >= 0:
-        after = after._replace(line_m=max(left_m, 0.0) if piece.line and isinstance(piece, Line) else 0.0)
+    line_m = memory.line_m if memory.leg < 0 else max(left_m, 0.0) if isinstance(piece, Line) else 0.0
+    after = Memory(integrals, course, *memory[2:5], swept_rad, line_m=line_m)
     if piece.line:
         reference = reference._replace(line=piece.line)
     if stops and (left_m > 0.0 or not piece.hold_s):
