@@ -22,6 +22,7 @@ const { metafile } = await build({
   charset: "utf8",
   legalComments: "none",
   metafile: true,
+  preserveSymlinks: true, // a folder of packages that is a link is named as it stands here: the licences are found by it
   loader: { ".woff2": "file" },
   assetNames: "[name]",
 });
