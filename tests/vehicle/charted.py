@@ -1,6 +1,7 @@
 """A chart for tests: a field of clearances about a place, with round shoals in it."""
 
 import math
+from bisect import bisect_right
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -15,7 +16,7 @@ Shoal = tuple[float, float, float]
 
 def code(clear_m: float) -> int:
     """The largest code that says no more."""
-    return max(number for number, metres in enumerate(METRES) if metres <= max(clear_m, METRES[0]))
+    return bisect_right(METRES, max(clear_m, METRES[0])) - 1
 
 
 def field(shoals: Sequence[Shoal]) -> bytes:

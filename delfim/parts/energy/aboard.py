@@ -15,6 +15,7 @@ from delfim.parts.energy.drift import Drifting
 from delfim.parts.energy.gauge import Gauge
 from delfim.parts.energy.reach import Point, ahead_of, costs, doubt, joules, metres
 from delfim.parts.energy.table import EnergyTable
+from delfim.parts.energy.wayback import WayBack
 from delfim.vehicle.aboard import Added, OpenedWith
 from delfim.vehicle.failsafe.troubles import charge
 from delfim.vehicle.helm.helm import Helm
@@ -63,6 +64,7 @@ class EnergyWatch:
         self._gauge, self._log = Gauge(self._table.capacity_wh), boat.log
         self._work: Sliced[Reckoned] | None = None
         self._found = Reckoned()
+        self._back, self._looks_back = WayBack(), False
         self._spared_mps: float | None = None  # the speed of the way home that saves energy
 
     def look(self, helm: Helm, now_s: float) -> None:
@@ -78,10 +80,14 @@ class EnergyWatch:
             self._state.energy = now = self._told(watts)
             self._gauge.learn(now.left_wh, watts, dt_s)
             self._spare(now.left_wh)
+        elif self._looks_back and self._back.look(helm, self._speed_mps):
+            self._looks_back = False
         elif self._work is None:
             self._work = Sliced(self._reckoned(min(self._hull.full_mps, self._most_mps), helm.track.way_home()))
-        elif self._work.step():
-            self._found, self._work = self._work.result, None
+        else:
+            self._looks_back = True  # each has every second slice
+            if self._work.step():
+                self._found, self._work = self._work.result, None
 
     def _learn(self, helm: Helm, hull: Propulsive, watts: float | None, dt_s: float) -> None:
         state, motion, still_mps = self._state, self._state.motion, 0.0
@@ -105,7 +111,7 @@ class EnergyWatch:
             self._consumption.learn(still_mps, self._watts if still_mps else watts, dt_s)
 
     def _reckoned(self, most_mps: float, track: tuple[Point, ...]) -> Work[Reckoned]:
-        """The way home leads back along the track; the plan's, from its last place straight to the track's end."""
+        """The way home leads back along the track; the plan's, from its last place to the track's end."""
         power_of, drift = self._consumption, self._drifting.found
         by_direction = yield from costs(power_of, drift, most_mps, self._speed_mps)
         motion, state = self._state.motion, self._state
@@ -116,12 +122,13 @@ class EnergyWatch:
             slower = yield from costs(power_of, drift, most_mps, part * self._speed_mps)
             by_speed.append((part * self._speed_mps, joules(home_m, slower)))
         plan, plan_j = state.setpoint.plan, math.nan
-        if plan is not None and here:
+        turns = self._back.turns
+        if plan is not None and here and turns is not None:
             is_sailed = state.mode in (Mode.PLAY, Mode.PATH)
             places, speed_mps = yield from ahead_of(plan, state.reference.leg if is_sailed else 0)
             as_planned = yield from costs(power_of, drift, most_mps, speed_mps)
             plan_m = yield from metres((*here, *places))
-            back_m = yield from metres((*places[-1:], *(track[:1] or here)))
+            back_m = yield from metres((*places[-1:], *turns, *(track[:1] or here)))
             plan_j = joules(plan_m, as_planned) + joules(back_m, by_direction)
         unsure_j = doubt(home_m, by_direction, drift)
         return Reckoned(tuple([each.joules for each in by_direction]), by_speed[0][1], unsure_j, plan, plan_j, tuple(by_speed))

@@ -36,7 +36,7 @@ from delfim.vehicle.failsafe.failsafe import Action
 from delfim.vehicle.failsafe.troubles import Trigger
 from delfim.vehicle.helm import setpoints
 from delfim.vehicle.helm.helm import Helm
-from delfim.vehicle.plans.fence import Fence
+from delfim.vehicle.plans.fence import Fence, crossing
 from delfim.vehicle.report import TrafficSeen
 from delfim.vehicle.state import Reference, Setpoint, State, StateLog
 from delfim.vehicle.target import NEVER_S, CourseOrder, Target
@@ -249,10 +249,14 @@ class Watchkeeper:
         return control(mode, memory, self._state.motion, slowed(self._state.setpoint, settings), settings, dt_s)
 
     def _resume(self, helm: Helm) -> None:
-        """Go on, past and clear: the present leg begins anew from here."""
-        state, memory = self._state, helm.memory
+        """Go on, past and clear: the present leg begins anew from here, or, where a zone is in the way from here, goes on as it
+        was, on its line."""
+        state, memory, around = self._state, helm.memory, helm.plans.fence
         if state.mode in LEGS and not memory.left_s and (state.mode is not Mode.GOTO or state.setpoint.target is not None):
-            helm.memory = memory._replace(north_m=state.motion.north_m, east_m=state.motion.east_m)
+            north_m, east_m = state.reference.north_m, state.reference.east_m  # of the leg's end
+            to = None if north_m is None or east_m is None else (north_m, east_m)
+            if around is None or crossing(around, state.motion, to) is None:
+                helm.memory = memory._replace(north_m=state.motion.north_m, east_m=state.motion.east_m)
 
     def _note(self, order: CourseOrder | None) -> None:
         """Log each change of the order, not of its figures."""

@@ -173,8 +173,10 @@ class Orders:
                 return None
             case console.SetMode():
                 mode = Mode.__members__.get(command.mode.upper())
+                waits = mode is Mode.HOME and bool(self._run.settings.fence.chart)  # until the way home is known
                 if (
                     mode is None
+                    or waits
                     or command.line is not None
                     or mode in (Mode.HEADING, Mode.COURSE, Mode.GOTO)
                     or getattr(self._was.paused, "mode", None) is mode
@@ -207,6 +209,8 @@ class Orders:
         setpoint = setpoint._replace(override_mps=None if is_new else setpoint.override_mps, alone=0.0)
         if is_new and self._was.boat.mode is Mode.PLAY and not self._was.boat.reference.done:  # which goes on with its leg
             setpoint = setpoint._replace(leg=self._was.boat.memory.leg)
+        if mode is Mode.HOME and len(has.track) == len(setpoint.track) - 1:  # without the newest point, which a zone is before
+            setpoint = setpoint._replace(track=setpoint.track[:-1])
         for field, one, other in zip(Setpoint._fields, has, setpoint, strict=True):
             if one is not other and _differ(one, other):
                 yield f"{name} was obeyed, and the {field} is {one}, not {other}"
@@ -266,7 +270,10 @@ class Orders:
             if setpoint.guest_heading_rad is None or now_s - self._run.state.guest_s > settings.failsafe.guest_silent.after_s:
                 return "the guest is silent"
         elif mode is Mode.HOME:
-            return "" if setpoint.track else "no track was driven"
+            if not setpoint.track:
+                return "no track was driven"
+            first = [self._fence.blocks(motion, point) for point in setpoint.track[-2:]]
+            return None if True in first or None in first else ""  # it may leave out the newest
         elif mode is Mode.PLAY:
             if plan is None or not 0 <= setpoint.leg < len(plan.waypoints):
                 return "there is no such leg"

@@ -69,7 +69,9 @@ class Scenario(tables.Table, frozen=True):
     name: str
     seconds: Annotated[float, msgspec.Meta(gt=0.0, le=86_400.0)]
     mission: str = ""  # a mission file, beside this one
-    vehicle: dict[str, Any] = msgspec.field(default_factory=dict)  # tables laid over the vehicle's file
+    vehicle: dict[str, Any] = msgspec.field(
+        default_factory=dict
+    )  # tables laid over the vehicle's file, a chart beside this one
     guest: ScenarioGuest | None = None
     # payload programs in Python that run, by their names: a file, beside this one, and its words
     payload: dict[str, Words] = msgspec.field(default_factory=dict)
@@ -97,7 +99,10 @@ def load_scenario(path: str | Path) -> Scenario:
     except FormatError as error:
         raise ConfigError(str(path), key, str(error)) from None
     programs = {name: (str((Path(path).parent / file).resolve()), *words) for name, (file, *words) in scenario.payload.items()}
-    return msgspec.structs.replace(scenario, payload=programs)
+    vehicle, fence = scenario.vehicle, scenario.vehicle.get("fence")
+    if isinstance(fence, dict) and isinstance(chart := fence.get("chart"), str) and chart:
+        vehicle = vehicle | {"fence": fence | {"chart": str((Path(path).parent / chart).resolve())}}
+    return msgspec.structs.replace(scenario, payload=programs, vehicle=vehicle)
 
 
 def settings_of(scenario: Scenario, vehicle: str | Path, overrides: tuple[str, ...] = ()) -> config.Vehicle:

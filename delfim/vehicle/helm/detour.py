@@ -57,17 +57,38 @@ def begun(around: Fence | None, motion: Motion, setpoint: Setpoint, who: str) ->
     to = setpoint.target
     if around is None or to is None or "position" not in motion.has:
         return None
-    limits, target = around.limits, (to.north_m, to.east_m)
+    target = to.north_m, to.east_m
     why = fence.crossing(around, motion, target)
     if why is None or too_far(target, motion):
         return None
-    # With room to stop before what is ahead at each corner, or as missions, or as near as the fence lets a boat go.
-    rooms_m = limits.margin_m + fence.stopping_m(limits, to.speed_mps), limits.mission_margin_m, limits.margin_m
-    open_m = [each for each in rooms_m if each >= limits.margin_m and _has_room(around, target, each)]
+    open_m, held = _open_m(around, target, to.speed_mps), list[Iterable[object]]()
     here = motion.north_m, motion.east_m
-    most = MOST if all(zone.field is None for zone in around.zones) else CHARTED_MOST
-    held = list[Iterable[object]]()
-    return Detour(Sliced(_widest(around, here, target, open_m, held)), setpoint, why, who, most, held) if open_m else None
+    return (
+        Detour(Sliced(_widest(around, here, target, open_m, held)), setpoint, why, who, most(around), held) if open_m else None
+    )
+
+
+def most(around: Fence) -> int:
+    """Comparisons of one search at most."""
+    return MOST if all(zone.field is None for zone in around.zones) else CHARTED_MOST
+
+
+def way_kept(
+    around: Fence, a: Point, b: Point, speed_mps: float, held: list[Iterable[object]]
+) -> Work[tuple[Point, ...] | Shut]:
+    """The turns of a way for a boat at this speed, or why there is none. What the search is made of goes to `held`."""
+    open_m = _open_m(around, b, speed_mps)
+    yield sum(cost(zone, b) + 1 for zone in around.zones) * 3
+    found = yield from _widest(around, a, b, open_m, held)
+    return Shut("no way round is found") if found is None else found
+
+
+def _open_m(around: Fence, to: Point, speed_mps: float) -> list[float]:
+    """The rooms that a place has, of those to stop before what is ahead at each corner, of missions, and the least that the
+    fence lets a boat keep."""
+    limits = around.limits
+    rooms_m = limits.margin_m + fence.stopping_m(limits, speed_mps), limits.mission_margin_m, limits.margin_m
+    return [each for each in rooms_m if each >= limits.margin_m and _has_room(around, to, each)]
 
 
 def _widest(

@@ -25,6 +25,7 @@ from delfim.vehicle.failsafe.troubles import Inputs, PartTrigger
 from delfim.vehicle.helm import detour, setpoints
 from delfim.vehicle.helm.alone import Alone
 from delfim.vehicle.helm.announcing import Announcing
+from delfim.vehicle.helm.homeward import Homeward
 from delfim.vehicle.helm.planning import Plans
 from delfim.vehicle.helm.stations import Stations
 from delfim.vehicle.plans import fence
@@ -71,6 +72,7 @@ class Helm:
         self.memory = begin(Mode.IDLE, state.motion, state.setpoint, self.limits)
         self.track = Track(settings.control.home)
         self.plans = Plans(settings.fence, self.limits, state, self.track, log, self.under_way, chart)
+        self.homeward, self._goes_home = Homeward(self.track, self.plans.remains), ""  # why, as soon as the way is found
         self.rules, self.troubles = failsafe.Rules(settings, troubles), failsafe.NO_TROUBLE
         self.changed = dict[str, float | str]()  # keys of the vehicle's file that consoles set
         self.taken = False  # the failsafe changed the mode; a joystick held over does not change it back
@@ -131,23 +133,67 @@ class Helm:
             self.propulsion.disconnect(state.overdue)
         if action is Action.DISCONNECT:
             return
-        setpoint = state.setpoint._replace(track=self._way(Mode.UNSTICK if action is Action.UNSTICK else Mode.HOME))
+        setpoint, cannot, why = state.setpoint, "", reason
+        if action is Action.UNSTICK:
+            setpoint = setpoint._replace(track=self._way_out())
+        elif action is Action.HOME:
+            setpoint, cannot = self._homewards(setpoint)
+        if cannot:
+            action, reason = Action.HOLD, f"{reason}; {cannot}"
         mode, reason = failsafe.fallback(action, reason, state.motion.has, setpoint)
         holds, place = action is Action.HOLD and self._seeking is None, (self.memory.north_m, self.memory.east_m)
         if mode is not state.mode or (mode is Mode.HOLD and holds and fence.cuts_off(self.plans.fence, state.motion, place)):
             state.setpoint, self.taken = setpoint, True
             self.enter(mode, reason)
             self.steer(now_s)
+        if cannot and mode is Mode.HOLD:
+            self._hold_instead(why, cannot)
         if action is Action.BACK and mode is Mode.HOLD:
             self._go_back()
+
+    def _homewards(self, setpoint: Setpoint) -> tuple[Setpoint, str]:
+        """The set points of home, and why the boat cannot go there, in words; empty: nothing forbids it."""
+        around = self.plans.fence
+        self.homeward.look(around, self.settings.control.home.speed_mps)  # the newest piece may be a tenth of a second old
+        track, cannot = self.track.way_home(), self.homeward.why
+        if around is not None and track and not cannot:
+            # The newest point may be behind a boat that drifts towards a zone.
+            ways = [fence.crossing(around, self.state.motion, to) for to in track[-1:-3:-1]]
+            if ways[0] is not None and ways[-1] is None:
+                track = track[:-1]
+            elif ways[0] is not None:
+                cannot = f"no way home: {ways[0]}"
+        return setpoint._replace(track=track), cannot
+
+    def _hold_instead(self, why: str, cannot: str) -> None:
+        """The boat holds, as it cannot go home; where the way is not known yet it does once it is."""
+        self._goes_home = why if self.homeward.is_sought else ""
+        if cannot not in self.state.reason:
+            self.state.reason = f"{why}; {cannot}"
+            self.note(f"hold: {self.state.reason}")
+
+    def _go_home(self) -> None:
+        """Home once its way is known, and hold once it is no way any more, as zones or an opened band have changed."""
+        state, why = self.state, self._goes_home
+        if why and not self.homeward.is_sought:
+            self._goes_home, (setpoint, cannot) = "", self._homewards(state.setpoint)
+            if cannot := cannot or admit(Mode.HOME, state.motion.has, setpoint) or "":
+                self._hold_instead(why, cannot)
+            else:
+                state.setpoint = setpoint
+                self.enter(Mode.HOME, why)
+        elif state.mode is Mode.HOME and (cannot := self.homeward.why):
+            why = state.reason
+            self.enter(Mode.HOLD, f"{why}; {cannot}")
+            self._hold_instead(why, cannot)
 
     def possible(self, action: Action) -> Action:
         """This action, or a stop where nobody knows yet what the motors do."""
         return action if self.settings.adopted.proven else failsafe.unsteered(action)
 
-    def _way(self, mode: Mode) -> tuple[Point, ...]:
+    def _way_out(self) -> tuple[Point, ...]:
         """The driven track. On the way home its newest point lies ahead, and the way out is straight astern."""
-        return () if mode is Mode.UNSTICK and self.state.mode is Mode.HOME else self.track.way_home()
+        return () if self.state.mode is Mode.HOME else self.track.way_home()
 
     def _cannot_unstick(self, *, again: bool) -> str:
         """Why the boat does not go astern out of where it is, in words; empty: it does. `again`: also where it just did."""
@@ -194,6 +240,9 @@ class Helm:
         """A slice of long work."""
         self.plans.go_on()
         self._seek()
+        if self.detour is None:
+            self.homeward.look(self.plans.fence, self.settings.control.home.speed_mps)
+        self._go_home()
         if self.detour is not None and (found := self.detour.step()) is not None:
             self.state.setpoint, reason = found
             self.enter(Mode.GOTO, reason)
@@ -210,7 +259,7 @@ class Helm:
     def finish(self) -> None:
         """The mode is at its end: home if the mission says so, else hold, or idle if it cannot or was told to stop there. After
         a trial idle."""
-        state, end = self.state, f"{self.state.mode.name.lower()} done"
+        state, end, waits = self.state, f"{self.state.mode.name.lower()} done", ""
         if state.mode is Mode.TRIAL:
             self.stop(state.reference.reason)
             return
@@ -220,18 +269,19 @@ class Helm:
             was_home = self._unstuck is not None and self._unstuck[1] is Mode.HOME
             goes_home = not state.reference.distance_m and (was_home or self.limits.control.unstick.then == "home")
         if goes_home:
-            setpoint = state.setpoint._replace(track=self.track.way_home())
-            if (reason := admit(Mode.HOME, state.motion.has, setpoint)) is None:
+            setpoint, cannot = self._homewards(state.setpoint)
+            if (reason := cannot or admit(Mode.HOME, state.motion.has, setpoint)) is None:
                 state.setpoint = setpoint
                 self.enter(Mode.HOME, end)
                 return
-            end = f"{end}, cannot go home: {reason}"
+            end, waits = f"{end}, cannot go home: {reason}", end if self.homeward.is_sought else ""
         if (reason := admit(Mode.HOLD, state.motion.has, state.setpoint)) is not None:
             self.stop(f"{end}, cannot hold: {reason}")
         elif state.mode is Mode.GOTO and state.setpoint.end == "idle":
             self.stop(end)
         else:
             self.enter(Mode.HOLD, end)
+            self._goes_home = waits
 
     def enter(self, mode: Mode, reason: str, resumed: Memory | None = None) -> None:
         """`resumed`: the mode goes on with this memory."""
@@ -246,6 +296,7 @@ class Helm:
         if mode is Mode.UNSTICK and state.mode is not Mode.UNSTICK:
             self._unstuck = (state.motion.north_m, state.motion.east_m), state.mode
         self.memory, self._seeking, self._retreat = begin(mode, state.motion, state.setpoint, self.limits), None, ()
+        self._goes_home = ""
         if self.detour is not None:
             self.plans.remains.add(*self.detour.held)
             self.detour = None
@@ -281,8 +332,14 @@ class Helm:
         """The one door: enter the mode the operator asks for, with its set points, or the one after a restart, which gives a
         reason. Raises Refused; nothing has changed then."""
         state = self.state
-        if mode in (Mode.HOME, Mode.UNSTICK):
-            setpoint = setpoint._replace(track=self._way(mode))
+        cannot = ""
+        if mode is Mode.UNSTICK:
+            setpoint = setpoint._replace(track=self._way_out())
+        elif mode is Mode.HOME:
+            setpoint, cannot = self._homewards(setpoint)
+            if cannot and not self.homeward.is_sought:
+                raise Refused(f"home refused: {cannot}")
+            mode = Mode.HOLD if cannot else mode
         if mode is not state.mode and resumed is None:
             setpoint = setpoint._replace(override_mps=None)
         if mode is Mode.PATH and resumed is not None and setpoint.plan is not None:
@@ -305,6 +362,8 @@ class Helm:
         if not restarted and not state.helmsman:  # who overrules no failsafe
             self.troubles, self.taken = failsafe.overruled(self.troubles), False
         self.enter(mode, restarted or (who if resumed is None else f"{who} continues"), resumed)
+        if cannot:
+            self._hold_instead(restarted or who, cannot)
 
     def under_way(self) -> UnderWay | None:
         return under_way(self.state.mode, self.memory.leg, self.paused, self.state.setpoint.plan)

@@ -165,17 +165,17 @@ def place_to_hold(fence: Fence, at: Point, here: Point, track: Sequence[Point], 
     """
     for part in PARTS:
         for point in (here, *reversed(track)):
-            has_room, looked = _has_room(fence, point, part * radius_m + fence.limits.margin_m)
-            if has_room:
-                is_clear, more = _is_clear(fence, at, point)
-                if is_clear:
+            roomy, looked = has_room(fence, point, part * radius_m + fence.limits.margin_m)
+            if roomy:
+                leads, more = is_clear(fence, at, point)
+                if leads:
                     return point, part
                 looked += more
             yield 2 * looked  # an expensive one has a slice to itself
     return here, PARTS[-1]
 
 
-def _is_clear(fence: Fence, at: Point, to: Point) -> tuple[bool, int]:
+def is_clear(fence: Fence, at: Point, to: Point) -> tuple[bool, int]:
     """Whether the straight way keeps the margin, or where `at` is nearer leads away; and how many comparisons it took. False
     when it takes too many."""
     looked = 0
@@ -188,7 +188,7 @@ def _is_clear(fence: Fence, at: Point, to: Point) -> tuple[bool, int]:
     return True, looked
 
 
-def _has_room(fence: Fence, point: Point, room_m: float) -> tuple[bool, int]:
+def has_room(fence: Fence, point: Point, room_m: float) -> tuple[bool, int]:
     """Whether all zones are this far away, and how many comparisons it took. False when it takes too many."""
     looked = 0
     for number, zone in enumerate(fence.zones, 1):

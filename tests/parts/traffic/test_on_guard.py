@@ -24,7 +24,9 @@ from delfim.vehicle.control.hull import filled
 from delfim.vehicle.control.memory import Integrals, LineOfSight, Memory, settings_of
 from delfim.vehicle.failsafe.failsafe import Action
 from delfim.vehicle.failsafe.troubles import Trigger
-from delfim.vehicle.state import Line, Motion, NoLog, Plan, Setpoint, State, TrialPieces, Waypoint
+from delfim.vehicle.plans.fence import Fence
+from delfim.vehicle.plans.zones import circle
+from delfim.vehicle.state import Line, Motion, NoLog, Plan, Reference, Setpoint, State, TrialPieces, Waypoint
 from delfim.vehicle.target import CourseOrder, Danger, Target
 
 SETTINGS: Final = filled(config.load(Path(__file__).parents[3] / "etc/delfimx.toml", ()))
@@ -385,6 +387,17 @@ def test_past_and_clear_a_leg_begins_anew(monkeypatch, mode, memory, setpoint, b
     assert boat.helm.memory == memory
     boat.look(MARIA, order=EAST)
     assert boat.helm.memory == memory
+    boat.look(MARIA)
+    assert boat.helm.memory == (memory._replace(north_m=40.0, east_m=-30.0) if begins else memory)
+
+
+@pytest.mark.parametrize(("north_m", "begins"), [(300.0, False), (-300.0, True)])
+def test_where_a_zone_is_in_the_way_a_leg_goes_on_along_its_line(monkeypatch, north_m, begins):
+    boat, memory = Boat(monkeypatch, Mode.PLAY), Memory(north_m=1.0, east_m=2.0)
+    boat.helm.plans.fence = Fence((circle("the spit", False, (150.0, -30.0), 20.0),), SETTINGS.fence)
+    boat.helm.memory, boat.state.setpoint = memory, Setpoint()
+    boat.state.reference = Reference(north_m=north_m, east_m=-30.0)
+    boat.look(MARIA, order=EAST)
     boat.look(MARIA)
     assert boat.helm.memory == (memory._replace(north_m=40.0, east_m=-30.0) if begins else memory)
 
