@@ -198,6 +198,7 @@ class TrafficGuard(Table, frozen=True):
     thing_clear_m: Annotated[float, msgspec.Meta(ge=1.0, le=200.0)] = 10.0  # from what stands to the boat's side or end
     person_clear_m: Annotated[float, msgspec.Meta(ge=5.0, le=500.0)] = 30.0  # the same of a swimmer; twice as near, half speed
     on_failure: Literal["warn", "slow", "hold"] = "warn"  # where the guard cannot work: go on, at half speed, or hold
+    overruled_s: Annotated[float, msgspec.Meta(ge=10.0, le=3600.0)] = 600.0  # an operator who overrules it does so for so long
 
 
 class TrafficTable(Table, frozen=True):

@@ -79,7 +79,7 @@ class Seeds(tables.Table, frozen=True):
 
 class CampaignFile(tables.Table, frozen=True):
     """The file of a campaign. `vehicle`, `scenario` and `mission` are files beside it, one or several: each boat sails each of
-    the others. The scenarios "mixed", "chased" and "searching" are drawn from the seed."""
+    the others. The scenarios "mixed", "chased", "forged" and "searching" are drawn from the seed."""
 
     version: Literal[1]
     name: Name

@@ -107,6 +107,8 @@ class SimulatedThing(Table, frozen=True):
     radius_m: Annotated[float, msgspec.Meta(ge=0.05, le=50.0)] = 0.5  # all of it is in this circle, and fills it
     course_deg: Annotated[float, msgspec.Meta(ge=-360.0, le=360.0)] = 0.0  # where it drifts or swims
     speed_mps: Annotated[float, msgspec.Meta(ge=0.0, le=5.0)] = 0.0  # how fast
+    follows_m: Annotated[float, msgspec.Meta(ge=0.0, le=1000.0)] | None = None  # always so far from the boat: a forged one
+    follows_deg: Annotated[float, msgspec.Meta(ge=-360.0, le=360.0)] = 0.0  # from there in this direction, by north
 
 
 class SimulatedLookout(Table, frozen=True):

@@ -254,6 +254,13 @@ class OfPayload(Command, frozen=True, tag="ordered"):
     order: Alive | Pause | Continue | Goto | Heading | Course | SetSpeed | Upload | Play | Sight | Sampled | Tell
 
 
+class Overrule(OperatorOrder, frozen=True):
+    """Give way to nobody for `traffic.guard.overruled_s`, whatever is told of vessels and things; given again, give way again.
+    The operator has looked: what is told is not there, or it is in the way of what matters more."""
+
+    TITLE, KEY = "Overrule the guard; again: end that", "O"
+
+
 class Take(OperatorOrder, frozen=True):
     """Take over: this console commands from now on, and its silence is a trouble."""
 

@@ -267,6 +267,7 @@ class State:
     guest_connected: bool = False
     heard: dict[object, Sighting] = field(default_factory=dict)  # reports of other vessels that nobody looked at yet, in order
     traffic: Traffic = field(default_factory=Traffic)  # other vessels
+    overruled_s: float = -1e9  # monotonic time until which the boat gives way to nobody, as an operator said
     handset: HandsetReport | None = None  # None: never heard, or there is none
     energy: EnergyFacts | None = None  # None: nothing is reckoned
     killed: Killed = field(default_factory=Killed)

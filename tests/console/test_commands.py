@@ -377,6 +377,7 @@ ROWS: dict[str, Row] = {
     "key: B": Row(keys("h", "b"), PAUSE),
     "key: C": Row(keys("h", "b", "c"), CONTINUE),
     # Entries that the boat offers, as it offers the reset.
+    "key: O": Row(keys("o"), {"command": "overrule"}),
     "menu: Kill": Row(killed_and_cleared, {"command": "kill"}),
     "menu: Clear the kill": Row(killed_and_cleared, {"command": "clear"}),
     # By touch: the same entries, opened by a finger.

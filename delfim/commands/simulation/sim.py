@@ -49,7 +49,7 @@ def options(parser: argparse.ArgumentParser) -> None:
         "--scenario",
         metavar="FILE",
         type=shipped,
-        help='Sail this scenario in lock step; the seed draws "mixed", "chased" and "searching".',
+        help='Sail this scenario in lock step; the seed draws "mixed", "chased", "forged" and "searching".',
     )
     parser.add_argument(
         "--for", type=seconds, dest="for_s", metavar="SECONDS", help="End after this time, not with the mission."

@@ -57,6 +57,7 @@ WORDS: dict[str, Word] = {
     "line": Word("follow the mission's path from the run-in of a line of the survey; the first is 1", ("line",)),
     "pause": Word("hold here; continue goes on from here"),
     "continue": Word("go on with what a hold interrupted, from where it was"),
+    "overrule": Word("give way to nobody for a while, whatever is told of others; again: give way again"),
     "mission": Word("load a mission file", ("file",)),
     "mode": Word("enter a mode by name", ("name",)),
     "payload": Word("give the boat to a payload program; any other order takes it back", ("name",)),

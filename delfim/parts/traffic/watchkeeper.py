@@ -48,6 +48,7 @@ AMONG_THINGS: Final = 300  # ... and where there are things, whose way past may 
 SILENT_S: Final = 360.0  # a lost vessel is kept clear of until its last report is so old
 SLOW: Final = 0.5  # of the speed, where the guard cannot work
 TURN_MIN_RADPS, TURN_MAX_RADPS = 0.05, 0.5
+OVERRULED: Final = "the operator overruled the guard"
 LEGS: Final = (Mode.PLAY, Mode.GOTO, Mode.HOME)
 
 _new = tuple.__new__  # a fifth of the time of Memory._replace(...): steps are on the critical path
@@ -166,7 +167,8 @@ class Watchkeeper:
         is_guarded = "on" if state.mode in self._modes else "off"
         words = f"cannot avoid: {failing}" if failing and state.traffic.targets else is_guarded
         state.traffic = state.traffic._replace(order=order, guard=words, unjudged=unjudged)
-        self._act(helm, order, failing if state.traffic.targets else "", now_s)
+        is_failing = state.traffic.targets and failing != OVERRULED
+        self._act(helm, order, failing if is_failing else "", now_s)
 
     def _bend(self, boat: Caution, own: Own, things: Sequence[Target], fence: Fence | None, was: Passage | None) -> Work[None]:
         """Lead the route past what stands in the way, and slowly by a swimmer: ships are judged along that."""
@@ -190,8 +192,10 @@ class Watchkeeper:
                 return
 
     def _denied(self, helm: Helm) -> str:
-        """Why the guard must leave the boat alone, in words: near the fence its mode alone steers it, and others move it no
-        farther, and for no longer, than its file says."""
+        """Why the guard must leave the boat alone, in words: an operator says so, near the fence its mode alone steers it, and
+        others move it no farther, and for no longer, than its file says."""
+        if self._clock.monotonic_s() < self._state.overruled_s:
+            return OVERRULED
         near = helm.troubles.get(Trigger.FENCE) or helm.troubles.get(Trigger.FENCE_LEFT)
         return f"the fence goes before: {near.reason}" if near is not None else self._leash.spent
 

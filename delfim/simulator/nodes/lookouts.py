@@ -58,8 +58,13 @@ class TrueThing:
         course_rad = math.radians(row.course_deg)
         self._mps = row.speed_mps * math.cos(course_rad), row.speed_mps * math.sin(course_rad)
 
-    def drift(self, t_s: float) -> None:
-        """Be where it is at this time since the start."""
+    def drift(self, t_s: float, model: Model) -> None:
+        """Be where it is at this time since the start; a forged one beside the boat."""
+        if self.row.follows_m is not None:
+            bearing_rad = math.radians(self.row.follows_deg)
+            self.north_m = model.north_m + self.row.follows_m * math.cos(bearing_rad)
+            self.east_m = model.east_m + self.row.follows_m * math.sin(bearing_rad)
+            return
         self.north_m, self.east_m = self.row.north_m + t_s * self._mps[0], self.row.east_m + t_s * self._mps[1]
 
     def measure(self, model: Model, half_m: float, half_beam_m: float) -> None:
@@ -169,8 +174,8 @@ class Surroundings:
         if math.isnan(self._began_s):
             self._began_s = now_s
         for each in self.things:
-            each.drift(now_s - self._began_s)
-            if counts:
+            each.drift(now_s - self._began_s, self._model)
+            if counts and each.row.follows_m is None:
                 each.measure(self._model, *self._half_m)
         if not self._lookouts or not self._period.passed(now_s):
             return []

@@ -17,6 +17,8 @@ class Standing(NamedTuple):
     kind: str = "thing"
     course_deg: float = 0.0
     speed_mps: float = 0.0
+    follows_m: float | None = None  # of the boat: it is not there
+    follows_deg: float = 0.0
 
 
 def drawn(world: str, random: Random) -> list[Standing]:

@@ -1,4 +1,5 @@
-"""Vessels that react to the boat, drawn from a seed: forged ones that follow it, some that change sides, others that chase it.
+"""Vessels that react to the boat, drawn from a seed: forged ones that follow it, some that change sides, others that chase it;
+and things that a program makes up around it.
 
 A run has a boat, mostly with a fence, an operator who gives it some orders and then leaves it alone, and a fleet.
 """
@@ -8,12 +9,16 @@ from functools import partial
 from random import Random
 from typing import Any, Final
 
+import msgspec
+
 from delfim import config
 from delfim.simulator.scenarios.random_faults import place_of
-from delfim.simulator.scenarios.scenario import Scenario
+from delfim.simulator.scenarios.scenario import Scenario, laid_over
 from delfim.simulator.tables import Simulation
 
 CHASED: Final = "chased"
+FORGED: Final = "forged"
+LIAR: Final = "liar"  # the program
 FLEET: Final = 10
 
 
@@ -42,6 +47,39 @@ def chased(seed: int, vehicle: config.Vehicle) -> Scenario:
         vessel=tuple(_fleet(random)),
         patient=False,
     )
+
+
+def forged(seed: int, vehicle: config.Vehicle) -> Scenario:
+    """The run of a seed: as the chased one, and a program makes up things and swimmers around the boat; often without ships."""
+    random, scenario = Random(f"forged {seed}"), chased(seed, vehicle)
+    lookout = {"payload": LIAR, "kind": "lidar", "reach_m": 1000.0, "missed": 0.0, "ghosts": random.choice((0.0, 0.0, 2.0))}
+    tree = {
+        "payload": {LIAR: {"command": ["/usr/bin/liar"], "may": ["obstacles"]}},
+        "simulation": {"things": {"lookout": [lookout], "thing": _made_up(random)}},
+    }
+    return msgspec.structs.replace(
+        scenario,
+        name=f"forged, seed {seed}",
+        vehicle=laid_over(scenario.vehicle, tree),
+        vessel=scenario.vessel if random.random() < 0.5 else (),
+    )
+
+
+def _made_up(random: Random) -> list[dict[str, Any]]:
+    """Things that stay where the boat is: a wall that moves with it, a ring with a gap, a crowd at its side. What is told once
+    is believed for a while, so that they leave a trail."""
+    arc_deg, number = random.choice((5.0, 40.0, 90.0, 180.0, 330.0)), random.randint(1, 3 * FLEET)
+    bearing_deg, away_m = random.uniform(0.0, 360.0), random.uniform(3.0, 60.0)
+    kind, radii_m = random.choice((("thing", (0.5, 0.5, 5.0, 20.0)), ("thing", (0.5,)), ("person", (0.5,))))
+    return [
+        {
+            "kind": kind,
+            "radius_m": random.choice(radii_m),
+            "follows_m": away_m,
+            "follows_deg": (bearing_deg + arc_deg * (i / number - 0.5)) % 360.0,
+        }
+        for i in range(number)
+    ]
 
 
 def _fleet(random: Random) -> list[dict[str, Any]]:

@@ -19,7 +19,7 @@ from delfim.vehicle.loop import HELD_BY_HAND
 REFUSED: Final = " refused"
 NO_ORDERS: Final = (  # words of a console, and of the program, that ask nothing of the boat; of payloads and parts, which
     # campaigns lack
-    *("alive", "state", "watch", "return", "payload", "sight", "sampled", "tell", "order", "ordered", "trial"),
+    *("alive", "state", "watch", "return", "payload", "sight", "sampled", "tell", "order", "ordered", "trial", "overrule"),
 )
 OBEYED_ALWAYS: Final = ("stop", "kill", "leave", "speed", "rally", "take", "shutdown")  # by the helm, whatever happens
 

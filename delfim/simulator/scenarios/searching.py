@@ -18,7 +18,7 @@ from delfim.base.parts import OWN_NODES
 from delfim.simulator.faults import OF_AIS, OF_COMPASS, OF_PULSES, OF_THRUSTERS, VALUES
 from delfim.simulator.handset import HandsetAt
 from delfim.simulator.nodes import nodes_of
-from delfim.simulator.scenarios.chased import CHASED, chased
+from delfim.simulator.scenarios.chased import CHASED, FORGED, chased, forged
 from delfim.simulator.scenarios.ordering import DrawnOperator, Words
 from delfim.simulator.scenarios.pairs import PAIRS, kind_of
 from delfim.simulator.scenarios.random_faults import MIXABLE, MIXED, mixed, place_of
@@ -421,4 +421,9 @@ class _Aimed:
             self.orders.append({"at_s": random.uniform(8.0, self.end_s), **word})
 
 
-DRAWN: Final = {MIXED: mixed, CHASED: chased, SEARCHING: searching}  # what a seed draws, by the name of the scenario
+DRAWN: Final = {
+    MIXED: mixed,
+    CHASED: chased,
+    FORGED: forged,
+    SEARCHING: searching,
+}  # what a seed draws, by the name of the scenario

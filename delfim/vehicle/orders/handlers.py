@@ -194,6 +194,15 @@ def _try(helm: Helm, command: console.Try, now_s: float) -> None:
     helm.memory = MODES[Mode.TRIAL].enter(state.motion, setpoint, helm.limits)
 
 
+def _overrule(helm: Helm, command: console.Overrule, now_s: float) -> None:
+    state, guard = helm.state, helm.settings.traffic.guard
+    if not guard.enabled:
+        raise Refused("overrule refused: the boat gives way to nobody, by its file")
+    is_over = now_s < state.overruled_s
+    state.overruled_s = now_s if is_over else now_s + guard.overruled_s
+    helm.note(f"traffic: {'the guard works again' if is_over else f'overruled for {guard.overruled_s:.0f} s'}: {state.orderer}")
+
+
 def _arm(helm: Helm, command: console.Arm, now_s: float) -> None:
     if helm.state.mode is Mode.IDLE and (reason := helm.unfit()) is not None:
         raise Refused(f"arm refused: {reason}")
@@ -249,6 +258,7 @@ OBEYED: Final[dict[type[console.Command], Callable[[Helm, Any, float], None]]] =
     console.SetFence: _load,
     console.Rally: lambda helm, command, now_s: helm.plans.call_at(command.points),
     console.Take: lambda helm, command, now_s: None,  # ... or commands
+    console.Overrule: _overrule,
     console.Arm: _arm,
     console.Reset: _reset,
     console.Set: _set,

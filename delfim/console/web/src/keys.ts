@@ -86,6 +86,7 @@ export const CARD: readonly Group[] = [
     "Boats",
     [
       ["Tab", "next boat; Shift Tab: previous"],
+      ["O", "overrule the guard: give way to nobody for 10 minutes; O again: give way again"],
       ["R", "reset the boat's peripheral microcontrollers"],
       ["Enter", "the boat's menu"],
     ],
