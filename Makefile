@@ -112,6 +112,7 @@ pictures: $(READY) ## draw the documentation's pictures again
 	PYTHONSAFEPATH= $(BIN)/python -m tests.console.test_stations_page docs/pictures
 	PYTHONSAFEPATH= $(BIN)/python -m tests.console.test_alerts_page docs/pictures
 	PYTHONSAFEPATH= $(BIN)/python -m tests.console.test_bridge_page docs/pictures
+	PYTHONSAFEPATH= $(BIN)/python -m tests.console.test_panes docs/pictures
 	PYTHONSAFEPATH= $(BIN)/python -m tests.console.test_adopt_page docs/pictures
 	PYTHONSAFEPATH= $(BIN)/python -m tests.console.test_depths docs/pictures
 	PYTHONSAFEPATH= $(BIN)/python -m tests.console.test_energy_page docs/pictures

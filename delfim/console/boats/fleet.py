@@ -20,9 +20,10 @@ from delfim.console.boats.drivers import INPUT_S, Drivers
 from delfim.console.boats.item_transfer import REFUSED
 from delfim.console.boats.plan_transfer import SAID, Exchange, planned
 from delfim.console.boats.profiles import Profiles
+from delfim.console.boats.questions import Question, Questions
 from delfim.console.boats.requests import HALTS, LIFE_S, NO_ANSWER, Answer, Requests, entered
 from delfim.console.boats.routes import Address, Ways, address_kind, in_words
-from delfim.console.link.mavlink import BOAT_NAME, BOAT_RUN, SYSTEM, TROUBLES, Codec, Key, mavlink, ownorders
+from delfim.console.link.mavlink import BOAT_NAME, BOAT_RUN, SYSTEM, TROUBLES, Codec, Key, mavlink, ownorders, questions
 from delfim.console.watch.alerts import is_trouble
 
 HEARTBEAT_S: Final = 1.0
@@ -38,6 +39,7 @@ WARNING: Final = int(mavlink.MAV_SEVERITY_WARNING)
 ANSWERS: Final = frozenset(
     ("COMMAND_ACK", "V2_EXTENSION", "PARAM_EXT_VALUE", "HOME_POSITION", "STATUSTEXT", *SAID)
 )  # on any link
+NOTE_MAX: Final = 100  # characters
 REASON_S: Final = 0.5  # the refusal of a plan and its reason come in separate messages
 Tell = Callable[[dict[str, Any]], None]
 
@@ -62,6 +64,7 @@ class Fleet:
         self._peers: dict[Address, Codec] = {}
         self._ways = Ways()
         self._requests = Requests(self._send_on_each, self._send_all)
+        self.questions = Questions(self._send, self._requests.wait_for)
         self._drivers = Drivers(self._send_on_each, self._say)
         self._ticked_s, self._deaf_until_s, self._slept_s = clock.monotonic_s(), -math.inf, 0.0
         self._beat_s = self._complained_s = -math.inf
@@ -138,7 +141,7 @@ class Fleet:
 
     def forget(self, number: int) -> None:
         """Takes a silent boat out of the list, until it is heard again. Raises Refused."""
-        boat = self._boat(number)
+        boat = self.boat(number)
         if self._clock.monotonic_s() - boat.heard_s <= SILENT_S or self._requests.wait_for(number):
             raise Refused(f"{boat.name} is heard, or a command to it is under way")
         self._drop(number)
@@ -146,6 +149,7 @@ class Fleet:
     def _drop(self, number: int) -> None:
         del self.boats[number]
         self._ways.forget(number)
+        self.questions.forget(number)
         self._exchange.forget(number)
         self._drivers.end(number)
         self._profiles.forget(number)
@@ -173,6 +177,9 @@ class Fleet:
         if message.message_type == ownorders.ANSWER and message.target_system == self.me:
             number, refused = ownorders.numbered(message)
             self._requests.answered(boat.number, number, refused.decode("ascii", "replace"))
+        elif message.message_type == questions.TOLD and message.target_system == self.me:
+            with suppress(FormatError):
+                self.questions.hear(boat.number, message)
         elif message.message_type == ownorders.OFFER:
             with suppress(FormatError):
                 boat.learn_offer(*ownorders.offered(message))
@@ -251,6 +258,7 @@ class Fleet:
         for number in self._drivers.late(now_s):
             self.release(number, "no input from the page")
         self._requests.tick(now_s)
+        self.questions.tick(now_s)
         self._profiles.tick(now_s)
         self._exchange.tick(now_s)
         self._energies.tick(now_s)
@@ -289,6 +297,12 @@ class Fleet:
         ]
 
     # Requests of the operator.
+
+    def note(self, number: int | None, text: str) -> None:
+        """Has a boat, or all of them (None), put these words into its log."""
+        for each in self.boats if number is None else self.boats.keys() & {number}:
+            with suppress(Refused):
+                self.questions.ask(each, Question("note", text=text[:NOTE_MAX]), lambda row: None)
 
     def command(self, number: int, word: str, words: dict[str, Any], answer: Answer, page: int = 0) -> None:
         """Sends a command of this page. Raises Refused if it cannot be sent; otherwise calls `answer` once, with the boat's
@@ -340,7 +354,7 @@ class Fleet:
 
     def put(self, number: int, mission: dict[str, Any]) -> None:
         """Takes the plan on the screen for a boat. Raises FormatError, Refused."""
-        boat = self._boat(number)
+        boat = self.boat(number)
         self._exchange.put(number, mission)
         boat.used = True
 
@@ -350,21 +364,21 @@ class Fleet:
         def ended(well: bool, why: str) -> None:
             answer(well, (self._said(number) if why.startswith(REFUSED) else "") or why)
 
-        self._exchange.upload(self._boat(number), ended)
+        self._exchange.upload(self.boat(number), ended)
 
     def download(self, number: int, answer: Answer) -> None:
         """Reads the mission aboard. Raises Refused."""
-        self._exchange.download(self._boat(number), answer)
+        self._exchange.download(self.boat(number), answer)
 
     def ask_home(self, number: int) -> None:
         """Asks where the boat's way home ends; the pages are told the way when it answers. Raises Refused."""
-        self._homes.add(self._boat(number).number)
+        self._homes.add(self.boat(number).number)
         self._ask_for(number, mavlink.MAVLINK_MSG_ID_HOME_POSITION)
 
     def afford(self, number: int, answer: Answer) -> None:
         """Asks the boat whether the mission aboard fits the energy that is left; where it tells neither, it does. Raises
         Refused."""
-        if not self._boat(number).energy:
+        if not self.boat(number).energy:
             return answer(True, "")
         return self._energies.begin(number, answer, self._clock.monotonic_s())
 
@@ -389,11 +403,11 @@ class Fleet:
 
     def _use(self, number: int) -> Boat:
         """The boat, marked as used by the operator. Raises Refused."""
-        boat = self._boat(number)
+        boat = self.boat(number)
         boat.used = True
         return boat
 
-    def _boat(self, number: int) -> Boat:
+    def boat(self, number: int) -> Boat:
         if number not in self.boats:
             raise Refused(f"no boat {number}")
         return self.boats[number]

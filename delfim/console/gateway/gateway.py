@@ -23,6 +23,7 @@ from delfim.console.boats.othervessels import around
 from delfim.console.boats.soundings import SoundingFiles
 from delfim.console.charts.charts import Charts
 from delfim.console.gateway import foxglove, page_messages
+from delfim.console.gateway.aboard import AboardDesk
 from delfim.console.gateway.admission import OPERATOR, Admission, own_number
 from delfim.console.gateway.adopting import Adoption
 from delfim.console.gateway.bridging import BridgeDesk
@@ -30,7 +31,6 @@ from delfim.console.gateway.onwatch import WatchKeeper
 from delfim.console.gateway.plan_files import PlanFiles
 from delfim.console.gateway.plan_tools import Desk
 from delfim.console.gateway.surveys import SurveyDesk
-from delfim.console.gateway.watchlog import table
 from delfim.console.link.mavlink import Key
 from delfim.console.link.radio import radio
 from delfim.console.link.session import Session
@@ -126,7 +126,7 @@ class Gateway:
             self.fleet = Fleet(clock, self._transmit, self.tell, key, self.me)
             if self.session is not None:
                 self.fleet.record = self.session.put
-            self.fleet.troubles = self.watch.alerts.troubles
+            self.fleet.troubles, self.watch.aboard = self.watch.alerts.troubles, self.fleet.note
             if self.soundings is not None:
                 for heard in self.soundings.read():
                     self.fleet.depths.add(*heard[1:])
@@ -136,14 +136,19 @@ class Gateway:
         self._complaints: dict[str, str] = {}  # the last complaint about each link and file, to say it once
         self.heard_on: list[str] = [*self.radios]  # addresses and radios, for the page
         self._desk, self._surveys = Desk(self.fleet, missions, vehicle, self.charts), SurveyDesk(vehicle, self._heard)
+        self._aboard = AboardDesk(self.fleet, vehicle, self.tell)
         self._ticks = self._opened = 0
         self.app = web.Application(middlewares=[admission.admit], client_max_size=MESSAGE_BYTES)
+        self._route()
+
+    def _route(self) -> None:
         self.app.router.add_get("/", self._index)
         self.app.router.add_get("/ws", self._socket)
         self.app.router.add_get("/api/boats", self._boats)
         self.app.router.add_get("/foxglove.json", self._layout)
-        self.app.router.add_get("/watch.csv", self._table)
+        self.app.router.add_get("/watch.csv", self.watch.serve)
         self.app.router.add_post("/area", self._surveys.read)
+        self.app.router.add_get("/kept.toml", self._aboard.keep)
         PlanFiles().routes(self.app)
         if self.adoption is not None:
             self.app.router.add_get("/adoption.html", self.adoption.serve_report)
@@ -274,11 +279,6 @@ class Gateway:
         """A layout of Foxglove for the boats that are known now, as a file to import."""
         boats = [boat["name"] for boat in self.fleet.snapshot()]
         return web.json_response(foxglove.layout(boats), headers={"Content-Disposition": "attachment"})
-
-    async def _table(self, request: web.Request) -> web.Response:
-        """The log of the watch as a table."""
-        named = {"Content-Disposition": 'attachment; filename="watch.csv"'}
-        return web.Response(text=table(self.watch.log.lines), content_type="text/csv", headers=named)
 
     async def _socket(self, request: web.Request) -> web.WebSocketResponse:
         if len(self._pages) >= PAGES_MAX:
@@ -442,6 +442,8 @@ class Gateway:
             case page_messages.Depths():
                 self._forget_depths()
                 answer(True, "")
+            case page_messages.Aboard():
+                self._aboard.ask(asked, page.tell, answer)
             case page_messages.Adopt():
                 if self.adoption is None:
                     raise Refused("nothing is adopted in a replay")

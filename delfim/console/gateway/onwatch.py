@@ -4,9 +4,11 @@ from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any, Final
 
+from aiohttp import web
+
 from delfim.console.boats.boat import SILENT_S, Boat
 from delfim.console.gateway import page_messages
-from delfim.console.gateway.watchlog import WatchLine, WatchLog
+from delfim.console.gateway.watchlog import WatchLine, WatchLog, table
 from delfim.console.watch.alerts import CAUTION, WARNING, AlertList, StandingAlert, priority_of
 from delfim.console.watch.alertsfile import AlertsFile
 
@@ -14,6 +16,7 @@ GREETED: Final = 200  # lines for a page that opens
 LOST: Final = "link lost: nothing is heard from it"
 BACK: Final = "heard again"
 WEAK: Final = "link weak: a stop may come late"
+ABOARD: Final = "acknowledged", "command"  # lines that are in the boat's log, too: of its orders it keeps the console alone
 DEEDS: Final = ("upload", "save")  # to a mission, that the log has
 Answer = Callable[[bool, str], None]
 
@@ -31,6 +34,7 @@ class WatchKeeper:
     ) -> None:
         self.alerts, self.log = AlertList(utc_s, self._over), WatchLog()
         self._tell, self._utc_s, self._name = tell, utc_s, name
+        self.aboard: Callable[[int | None, str], None] = lambda boat, words: None  # the boats' own logs
         self.file = AlertsFile(sessions) if sessions is not None else None
         if self.file is not None and sessions is not None:
             self.log.resume(sessions)
@@ -55,6 +59,13 @@ class WatchKeeper:
         line = WatchLine(self._utc_s(), boat, "" if boat is None else self._name(boat), who, what, text)
         self.log.put(line)
         self._tell({"t": "log", "lines": [line._asdict()]})
+        if what in ABOARD:
+            self.aboard(boat, f"{who}: {what}: {text}")
+
+    async def serve(self, request: web.Request) -> web.Response:
+        """The log of the watch as a table."""
+        named = {"Content-Disposition": 'attachment; filename="watch.csv"'}
+        return web.Response(text=table(self.log.lines), content_type="text/csv", headers=named)
 
     def acknowledge(self, who: str, ids: Sequence[int]) -> None:
         for each in self.alerts.acknowledge(who, ids):
@@ -85,6 +96,8 @@ class WatchKeeper:
                 order = f"depths: {deed}"
             case page_messages.Adopt(do=deed):
                 order = f"adopt: {deed}"
+            case page_messages.Aboard(do="change", key=key, value=value):
+                order = f"change {key} = {value}"[:200]
             case page_messages.Forget():
                 order = "forget the boat"
             case _:

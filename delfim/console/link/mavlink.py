@@ -12,7 +12,7 @@ from typing import Any, Final
 from delfim.base.clock import Clock, SystemClock
 from delfim.base.errors import ConfigError, FormatError
 from delfim.base.input.keys import new_key, read_key
-from delfim.parts.mavlink.codec import ownorders, plans, wire
+from delfim.parts.mavlink.codec import ownorders, plans, questions, wire
 from delfim.parts.mavlink.codec.aisvessel import GUARD, GUARDED, NUMBERS, ORDERED, facts_of, kind_of, number_of, position_of
 from delfim.parts.mavlink.codec.ardupilot import WaterDepth
 from delfim.parts.mavlink.codec.ownorders import Offer, own_offers
@@ -58,6 +58,7 @@ __all__ = [  # what the console needs of the link's other end, beside what is be
     "ownorders",
     "plans",
     "position_of",
+    "questions",
 ]
 
 mavlink: Final = wire.dialect

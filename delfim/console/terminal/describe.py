@@ -45,6 +45,17 @@ def describe(kind: type[config.Vehicle] = config.Vehicle) -> str:
     return "\n".join(page) + "\n"
 
 
+def meaning(key: str) -> str:
+    """Of a key of the vehicle's file, in words; empty: this version does not know it."""
+    *names, last = key.split(".")
+    table: Any = config.Vehicle
+    for name in names:
+        table = tables.keys(table).get(name)
+        if not _is_table(table):
+            return ""
+    return _comments(table).get(last, "").replace("\\|", "|")
+
+
 def _described(table: Any) -> list[str]:
     """A table's sentence, and its keys."""
     lines = ["", _sentence(table), "", "| key | default | allowed | meaning |", "|---|---|---|---|"]

@@ -54,7 +54,7 @@ class Consoles:
         self.peers = Peers(self.system, self.settings, self.clock, send, signing, self.count)
         self.missions = Missions(boat, self.settings.autopilot == "ardurover")
         self.sequences = Sequences()
-        self.answered: dict[tuple[int, int, int], Message] = {}  # by console and its number: of orders in the boat's own words
+        self.answered: dict[tuple[int, int, int, int], Message] = {}  # by console, its number and kind of order or question
         self._obey = obey
         self._review = review or (lambda operator, command, answer: answer(obey(command, operator)))
         self._news = News(boat, self.peers, self.missions)

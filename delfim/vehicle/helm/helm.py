@@ -66,7 +66,7 @@ class Helm:
             from delfim.vehicle.plans.clearancefile import load  # other boats do without
 
             chart = load(settings)
-        self.settings, self.sails_by, self.state = filled(settings), settings.sails_by, state
+        self.filed, self.sails_by, self.state = filled(settings), settings.sails_by, state
         self._clock, self.propulsion, self._log, self.note = clock, propulsion, log, log.note
         self.limits, self.shapes = settings_of(settings), dict[str, Shape]()  # by who changes the steps of the mode now
         self.memory = begin(Mode.IDLE, state.motion, state.setpoint, self.limits)
@@ -74,7 +74,7 @@ class Helm:
         self.plans = Plans(settings.fence, self.limits, state, self.track, log, self.under_way, chart)
         self.homeward, self._goes_home = Homeward(self.track, self.plans.remains), ""  # why, as soon as the way is found
         self.rules, self.troubles = failsafe.Rules(settings, troubles), failsafe.NO_TROUBLE
-        self.changed = dict[str, float | str]()  # keys of the vehicle's file that consoles set
+        self.settings, self.changed = self.filed, dict[str, float | str]()  # keys of the vehicle's file that consoles set
         self.taken = False  # the failsafe changed the mode; a joystick held over does not change it back
         self.paused: Paused | None = None
         self.orders = dict[str, CarriesOut]()  # of parts, by name

@@ -31,6 +31,7 @@ import { Popup } from "./popup";
 import { Replay } from "./replay";
 import { Sound } from "./sound";
 import { Others, vesselLines } from "./others";
+import { Panes } from "./panes";
 import { NOBODY, State, ageWords } from "./state";
 import { Survey, surveyed } from "./survey";
 import { Strips } from "./strip";
@@ -52,6 +53,7 @@ const messages = new Messages(element("said"), state, sound);
 const net = new Net(heard, online);
 const alerts = new Alerts(element("bar"), state, net, sound);
 const watchLog = new WatchLog(document.body);
+const panes = new Panes(document.body, net);
 const drive = new Drive(net, state, () => strips.draw(false));
 const actions = new Actions(net, state, drive, (boat, severity, words) => messages.say(boat, severity, words), () => corner.draw());
 const popup = new Popup(document.body, element("corner"));
@@ -70,14 +72,14 @@ const wayHome = new WayHome(chart, state, net);
 popup.closed = () => wayHome.show(null);
 const depths = new Depths(element("depths"), chart, state, survey);
 const adopt = new Adopt(element("adopt"), chart, state, popup, net, messages);
-const menus = new Menus(popup, state, actions, chart, fleet, plans, planning, () => watchLog.open(), sound, watch, wayHome, () => keyCard.toggle(), adopt, depths);
+const menus = new Menus(popup, state, actions, chart, fleet, plans, planning, () => watchLog.open(), sound, watch, wayHome, () => keyCard.toggle(), adopt, depths, panes);
 const hints = new Hints(element("hint"), element("nobody"), state, actions.did, popup);
 const aim = new Aim(element("map"), chart, { seen: (place) => text(element("where"), whereWords(place, state)), chosen: press, added: (place) => !state.replaying && planning.add(place) });
 const strips = new Strips(element("strips"), state, drive, actions, (boat, at) => chosen(boat, at));
 const corner = new Corner(element("stop"), element("stop-all"), state, actions, () => popup.close(), nobody);
 const replay = new Replay(element("replay"), state, actions, (place) => chart.follow(place, 0));
 new Keys(state, actions, {
-  menuTakes: (key) => popup.takes(key) || (key === "Escape" && (keyCard.close() || watchLog.close() || alerts.close())) || aim.takes(key),
+  menuTakes: (key) => popup.takes(key) || panes.takes(key) || (key === "Escape" && (keyCard.close() || panes.close() || watchLog.close() || alerts.close())) || aim.takes(key),
   closeMenu: escape,
   openMenu,
   toggleCard: () => {
@@ -173,6 +175,8 @@ function heard(message: Heard): void {
       return state.tell("missions");
     case "depths":
       return depths.take(message);
+    case "aboard":
+      return panes.take(message);
     case "no_depths":
       return depths.forget();
     case "adoption":

@@ -10,6 +10,7 @@ import { KEYED } from "./keys";
 import * as M from "./mission";
 import { THEMES, setTheme, theme } from "./palette";
 import { HOLDS_THERE, NONE } from "./planning";
+import type { Panes } from "./panes";
 import type { Planning } from "./planning";
 import type { Handle, Plans } from "./plans";
 import type { Entry, Item, Popup } from "./popup";
@@ -43,6 +44,7 @@ export class Menus {
     private readonly card: () => void,
     private readonly adopt: Adopt,
     private readonly depths: Depths,
+    private readonly panes: Panes,
   ) {}
 
   boat(boat: Boat, at: Pixel): void {
@@ -162,6 +164,8 @@ export class Menus {
       boat.armed ? command("Disarm", "stop") : command("Arm", "arm", !boat.ready && (boat.reason || "not ready")),
       ...(boat.orders ?? []).filter(({ title, name }) => title || name).map((order) => this.offered(boat, at, order)),
       ...this.adopt.items(boat, at),
+      { title: "Before the start…", do: () => this.panes.open(boat, "checks") },
+      { title: "Settings…", do: () => this.panes.open(boat, "settings") },
       command("Take control", "take", boat.owner && "this console is in control"),
       { title: "Forget it", note: "off all pages, until it is heard again", refuse: freshness(age_s(this.state, boat)) !== "lost" && "it is heard", do: () => void this.actions.forget(boat.id) },
       "line",

@@ -262,6 +262,18 @@ export interface TrialStep {
   far_m: number;
 }
 
+/** A line of what a boat tells of itself: a key of its file, or a check before the start, which is `refused` or not. */
+export interface AboardRow {
+  key: string;
+  value: number | string | boolean | null;
+  file: number | string | boolean | null;
+  unit: string;
+  allowed: string;
+  meaning: string;
+  words: string;
+  refused: string;
+}
+
 export type Heard =
   | { t: "hello"; version: string; me: number; page: number; heard_on?: string[]; adopts?: number | null; charts?: string; backgrounds: Background[]; boats: Boat[]; replay: TimeLine | null }
   | { t: "boats"; at_s: number; boats: Boat[] }
@@ -282,6 +294,7 @@ export type Heard =
   | { t: "survey"; boat: number; lines: Line[]; across: number; way: Ring; heading_deg: number; spacing_m: number; line_m: number; way_m: number; time_s: number; covered: [number, number]; room_m: number; mission: Mission; done: Line[]; counts: string; known: Line[]; known_across: number; shares: (Share | null)[]; energy_wh: number | null }
   | { t: "adoption"; boat: number | null; is_running: boolean; circle: (Place & { radius_m: number }) | null; steps: TrialStep[]; part: number; lines: string[]; question: string; end: string; file: string; is_written: boolean; report: boolean }
   | { t: "depths"; tile: [row: number, column: number]; extent: [number, number, number, number]; whole?: string; cells?: [cell: number, depth_cm: number][] }
+  | { t: "aboard"; boat: number; of: "settings" | "checks" | "change"; rows: AboardRow[] }
   | { t: "no_depths" }
   | { t: "progress"; boat: number; what: string; part: number }
   | { t: "crossed"; boat: number; place: [number, number] | null } // where the chart forbids a plan first
@@ -304,6 +317,7 @@ export type Said =
   | { t: "survey"; boat: number; areas: Area[]; heading_deg: number | null; start: string; side: string; inside: boolean; fence: Ring; obstacles: Obstacle[]; closed: Ring[]; name: string; lines?: Line[]; across?: number; sailed?: boolean; at?: Ring[0] | null; others?: (Ring[0] | null)[]; [key: `${string}_m` | `${string}_mps` | `${string}_pct`]: number }
   | { t: "depths"; do: "forget" }
   | { t: "adopt"; boat: number; do: "begin" | "afresh" | "berth" | "yes" | "no" | "end" | "close"; radius_m?: number }
+  | { t: "aboard"; boat: number; do: "settings" | "checks" | "change"; key?: string; value?: AboardRow["value"] }
   | { t: "forget"; boat: number }
   | { t: "home"; boat: number }
   | { t: "afford"; boat: number }

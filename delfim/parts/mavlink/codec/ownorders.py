@@ -77,6 +77,11 @@ def _extension(to: tuple[int, int], kind: int, data: bytes) -> Message:
     return dialect.MAVLink_v2_extension_message(0, *to, kind, list(data.ljust(_SIZE, b"\0")))
 
 
+def extension(to: tuple[int, int], kind: int, number: int, line: bytes) -> Message:
+    """A number and a line, of another kind."""
+    return _extension(to, kind, _number.pack(number) + line)
+
+
 def numbered(message: Any) -> tuple[int, bytes]:
     """The number and the words of an order or an answer."""
     data = bytes(message.payload)

@@ -7,7 +7,7 @@ from typing import Final, NamedTuple
 
 from delfim.base.errors import FormatError, Refused
 from delfim.parts.mavlink import telemetry
-from delfim.parts.mavlink.codec import ownorders, params
+from delfim.parts.mavlink.codec import ownorders, params, questions
 from delfim.parts.mavlink.codec.plans import ALL
 from delfim.parts.mavlink.codec.wire import GUEST, Message, Speaker, dialect
 from delfim.parts.mavlink.consoles import Consoles
@@ -16,6 +16,7 @@ from delfim.parts.mavlink.peers import Peer
 from delfim.parts.mavlink.received import commands, manual, othervessels
 from delfim.parts.mavlink.received.commands import ACCEPTED, DENIED, LATER, UNSUPPORTED
 from delfim.parts.mavlink.received.guided import guided
+from delfim.parts.mavlink.received.questions import answer as questions_answer
 from delfim.parts.mavlink.received.requests import ANSWERS
 from delfim.parts.mavlink.telemetry import NEVER_S
 from delfim.vehicle import console
@@ -71,19 +72,14 @@ def _ordered(consoles: Consoles, peer: Peer, source: Speaker, order: commands.Or
 
 
 def _own_order(consoles: Consoles, peer: Peer, source: Speaker, message: Message) -> None:
-    """V2_EXTENSION: an order in the boat's own words, always answered."""
-    if message.message_type != ownorders.ORDER or message.target_system != consoles.system:
+    """V2_EXTENSION: an order in the boat's own words, or a question, always answered."""
+    kind, answers = message.message_type, {ownorders.ORDER: _order_answer, questions.ASK: questions_answer}
+    if kind not in answers or message.target_system != consoles.system:
         return
-    number, line = ownorders.numbered(message)
-    try:
-        reason = consoles.ask(source, console.parse_order(line))
-    except FormatError as error:
-        reason = str(error)
-    if reason:
-        consoles.peers.say(dialect.MAV_SEVERITY_WARNING, reason)
+    answer = answers[kind](consoles, source, message)
     while len(consoles.answered) >= ANSWERS_KEPT:
         del consoles.answered[next(iter(consoles.answered))]
-    consoles.answered[*source.party, number] = answer = ownorders.answer(source.party, number, reason or "")
+    consoles.answered[*source.party, ownorders.numbered(message)[0], kind] = answer
     consoles.peers.tell(peer, [answer])
 
 
@@ -93,13 +89,24 @@ def answer_late(consoles: Consoles, peer: Peer, source: Speaker, message: Messag
     if message.get_msgId() == dialect.MAVLINK_MSG_ID_TIMESYNC:
         _timesync(consoles, peer, source, message)
         return True
-    if message.get_msgId() != ownorders.EXTENSION or message.message_type != ownorders.ORDER:
+    if message.get_msgId() != ownorders.EXTENSION or message.message_type not in (ownorders.ORDER, questions.ASK):
         return False
-    answer = consoles.answered.get((*source.party, ownorders.numbered(message)[0]))
+    answer = consoles.answered.get((*source.party, ownorders.numbered(message)[0], message.message_type))
     if answer is None or message.target_system != consoles.system:
         return False
     consoles.peers.tell(peer, [answer])
     return True
+
+
+def _order_answer(consoles: Consoles, source: Speaker, message: Message) -> Message:
+    number, line = ownorders.numbered(message)
+    try:
+        reason = consoles.ask(source, console.parse_order(line))
+    except FormatError as error:
+        reason = str(error)
+    if reason:
+        consoles.peers.say(dialect.MAV_SEVERITY_WARNING, reason)
+    return ownorders.answer(source.party, number, reason or "")
 
 
 def _set_mode(consoles: Consoles, peer: Peer, source: Speaker, message: Message) -> None:
