@@ -8,7 +8,8 @@ from hypothesis import strategies as st
 
 from delfim import config
 from delfim.base.errors import FormatError, Refused
-from delfim.console.boats.questions import NO_ANSWER, WAITING_MAX, Question, Questions, ToldRow
+from delfim.console.boats.questions import NO_ANSWER, WAITING_MAX, Questions
+from delfim.console.link.mavlink import BoatQuestion, ToldRow
 from delfim.console.terminal.describe import meaning
 from delfim.parts.mavlink.codec import ownorders, questions
 from delfim.vehicle import console
@@ -27,7 +28,7 @@ def listed(sea: Afloat, of: str) -> list[ToldRow]:
     return rows
 
 
-def asked(sea: Afloat, question: Question) -> ToldRow:
+def asked(sea: Afloat, question: BoatQuestion) -> ToldRow:
     told: list[ToldRow] = []
     sea.fleet.questions.ask(1, question, told.append)
     sea.run(30.0, until=lambda: told)
@@ -44,16 +45,19 @@ def test_a_key_is_changed_refused_with_the_reason_and_reverted(boat: Any, loss: 
     assert list(rows) == list(questions.changeable(config.Vehicle))
     cruise = rows["control.speed.cruise_mps"]
     assert (cruise.value, cruise.file, cruise.allowed) == (cruise.file, helm.filed.control.speed.cruise_mps, "0.05 to 30.0")
-    changed = asked(sea, Question("change", key="control.speed.cruise_mps", value=0.7))
+    changed = asked(sea, BoatQuestion("change", key="control.speed.cruise_mps", value=0.7))
     assert (changed.value, changed.file, changed.refused) == (0.7, cruise.file, "")
-    refused = asked(sea, Question("change", key="control.speed.cruise_mps", value=99.0))
+    refused = asked(sea, BoatQuestion("change", key="control.speed.cruise_mps", value=99.0))
     assert (refused.value, "0.05 to 30.0" in refused.refused) == (0.7, True)
-    word = asked(sea, Question("change", key="failsafe.console_silent.action", value="dance"))
+    word = asked(sea, BoatQuestion("change", key="failsafe.console_silent.action", value="dance"))
     assert "hold" in word.refused
-    assert asked(sea, Question("change", key="boat.name", value="Alfa")).refused == "this cannot be changed while the boat runs"
-    asked(sea, Question("change", key="log.required", value=False))
+    assert (
+        asked(sea, BoatQuestion("change", key="boat.name", value="Alfa")).refused
+        == "this cannot be changed while the boat runs"
+    )
+    asked(sea, BoatQuestion("change", key="log.required", value=False))
     assert helm.settings.log.required is False
-    asked(sea, Question("change", key="control.speed.cruise_mps", value=cruise.file))
+    asked(sea, BoatQuestion("change", key="control.speed.cruise_mps", value=cruise.file))
     assert [row.key for row in listed(sea, "settings") if row.value != row.file] == ["log.required"]
     sets = [each for each in sea.obeyed if isinstance(each, console.Set)]
     assert [each.value for each in sets] == [0.7, "no", cruise.file], "each once, however often it was sent"
@@ -84,7 +88,7 @@ def test_an_order_goes_before_questions_and_a_boat_that_says_nothing_is_told_of(
     busy = [True]
     waiting = Questions(lambda number, message: sent.append(message), lambda number: busy[0])
     told: list[ToldRow] = []
-    waiting.ask(1, Question("checks"), told.append)
+    waiting.ask(1, BoatQuestion("checks"), told.append)
     waiting.tick(0.0)
     assert not sent
     busy[0] = False
@@ -93,9 +97,9 @@ def test_an_order_goes_before_questions_and_a_boat_that_says_nothing_is_told_of(
     waiting.tick(21.1)
     assert told == [ToldRow(refused=NO_ANSWER)]
     for _ in range(WAITING_MAX):
-        waiting.ask(1, Question("checks"), told.append)
+        waiting.ask(1, BoatQuestion("checks"), told.append)
     with pytest.raises(Refused):
-        waiting.ask(1, Question("checks"), told.append)
+        waiting.ask(1, BoatQuestion("checks"), told.append)
     waiting.forget(1)
     assert len(told) == 1 + WAITING_MAX
 

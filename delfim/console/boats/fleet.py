@@ -20,10 +20,21 @@ from delfim.console.boats.drivers import INPUT_S, Drivers
 from delfim.console.boats.item_transfer import REFUSED
 from delfim.console.boats.plan_transfer import SAID, Exchange, planned
 from delfim.console.boats.profiles import Profiles
-from delfim.console.boats.questions import Question, Questions
+from delfim.console.boats.questions import Questions
 from delfim.console.boats.requests import HALTS, LIFE_S, NO_ANSWER, Answer, Requests, entered
 from delfim.console.boats.routes import Address, Ways, address_kind, in_words
-from delfim.console.link.mavlink import BOAT_NAME, BOAT_RUN, SYSTEM, TROUBLES, Codec, Key, mavlink, ownorders, questions
+from delfim.console.link.mavlink import (
+    BOAT_NAME,
+    BOAT_RUN,
+    SYSTEM,
+    TROUBLES,
+    BoatQuestion,
+    Codec,
+    Key,
+    mavlink,
+    ownorders,
+    questions,
+)
 from delfim.console.watch.alerts import is_trouble
 
 HEARTBEAT_S: Final = 1.0
@@ -302,7 +313,7 @@ class Fleet:
         """Has a boat, or all of them (None), put these words into its log."""
         for each in self.boats if number is None else self.boats.keys() & {number}:
             with suppress(Refused):
-                self.questions.ask(each, Question("note", text=text[:NOTE_MAX]), lambda row: None)
+                self.questions.ask(each, BoatQuestion("note", text=text[:NOTE_MAX]), lambda row: None)
 
     def command(self, number: int, word: str, words: dict[str, Any], answer: Answer, page: int = 0) -> None:
         """Sends a command of this page. Raises Refused if it cannot be sent; otherwise calls `answer` once, with the boat's

@@ -10,20 +10,18 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 from delfim.base.errors import FormatError, Refused
-from delfim.console.link.mavlink import mavlink, questions
-from delfim.parts.mavlink.codec.questions import Question, ToldRow
+from delfim.console.link.mavlink import BoatQuestion, ToldRow, mavlink, questions
 
 REPEAT_S: Final = 1.0
 LIFE_S: Final = 20.0  # with 3 of 10 frames lost each way, 4 of 100,000 lists are given up
 WAITING_MAX: Final = 50  # for one boat
 NO_ANSWER: Final = "the boat does not answer: it is out of reach, or of another version"
-__all__ = ["Question", "Questions", "ToldRow"]
 Answered = Callable[[ToldRow], None]
 
 
 @dataclass(slots=True)
-class BoatQuestion:
-    question: Question
+class AskedQuestion:
+    question: BoatQuestion
     answer: Answered
     number: int = 0
     begun_s: float | None = None
@@ -35,15 +33,15 @@ class Questions:
 
     def __init__(self, send: Callable[[int, Any], None], is_busy: Callable[[int], bool]) -> None:
         self._send, self._is_busy = send, is_busy
-        self._waiting = dict[int, deque[BoatQuestion]]()
+        self._waiting = dict[int, deque[AskedQuestion]]()
         self._number = secrets.randbits(32)
 
-    def ask(self, boat: int, question: Question, answer: Answered) -> None:
+    def ask(self, boat: int, question: BoatQuestion, answer: Answered) -> None:
         """`answer` is called once. Raises Refused."""
         waiting = self._waiting.setdefault(boat, deque())
         if len(waiting) >= WAITING_MAX:
             raise Refused("many questions to the boat wait already")
-        waiting.append(BoatQuestion(question, answer))
+        waiting.append(AskedQuestion(question, answer))
 
     def read(self, boat: int, of: Any, ended: Callable[[list[ToldRow], str], None]) -> None:
         """A whole list, row by row; `ended` gets the rows, or why there are none. Raises Refused."""
@@ -55,9 +53,9 @@ class Questions:
             if not row.count or not row.key or len(rows) >= row.count:
                 ended(rows, "" if row.count or row.key else row.refused)
             else:
-                self._waiting.setdefault(boat, deque()).appendleft(BoatQuestion(Question(of, at=len(rows)), told))
+                self._waiting.setdefault(boat, deque()).appendleft(AskedQuestion(BoatQuestion(of, at=len(rows)), told))
 
-        self.ask(boat, Question(of), told)
+        self.ask(boat, BoatQuestion(of), told)
 
     def hear(self, boat: int, message: Any) -> None:
         """An answer. Raises FormatError."""
@@ -86,7 +84,7 @@ class Questions:
                 first.due_s = now_s + REPEAT_S
                 self._put(boat, first)
 
-    def _put(self, boat: int, each: BoatQuestion) -> None:
+    def _put(self, boat: int, each: AskedQuestion) -> None:
         try:
             message = questions.ask((boat, mavlink.MAV_COMP_ID_AUTOPILOT1), each.number, each.question)
         except FormatError as error:

@@ -14,10 +14,9 @@ from delfim import config
 from delfim.base import tables
 from delfim.base.errors import DelfimError, Refused, in_words
 from delfim.console.boats.fleet import Fleet
-from delfim.console.boats.questions import Question, ToldRow
 from delfim.console.gateway import page_messages
+from delfim.console.link.mavlink import PARAMS, BoatQuestion, ToldRow
 from delfim.console.terminal.describe import meaning
-from delfim.parts.mavlink.codec.params import PARAMS
 from delfim.services.vehiclefile import changed
 
 UNITS: Final = {"per_mps": "per m/s", "dps": "°/s", "dps2": "°/s2", "s": "s", "m": "m", "n": "N", "mps": "m/s", "mps2": "m/s2"}
@@ -33,7 +32,7 @@ class AboardDesk:
         self._fleet, self._vehicle, self._tell = fleet, vehicle, tell
         self._settings = dict[int, dict[str, ToldRow]]()  # by boat and key, as they were told last
 
-    def ask(self, asked: page_messages.Aboard, tell: Tell, answer: Answer) -> None:
+    def ask(self, asked: page_messages.Itself, tell: Tell, answer: Answer) -> None:
         """Raises Refused."""
         if not isinstance(self._fleet, Fleet):
             raise Refused("a recording tells nothing of this")
@@ -54,7 +53,7 @@ class AboardDesk:
             answer(not row.refused, row.refused)
 
         if of == "change":
-            self._fleet.questions.ask(number, Question("change", key=asked.key, value=asked.value), done)
+            self._fleet.questions.ask(number, BoatQuestion("change", key=asked.key, value=asked.value), done)
         else:
             self._fleet.questions.read(number, of, read)
 

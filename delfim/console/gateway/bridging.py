@@ -35,7 +35,7 @@ def needed(asked: page_messages.Message) -> Role:
             return Role.WATCH
         case page_messages.Mission(do=deed) if deed in LOOKING:
             return Role.WATCH
-        case page_messages.Aboard(do=deed) if deed != "change":
+        case page_messages.Itself(do=deed) if deed != "change":
             return Role.WATCH
         case page_messages.Adopt() | page_messages.Depths():
             return Role.MAINTAIN

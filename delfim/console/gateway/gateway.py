@@ -442,7 +442,7 @@ class Gateway:
             case page_messages.Depths():
                 self._forget_depths()
                 answer(True, "")
-            case page_messages.Aboard():
+            case page_messages.Itself():
                 self._aboard.ask(asked, page.tell, answer)
             case page_messages.Adopt():
                 if self.adoption is None:

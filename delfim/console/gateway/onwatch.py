@@ -96,7 +96,7 @@ class WatchKeeper:
                 order = f"depths: {deed}"
             case page_messages.Adopt(do=deed):
                 order = f"adopt: {deed}"
-            case page_messages.Aboard(do="change", key=key, value=value):
+            case page_messages.Itself(do="change", key=key, value=value):
                 order = f"change {key} = {value}"[:200]
             case page_messages.Forget():
                 order = "forget the boat"

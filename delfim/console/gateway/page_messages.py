@@ -198,7 +198,7 @@ class Adopt(Said, frozen=True):
     radius_m: Annotated[float, msgspec.Meta(ge=15.0, le=160.0)] = 60.0  # of its circle
 
 
-class Aboard(Said, frozen=True):
+class Itself(Said, frozen=True):
     """What a boat tells of itself: the keys of its file that may change under way, or the checks before the start; `aboard`
     tells them. `change` gives a key another value for this voyage."""
 
@@ -225,6 +225,6 @@ Message = (
     | Survey
     | Depths
     | Adopt
-    | Aboard
+    | Itself
 )
 NO_NUMBERS = frozenset({"t", "seq", "boat", "command"})

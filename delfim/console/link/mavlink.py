@@ -21,6 +21,7 @@ from delfim.parts.mavlink.codec.params import (
     BOAT_RUN,
     ENERGY,
     LINE,
+    PARAMS,
     SAILS_BY,
     SENSED,
     SENSED_VALUES,
@@ -28,6 +29,7 @@ from delfim.parts.mavlink.codec.params import (
     TROUBLES,
 )
 from delfim.parts.mavlink.codec.plans import FENCE, ITEMS, MISSION, RALLY, Item
+from delfim.parts.mavlink.codec.questions import BoatQuestion, ToldRow
 from delfim.parts.mavlink.codec.signing import FrameVerdict, Signing, read_stamps, write_stamps
 
 __all__ = [  # what the console needs of the link's other end, beside what is below
@@ -42,14 +44,17 @@ __all__ = [  # what the console needs of the link's other end, beside what is be
     "MISSION",
     "NUMBERS",
     "ORDERED",
+    "PARAMS",
     "RALLY",
     "SAILS_BY",
     "SENSED",
     "SENSED_VALUES",
     "STATIONS",
     "TROUBLES",
+    "BoatQuestion",
     "Item",
     "Offer",
+    "ToldRow",
     "WaterDepth",
     "facts_of",
     "kind_of",

@@ -67,7 +67,7 @@ export class Panes {
     const [boat, kind] = [this.boat!.id, this.kind];
     text(this.said, "The boat is asked, a line at a time…");
     this.draw();
-    void this.net.ask({ t: "aboard", boat, do: kind }).then(({ ok, reason }) => {
+    void this.net.ask({ t: "itself", boat, do: kind }).then(({ ok, reason }) => {
       if (boat !== this.boat?.id || kind !== this.kind) return;
       if (!ok) text(this.said, reason);
       else this.draw();
@@ -107,7 +107,7 @@ export class Panes {
     const number = Number(said.replace(",", "."));
     const value = typeof like === "boolean" ? (said === "true" || said === "yes" ? true : said === "false" || said === "no" ? false : said) : typeof like === "number" && said && Number.isFinite(number) ? number : said;
     text(why, "…");
-    const { ok, reason } = await this.net.ask({ t: "aboard", boat: this.boat!.id, do: "change", key, value });
+    const { ok, reason } = await this.net.ask({ t: "itself", boat: this.boat!.id, do: "change", key, value });
     const shown = [...this.table.querySelectorAll("tr")].find((each) => each.dataset["key"] === key)?.querySelector("small.bad");
     text(shown ?? why, ok ? "" : reason);
   }

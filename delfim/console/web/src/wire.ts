@@ -317,7 +317,7 @@ export type Said =
   | { t: "survey"; boat: number; areas: Area[]; heading_deg: number | null; start: string; side: string; inside: boolean; fence: Ring; obstacles: Obstacle[]; closed: Ring[]; name: string; lines?: Line[]; across?: number; sailed?: boolean; at?: Ring[0] | null; others?: (Ring[0] | null)[]; [key: `${string}_m` | `${string}_mps` | `${string}_pct`]: number }
   | { t: "depths"; do: "forget" }
   | { t: "adopt"; boat: number; do: "begin" | "afresh" | "berth" | "yes" | "no" | "end" | "close"; radius_m?: number }
-  | { t: "aboard"; boat: number; do: "settings" | "checks" | "change"; key?: string; value?: AboardRow["value"] }
+  | { t: "itself"; boat: number; do: "settings" | "checks" | "change"; key?: string; value?: AboardRow["value"] }
   | { t: "forget"; boat: number }
   | { t: "home"; boat: number }
   | { t: "afford"; boat: number }

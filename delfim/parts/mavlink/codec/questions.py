@@ -26,7 +26,7 @@ Short = Annotated[str, msgspec.Meta(max_length=100)]
 Value = None | bool | float | Annotated[str, msgspec.Meta(max_length=64)]
 
 
-class Question(msgspec.Struct, frozen=True, omit_defaults=True):
+class BoatQuestion(msgspec.Struct, frozen=True, omit_defaults=True):
     """`settings`, `checks`: the row at that place of the list. `change`: a key gets this value for the voyage; the answer is
     its row. `note`: words for the boat's log."""
 
@@ -86,7 +86,7 @@ def value_of(settings: config.Vehicle, key: str) -> Any:
     return found
 
 
-def ask(to: tuple[int, int], number: int, question: Question) -> Message:
+def ask(to: tuple[int, int], number: int, question: BoatQuestion) -> Message:
     return ownorders.extension(to, ASK, number, msgspec.json.encode(question))
 
 
