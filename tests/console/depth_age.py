@@ -21,7 +21,7 @@ from tests.console.test_first_voyage import DESK, Gateway
 from tests.services.browser import tab
 
 CYCLES = 250  # of the boat's navigation, five a second
-HEARD = "document.getElementById('strips').innerText.includes('hdg ')"
+HEARD = "document.getElementById('strips').textContent.includes('hdg ')"
 WATCH = """(() => {
   window.grown = [];
   let was = delfim.depths()[0];

@@ -114,7 +114,12 @@ class Day:
                 to = place(*b)
                 self._put(delfimx, at, heading + weave, SPEED_MPS, 930 + 60 * math.sin(self.along_m / 5))
                 delfimx["reference"] = reference(
-                    latitude_deg=to[0], longitude_deg=to[1], leg=leg + 1, distance_m=length_m - left_m
+                    latitude_deg=to[0],
+                    longitude_deg=to[1],
+                    leg=leg + 1,
+                    distance_m=length_m - left_m,
+                    speed_mps=1.7,
+                    heading_deg=(heading + 12) % 360,
                 )
                 delfimx["mission"]["current"] = leg + 1
                 break

@@ -277,5 +277,5 @@ class Standin:
 
 def reference(**known: float) -> Message:
     """The set point of the control, unknown but for what is given."""
-    keys = ("heading_deg", "latitude_deg", "longitude_deg", "cross_track_m", "distance_m", "leg")
+    keys = ("speed_mps", "heading_deg", "latitude_deg", "longitude_deg", "cross_track_m", "distance_m", "leg")
     return {key: known.get(key) for key in keys}

@@ -3,13 +3,14 @@
 axe-core comes with the page's tools (`make page`); it is not part of the page.
 """
 
+import math
 from pathlib import Path
 from typing import Final
 
 import pytest
 
 from tests.console.scenes import Day, alert, at_work, choose, opened, shipping_lane, show
-from tests.console.standin import Standin
+from tests.console.standin import Standin, reference
 from tests.kit.page import shown
 from tests.services.browser import Page, tab
 
@@ -72,3 +73,51 @@ async def test_axe_finds_nothing_on_any_screen_in_any_theme(size: tuple[int, int
         found += await findings(page, gateway, "log")
         assert found == []
         await page.nothing_amiss()
+
+
+MEASURED: Final = ".selected :is(.figure, .thruster, .orders button), #bar > *"
+LAYOUT: Final = f"""[...document.querySelectorAll('{MEASURED}')].flatMap((each) => {{
+  const {{ x, y, width, height }} = each.getBoundingClientRect();
+  return width ? [[each.className || each.id, x, y, width, height]] : [];
+}})"""
+
+
+@pytest.mark.parametrize("size", [DESK, PHONE], ids=["desk", "phone"])
+async def test_no_value_moves_anything(size: tuple[int, int]) -> None:
+    """The least and the longest words of each figure."""
+    gateway = at_work()
+    async with gateway.serving(), tab() as page:
+        await opened(page, gateway, width=size[0], height=size[1])
+        await page.press("Tab")
+        await page.until("document.fonts.status === 'loaded' && document.fonts.check('28px B612')")
+        told = gateway.boat(2)
+        seen = []
+        for speed, heading, battery, rpm, left, asked in (
+            (0.0, 0.0, 0, 0.0, 0.0, None),
+            (1.1, 111.0, 11, 111.0, 11.0, 1.1),
+            (12.8, 359.6, 100, -3888.0, 98_765.0, 14.4),
+            (None, None, None, None, None, None),
+        ):
+            told.update(speed_mps=speed, heading_deg=heading, battery_pct=battery, rpm=[rpm, rpm], mode="play")
+            told.update(thrust_pct=[None if rpm is None else math.copysign(100.0, rpm)] * 2)
+            told["reference"] = reference(distance_m=left, speed_mps=asked, heading_deg=asked and 359.0)
+            words = "–" if speed is None else f"{speed:.1f}"
+            await shown(page, gateway, f"document.querySelector('.selected .figure b').textContent === '{words}'")
+            seen.append(await page.value(LAYOUT))
+        moved = [(was, its) for each in seen[1:] for was, its in zip(seen[0], each, strict=True) if was != its]
+        assert moved == []
+        inside = "(e => e.scrollWidth <= e.clientWidth + 1)"
+        assert await page.value(f"[...document.querySelectorAll('.selected .figure p')].every({inside})")
+
+
+async def test_words_have_three_sizes_of_one_face() -> None:
+    gateway = at_work()
+    async with gateway.serving(), tab() as page:
+        await opened(page, gateway)
+        await page.press("Tab")
+        await page.press("Enter")
+        faces = await page.value(
+            "[...new Set([...document.querySelectorAll('body *')].filter((e) => e.getClientRects().length && e.textContent)"
+            ".map((e) => getComputedStyle(e)).map((s) => `${s.fontFamily.split(',')[0]} ${s.fontSize}`))].sort()"
+        )
+        assert faces == ["B612 12px", "B612 14px", "B612 28px"]

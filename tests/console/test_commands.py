@@ -240,6 +240,22 @@ async def button_pressed(page: Page) -> None:
     await page.mouse((x, y))
 
 
+def row_of_orders(title: str, after: str = "") -> Callable[[Sea, Page, Boat], Awaitable[object]]:
+    """The buttons at the selected boat."""
+
+    async def way(sea: Sea, page: Page, boat: Boat) -> None:
+        its = f"[...document.querySelectorAll('.selected .orders button')].find((each) => each.textContent === {title!r})"
+        if after:
+            await keys(*(("h", "b") if after == "b" else after))(sea, page, boat)
+            await page.until(ENTERED)
+        await page.until(f"{its}.getAttribute('aria-disabled') !== 'true'", PATIENCE_S)
+        await page.mouse(
+            tuple(await page.value(f"(r => [r.x + r.width / 2, r.y + r.height / 2])({its}.getBoundingClientRect())"))
+        )
+
+    return way
+
+
 async def held_first(sea: Sea, page: Page, boat: Boat) -> None:
     """Another plan is drawn while one is sailed, and played from its second waypoint on."""
     await page.press("y")
@@ -367,6 +383,10 @@ ROWS: dict[str, Row] = {
     # What another plan than the one aboard needs first.
     'planning.send: mission(boat.id, "upload"': Row(sent_first, {"command": "play", "leg": 0}),
     "planning.sail: Send changes: send(boat": Row(changed(asked_to_play), told={"command": "upload"}),
+    'orders.constructor: command(this.boat.id, "pause"': Row(row_of_orders("Pause", after="h"), PAUSE),
+    'orders.constructor: command(this.boat.id, "continue"': Row(row_of_orders("Continue", after="b"), CONTINUE),
+    'orders.constructor: enterMode(this.boat, "home"': Row(row_of_orders("Home"), GO_HOME),
+    'orders.constructor: enterMode(this.boat, "play"': Row(row_of_orders("Play"), {"command": "play", "leg": 0}),
     'strip.constructor: mission(this.boat.id, "upload"': Row(changed(button_pressed), told={"command": "upload"}),
     "planning.replace: send(boat": Row(sent_first, told={"command": "upload"}),
     'planning.replace: command(boat.id, "mode"': Row(held_first, {"command": "mode", "mode": "hold"}),

@@ -110,6 +110,8 @@ async def test_three_boats_are_all_in_sight_and_no_words_run_over_their_boxes(si
             assert await page.value(f"{chip}.getBoundingClientRect().bottom") <= edge
             for part in ("b", ".mode", ".age", ".bars"):
                 assert await page.value(f"{chip}.querySelector('{part}').getClientRects().length") == 1, part
+        await page.value("document.querySelector('.selected .fold').click()")
+        await page.until("document.querySelector('.selected .fold').textContent === 'Less'")
         for part in (".ages", ".link"):
             assert await page.value(f"document.querySelector('.selected {part}').getClientRects().length") == 1, part
 
@@ -202,7 +204,7 @@ async def test_all_of_the_card_of_keys_can_be_scrolled_to(size: tuple[int, int])
 async def test_f6_reaches_the_buttons_that_have_no_key() -> None:
     async with look(Standin(two()), DESK) as (page, _gateway):
         await page.until("!document.getElementById('hint').hidden")
-        for _ in range(9):
+        for _ in range(20):
             await page.press("F6")
             if await page.value("document.activeElement.ariaLabel") == "No more hints":
                 break

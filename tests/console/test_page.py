@@ -552,7 +552,7 @@ async def test_on_a_phone_every_boat_is_in_sight_and_nothing_is_cut_off() -> Non
         await opened(page, gateway, width=390, height=780)
         await page.press("Tab")
         await shown(page, gateway, f"{text_of(2, 'b')} === document.querySelector('.selected b').textContent")
-        all_boxes = "[...document.querySelectorAll('.chip, .chip b')].map(each => each.getBoundingClientRect())"
+        all_boxes = "[...document.querySelectorAll('.chip, .chip .head b')].map(each => each.getBoundingClientRect())"
         boxes = await page.value(f"{all_boxes}.map(({{ left, right, bottom }}) => [left, right, bottom])")
         assert len(boxes) == 20
         assert all(left >= 0 and right <= 390 and bottom <= 780 * 0.38 for left, right, bottom in boxes)

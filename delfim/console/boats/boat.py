@@ -279,7 +279,17 @@ _PLAIN: Final = (
 
 
 _FIXES: Final = {1: "no fix", 2: "2D", 3: "3D", 4: "differential", 5: "RTK float", 6: "RTK"}  # GPS_FIX_TYPE
-_REFERENCE: Final = ("heading_deg", "course_deg", "latitude_deg", "longitude_deg", "cross_track_m", "distance_m", "leg", "line")
+_REFERENCE: Final = (
+    "speed_mps",
+    "heading_deg",
+    "course_deg",
+    "latitude_deg",
+    "longitude_deg",
+    "cross_track_m",
+    "distance_m",
+    "leg",
+    "line",
+)
 _NOWHERE: Final = dict.fromkeys(_REFERENCE[:-2])  # leg and line are kept
 _GROUPS: Final = {"HIGH_LATENCY2": ("HIGH_LATENCY2", "GLOBAL_POSITION_INT", "SYS_STATUS")}  # one message has all of them
 
@@ -344,7 +354,9 @@ def _navigation(boat: Boat, m: Any) -> None:
     if not boat.target_is_new:
         boat.reference |= _NOWHERE
     boat.target_is_new = False
+    now_mps = boat.values.get("speed_mps")
     boat.reference |= {
+        "speed_mps": round(max(now_mps + m.aspd_error, 0.0), 2) if now_mps is not None and m.aspd_error else None,
         "heading_deg": m.nav_bearing % 360,
         "course_deg": m.target_bearing % 360 if boat.mode == Mode.COURSE.name.lower() else None,
     }

@@ -17,6 +17,7 @@ export class Bridge {
     private readonly net: Net,
     private readonly popup: Popup,
     private readonly say: (severity: number, words: string) => void,
+    private readonly told: (name: string) => void, // whose page this is
   ) {
     this.button.id = "bridge";
     this.button.tabIndex = -1;
@@ -37,6 +38,7 @@ export class Bridge {
   }
 
   private draw(word: Word): void {
+    this.told(named(word, word.you));
     const offered = word.offered === word.you;
     const words = offered ? `${named(word, word.holder)} offers you the command` : mine(word) ? "You command" : word.holder ? `${named(word, word.holder)} commands` : "Nobody commands";
     this.button.hidden = false;

@@ -11,7 +11,7 @@ const CONFIRM_MS = 3000; // a boat that is not in manual so long after the reque
 
 export type Thrusters = "both" | "port" | "starboard";
 
-interface Hand {
+export interface Hand {
   port_pct: number;
   starboard_pct: number;
   n: number;

@@ -20,6 +20,7 @@ export class State {
   online = false;
   hello: Hello | null = null;
   backgrounds: Background[] = [];
+  operator = ""; // whose page this is, where operators have names
   names: string[] = [];
   progress = new Map<number, { what: string; part: number }>();
   dryruns = new Map<number, DryRun>();

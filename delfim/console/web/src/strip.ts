@@ -4,9 +4,12 @@ import "uplot/dist/uPlot.min.css";
 import type { Actions } from "./actions";
 import { attribute, make, text } from "./dom";
 import type { Drive } from "./drive";
+import { Figures } from "./figures";
 import { bearing, metres } from "./geo";
+import type { Screen } from "./keys";
 import { bars, linkWords, linksWords, weakWords } from "./link";
 import { measuredWords } from "./measured";
+import { OrderRow } from "./orders";
 import { palette } from "./palette";
 import { UNNAMED } from "./mission";
 import { isSailing } from "./planning";
@@ -19,6 +22,8 @@ const SPAN_S = 60;
 const POINTS_MOST = 700;
 const CONFIRM_LATE_MS = 3000;
 const FULL_AT_MOST = 3; // boats; with more of them only the selected one is shown in full
+
+const UNFOLDED = "delfim.unfolded";
 
 const STILL_MPS = 0.2; // below this speed no time to go is shown
 
@@ -34,7 +39,9 @@ export class Strips {
     private readonly drive: Drive,
     private readonly actions: Actions,
     private readonly chosen: (boat: Boat, at: [number, number]) => void,
+    private readonly screen: Pick<Screen, "enterMode">,
   ) {
+    this.unfold(localStorage.getItem(UNFOLDED) === "on");
     state.on(["boats"], () => this.draw(true));
     state.on(["selection", "progress", "plan"], () => this.draw(false));
     state.on(["theme"], () => this.chips.forEach((chip) => chip.repaint()));
@@ -49,13 +56,19 @@ export class Strips {
     for (const boat of this.state.boats) {
       let chip = this.chips.get(boat.id);
       if (!chip) {
-        chip = new Chip(boat, this.actions, this.chosen);
+        chip = new Chip(boat, this.actions, this.chosen, this.screen, () => this.unfold(!this.parent.classList.contains("unfolded")));
         this.chips.set(boat.id, chip);
         const next = this.state.boats.find((each) => each.id > boat.id && this.chips.has(each.id));
         this.parent.insertBefore(chip.root, next ? this.chips.get(next.id)!.root : null);
       }
       chip.draw(boat, this.state, this.drive, this.actions, fresh);
     }
+  }
+
+  /** The rest of what is known of the boats: graphs, ages, links. */
+  private unfold(on: boolean): void {
+    this.parent.classList.toggle("unfolded", on);
+    localStorage.setItem(UNFOLDED, on ? "on" : "off");
   }
 }
 
@@ -82,27 +95,38 @@ class Chip {
   private readonly changes = make("button.changes", "Send changes");
   private readonly groups = GROUPS.map((name) => make("i", make("span", name)));
   private readonly graphs: [Graph, Graph] = [new Graph("port"), new Graph("starboard")];
+  private readonly figures = new Figures();
+  private readonly orders: OrderRow;
+  private readonly fold = make("button.fold", "");
   private readonly revolutions = make("div.row.graphs", this.graphs[0].root, this.graphs[1].root);
   private boat: Boat;
   private askedAt = 0;
   private asked: string | null = null;
 
-  constructor(boat: Boat, actions: Actions, chosen: (boat: Boat, at: [number, number]) => void) {
+  constructor(boat: Boat, actions: Actions, chosen: (boat: Boat, at: [number, number]) => void, screen: Pick<Screen, "enterMode">, unfold: () => void) {
     this.boat = boat;
+    this.orders = new OrderRow(boat, actions, screen);
     this.root.append(
       make("div.row.head", this.dot, this.name, this.battery, this.bars, this.age),
-      make("div.row.state", this.mode, this.speed),
+      make("div.row.state", this.mode, this.speed, this.fold),
+      this.figures.root,
       make("div.row.going", this.heading, this.left),
       this.trouble,
       this.weak,
+      this.orders.root,
+      make("div.row.small", this.mission, this.badge),
+      make("div.row.small", this.changes),
       this.measured,
       this.revolutions,
       make("div.row.ages", ...this.groups),
-      make("div.row.small", this.mission, this.badge),
-      make("div.row.small", this.changes),
-      make("div.row.small", this.link),
-      make("div.row.small", this.links),
+      make("div.row.small.last", this.link),
+      make("div.row.small.last", this.links),
     );
+    this.fold.tabIndex = -1;
+    this.fold.addEventListener("click", (event) => {
+      event.stopPropagation();
+      unfold();
+    });
     this.changes.tabIndex = -1;
     this.changes.addEventListener("click", (event) => {
       event.stopPropagation();
@@ -117,12 +141,18 @@ class Chip {
     const age = age_s(state, boat);
     attribute(this.root, "data-boat", String(boat.id));
     attribute(this.root, "data-age", freshness(age));
+    attribute(this.root, "data-mode", boat.mode ?? "");
     this.root.classList.toggle("selected", boat.id === state.selected);
     this.dot.style.background = boat.colour;
     text(this.name, boat.name);
     text(this.age, ageWords(age));
     this.drawMode(boat, actions);
     this.drawSpeed(boat, drive, actions);
+    if (boat.id === state.selected) this.figures.draw(boat, drive.hand(boat.id));
+    this.orders.draw(boat);
+    const unfolded = this.root.parentElement?.classList.contains("unfolded") ?? false;
+    attribute(this.fold, "aria-expanded", String(unfolded));
+    text(this.fold, unfolded ? "Less" : "More");
     text(this.heading, boat.heading_deg === null ? "" : `hdg ${bearing(boat.heading_deg)}`);
     text(this.left, leftWords(boat));
     text(this.battery, batteryWords(boat));

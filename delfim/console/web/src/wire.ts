@@ -118,6 +118,7 @@ export interface Boat {
   reference: {
     heading_deg: number | null;
     course_deg?: number | null;
+    speed_mps?: number | null;
     latitude_deg: number | null;
     longitude_deg: number | null;
     cross_track_m: number | null;
