@@ -12,6 +12,7 @@ from functools import lru_cache
 from typing import Final, NamedTuple
 
 from delfim.base.errors import FormatError
+from delfim.base.vessels import readable
 from delfim.lines.nmea0183.aissentences import AisPart, part
 
 KNOT: Final = 1852.0 / 3600.0  # m/s
@@ -27,6 +28,7 @@ _QUALITY: Final = {"0": 0, "1": 3, "2": 4, "3": 3, "4": 5, "5": 6}  # GGA; recko
 _MODE: Final = {"A": 3, "D": 4, "P": 3, "R": 5, "F": 6, "E": 0, "M": 0, "S": 0, "N": 0}  # RMC, VTG, GLL, GNS
 _once = lru_cache(4)  # of an instant that a receiver tells in several sentences: one is parsed, the others are looked up
 _new = tuple.__new__  # in half the time of Located(...): for the sentences that come ten times a second
+_DISTANCE_UNIT: Final = {"K": 1000.0, "N": 1852.0, "S": 1609.344}  # m; speeds are so many an hour
 _SPEED_UNIT: Final = {"N": KNOT, "M": 1.0, "K": 1.0 / 3.6, "S": 1609.344 / 3600.0}
 
 
@@ -114,6 +116,19 @@ class Measurement(NamedTuple):
     name: str
 
 
+class RadarTarget(NamedTuple):
+    """TTM, TLL: a target that a radar tracks."""
+
+    number: int
+    name: str | None
+    place: tuple[float, float] | None = None  # TLL: latitude_rad, longitude_rad
+    distance_m: float = 0.0  # TTM: from the boat
+    bearing_rad: float = 0.0  # 0..2 pi
+    is_from_bow: bool = False  # that bearing; otherwise from true north
+    course_rad: float | None = None  # true, over ground
+    speed_mps: float | None = None
+
+
 Message = (
     Located
     | Movement
@@ -126,6 +141,8 @@ Message = (
     | Breeze
     | tuple[Measurement, ...]
     | AisPart
+    | RadarTarget
+    | None
 )
 
 
@@ -373,6 +390,38 @@ def _xdr(f: list[str]) -> tuple[Measurement, ...]:
     return tuple(Measurement(f[i], _number(f[i + 1]), f[i + 2], f[i + 3]) for i in range(1, len(f), 4))
 
 
+def _ttm(f: list[str]) -> RadarTarget | None:
+    """Parse TTM. One that is lost, or not acquired yet, is none. A relative course does not say to what, and is unknown."""
+    if f[12] != "T":
+        return None
+    unit, distance, bearing_rad = _DISTANCE_UNIT.get(f[10]), _within(f[2], 1000.0), _angle(f[3])
+    if unit is None or f[4] not in ("T", "R"):
+        raise FormatError("unit unknown" if unit is None else "neither true nor relative")
+    if distance is None or bearing_rad is None:
+        raise FormatError("position incomplete")
+    speed = _within(f[5], 500.0) if f[7] == "T" and f[6] else None
+    course_rad, speed_mps = (None, None) if speed is None else (_angle(f[6]), speed * unit / 3600.0)
+    number, name = _target(f[1], f[11])
+    return RadarTarget(number, name, None, distance * unit, bearing_rad, f[4] == "R", course_rad, speed_mps)
+
+
+def _tll(f: list[str]) -> RadarTarget | None:
+    """Parse TLL, which tells where a target is, and not where it goes."""
+    if f[8] != "T":
+        return None
+    latitude_rad, longitude_rad = _position(*f[2:6])
+    if latitude_rad is None or longitude_rad is None:
+        raise FormatError("position incomplete")
+    return RadarTarget(*_target(f[1], f[6]), (latitude_rad, longitude_rad))
+
+
+def _target(number: str, name: str) -> tuple[int, str | None]:
+    value = _within(number, 1023.0)
+    if value is None:
+        raise FormatError("no target number")
+    return int(value), readable(name[:20])
+
+
 def _count(text: str) -> int | None:
     value = _within(text, 99.0)
     return None if value is None else int(value)
@@ -396,6 +445,8 @@ READERS: Final[dict[str, tuple[int, Callable[[list[str]], Message]]]] = {  # wit
     "DBT": (6, _dbt),
     "MWV": (6, _mwv),
     "XDR": (5, _xdr),
+    "TTM": (13, _ttm),
+    "TLL": (9, _tll),
     "VDM": (7, part),
     "VDO": (7, part),
 }

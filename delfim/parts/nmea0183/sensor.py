@@ -4,6 +4,8 @@ source reads them, and leaves these values in the state.
 
 from delfim import config
 from delfim.base.vessels import Report
+from delfim.lines.nmea0183.sentences import RadarTarget
+from delfim.parts.nmea0183 import radar
 from delfim.parts.nmea0183.source import AnyPort, Nmea0183Navigation, opened
 from delfim.vehicle.links import Links, Readable
 from delfim.vehicle.sensors import Sensor, Value
@@ -30,7 +32,7 @@ class Instruments:
         self,
         lines: Nmea0183Navigation,
         measured: dict[str, tuple[float, float]],
-        heard: list[tuple[Report | str, str, float]],
+        heard: list[tuple[Report | RadarTarget | str, str, float]],
         pings: list[Ping],
     ) -> None:
         self.input: Readable = lines.input
@@ -40,7 +42,7 @@ class Instruments:
         self._lines.read(now_s)
         state.measured.update(self._measured)
         for each in self._heard:
-            state.hear(*each)
+            radar.hear(state, *each)
         for ping in self._pings:
             state.sound(ping)
         self._heard.clear()
@@ -62,6 +64,10 @@ class ReadByTheSource:
 def open_sensor(settings: config.Vehicle, links: Links) -> Sensor:
     if "nmea0183" in settings.navigation.sources:
         return ReadByTheSource()
-    measured, heard, pings = dict[str, tuple[float, float]](), list[tuple[Report | str, str, float]](), list[Ping]()
+    measured, heard, pings = (
+        dict[str, tuple[float, float]](),
+        list[tuple[Report | RadarTarget | str, str, float]](),
+        list[Ping](),
+    )
     lines = opened(settings, links, measured, lambda *report: heard.append(report), pings.append)
     return Instruments(lines, measured, heard, pings)

@@ -3,12 +3,15 @@
 import math
 import select
 from collections.abc import Callable, Iterator
+from functools import partial
 from typing import Final, NamedTuple
 
 from delfim import config
 from delfim.base.errors import FormatError
 from delfim.base.vessels import Report
 from delfim.lines.nmea0183.aissentences import AisMessages, AisPart
+from delfim.lines.nmea0183.sentences import RadarTarget
+from delfim.parts.nmea0183 import radar
 from delfim.parts.nmea0183.combining import Combined
 from delfim.parts.nmea0183.mixedline import Antennas, MixedLine
 from delfim.parts.nmea0183.table import Nmea0183
@@ -24,7 +27,7 @@ NAME: Final = "nmea0183"
 GARBLED_S: Final = 3.0  # of nonsense alone that is told
 
 
-HearAis = Callable[[Report | str, str, float], object]  # a report, or why it cannot be read; the port's name, the time
+HearAis = Callable[[Report | RadarTarget | str, str, float], object]  # a report, or why there is none; the port, the time
 
 
 class Port(NamedTuple):
@@ -90,6 +93,10 @@ class Nmea0183Navigation:
                 if isinstance(sentence.message, AisPart):
                     self._tell_of_vessels(sentence.message, port, now_s)
                     continue
+                if isinstance(sentence.message, RadarTarget):
+                    if self._hear is not None:
+                        self._hear(sentence.message, port.name, now_s)
+                    continue
                 navigation = self._combined.take(port.name, sentence, now_s)
                 if navigation is not None:
                     fix = Fix(navigation, t_ns, now_s)
@@ -140,8 +147,8 @@ class Nmea0183Navigation:
 
 def open_source(settings: config.Vehicle, links: Links, state: State) -> Nmea0183Navigation:
     if NAME in settings.sensors.names:
-        return opened(settings, links, state.measured, state.hear, state.sound)
-    return opened(settings, links, {}, state.hear)
+        return opened(settings, links, state.measured, partial(radar.hear, state), state.sound)
+    return opened(settings, links, {}, partial(radar.hear, state))
 
 
 def opened(
