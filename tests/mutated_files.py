@@ -424,6 +424,10 @@ def key(here: Path) -> Said:
     return refused(lambda: read_key(here / "key"))
 
 
+def by_satellite(here: Path) -> Said:
+    return command("iridium", "read", str(here / "message.sbd"))
+
+
 def stamps(here: Path) -> Said:
     from delfim.parts.mavlink.codec.signing import read_stamps
 
@@ -574,6 +578,7 @@ READERS = {
     "signing key": Reader("key", key, TEXT),
     "password at a caster": Reader("ntrip", casters_password, TEXT),
     "stamps": Reader("stamps", stamps, TEXT),
+    "message by satellite": Reader("message.sbd", by_satellite, BINARY),
     "host key": Reader("host_key", host_key, TEXT),
     "certificate": Reader("boat.pem", certificate, TEXT),
     "kept voyage": Reader("voyage-1", kept_voyage, (*BINARY, *TEXT)),

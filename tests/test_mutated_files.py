@@ -32,7 +32,8 @@ from delfim.logging import nodelog
 from delfim.logging.chain import Chain
 from delfim.logging.kept.writer import packed
 from delfim.logging.reading import read_log
-from delfim.parts.mavlink.codec.signing import Kept, write_stamps
+from delfim.parts.iridium import orders
+from delfim.parts.mavlink.codec.signing import Kept, Signing, write_stamps
 from delfim.simulator.scenarios.scenario import load_scenario
 from delfim.vehicle import console
 from delfim.vehicle.orders.voyage import KeptHead
@@ -226,6 +227,8 @@ def keys(folder: Path) -> None:
     new_key(folder / "key")
     (folder / "ntrip").write_text("ana:secret\n")
     (folder / "address").write_text("35\n")
+    signing = Signing(bytes(32), ManualClock(time_ns=1_800_000_000_000_000_000))
+    (folder / "message.sbd").write_bytes(orders.sealed(orders.WORDS["home"], 3, 7, signing))
     write_stamps(folder / "stamps", Kept(7, 5, [((255, 190, 1), 123_456_789), ((250, 190, 2), 99)]))
     (folder / "host_key").write_bytes(asyncssh.generate_private_key("ssh-ed25519").export_private_key("openssh"))
     words = [
@@ -350,6 +353,7 @@ SAMPLES = {
         "signing key",
         "password at a caster",
         "stamps",
+        "message by satellite",
         "host key",
         "certificate",
         "supervisor's record",
@@ -476,6 +480,7 @@ READ_BY = {  # function: the readers above that come by it
     "simulator/scenarios/scenario.py: mission_of": {"scenario's mission"},
     "services/suite.py: _outcome": {"supervisor's record"},
     "parts/mavlink/codec/signing.py: read_stamps": {"stamps"},
+    "commands/operation/iridium.py: _read": {"message by satellite"},
 }
 OTHERS = {  # what the kernel tells, and what is only copied or digested
     "adoption/record.py: digest_of",

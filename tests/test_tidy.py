@@ -278,6 +278,11 @@ KNOWN = {  # parts that others import, with the reason; a row that goes does not
     "console/tapes/statetape.py: nmea0183",  # the short names of measured values, as the link tells them
     "console/tapes/statetape.py: nmea2000",
     "desk/firstcontact.py: nmea0183",  # a line on a desk is heard as the boat hears it
+    "parts/iridium/iridiumd.py: mavlink",  # the satellite carries frames of the same link
+    "parts/iridium/orders.py: mavlink",
+    "parts/iridium/reading.py: mavlink",
+    "commands/operation/iridium.py: iridium",  # the shore is the other end of it
+    "commands/operation/iridium.py: mavlink",
     "parts/nmea2000/sensor.py: nmea0183",  # the values that both measure
 }
 READ = {  # parts whose tables others read, with the reason; a row that goes does not come back
@@ -287,6 +292,8 @@ READ = {  # parts whose tables others read, with the reason; a row that goes doe
     "commands/simulation/sim.py: mavlink",  # the console beside a simulated boat
     "desk/listen.py: nmea0183",  # a line on a desk is opened as the boat opens it
     "parts/fleet/exposure.py: mavlink",
+    "parts/iridium/exposure.py: mavlink",
+    "parts/iridium/iridiumd.py: mavlink",
     "parts/fleet/fleetd.py: mavlink",  # the broker is another way for the same frames
     "parts/gnss/corrections.py: nmea0183",  # the receiver's port may be one of its lines
 }

@@ -208,9 +208,15 @@ OWN: Final = {  # in the order in which sources are listed
             exposure="delfim.parts.fleet.exposure:entrances",
         ),
         Part(
+            "iridium",
+            "delfim.parts.iridium.table:IridiumTable",
+            after="fleet",
+            exposure="delfim.parts.iridium.exposure:entrances",
+        ),
+        Part(
             "ros",
             "delfim.parts.ros.table:RosTable",
-            after="fleet",
+            after="iridium",
             exposure="delfim.parts.ros.exposure:entrances",
         ),
         Part(

@@ -28,6 +28,7 @@ GROUPS: Final[dict[str, dict[str, str]]] = {  # commands by task, each with a se
         "adopt": "Let a boat find out about itself on the water: its motors first (docs/adopt.md).",
         "sensors": "Show what each sensor says, how often and who is believed; find a new one's baud rate (docs/sensors.md).",
         "can": "Look at a CAN bus, send, make traffic, count, and play a log back onto it.",
+        "iridium": "Write an order to a boat as a message by satellite, and read what a boat sends (docs/iridium.md).",
         "completion": "Print a script with which the shell completes commands and options (docs/install.md).",
         "identify": "Fit a boat's log: what she is, beside what her file says, and what has changed (docs/adopt.md).",
         "log": "List, sum up, plot, export, replay, repair and fetch logs (docs/logs.md).",

@@ -136,6 +136,13 @@ SERVICES = (
         when=lambda settings: settings.table("fleet").broker,
     ),
     Service(
+        "iridiumd",
+        "delfim.parts.iridium.iridiumd:serve",
+        place="process",
+        uvloop=False,
+        when=lambda settings: settings.table("iridium").device,
+    ),
+    Service(
         "rosd", "delfim.parts.ros.rosd:serve", place="process", uvloop=False, when=lambda settings: settings.table("ros").router
     ),
     Service("vehicle", "delfim.services.vehicle:serve"),

@@ -160,6 +160,8 @@ def drilled(sea: TwoLinks, seed: int, outages: int) -> tuple[list[float], list[f
     for number in range(outages):
         before = len(sea.orders())
         sea.fleet.command(1, "mode", {"mode": "manual"}, lambda well, why: answers.append((well, why)), page=1)
+        while len(answers) < 2 * number + 1:
+            sea.step()
         sea.run(1.0)
         place, ways = random.choice((LTE, RADIO)), random.choice(((0,), (1,), (0, 1)))
         sea.failed = {(place, way) for way in ways}

@@ -23,8 +23,9 @@ STOP_S: Final = 60.0  # an address that was heard within this time is told to st
 ASK_S: Final = 1.0
 WAYS_MAX: Final = 8  # of one number
 SYNC_S: Final = 5.0  # between two questions for the time, on the one link
-USED_S, SPARE_S = 0.3, 1.0  # the same where there are several: on the one in use or that owes an answer, and on the others
-OVERDUE_S, LOST_S = 0.2, 1.2  # so much later than the last one came an answer is overdue: on the link in use, and on others
+USED_S, SPARE_S = 0.2, 1.0  # the same where there are several: on the one in use or that owes an answer, and on the others
+OVERDUE_S, LOST_S = 0.15, 1.2  # so much later than the last one came an answer is overdue: on the link in use, and on others
+LONGEST_S: Final = 0.7  # for an answer on the link in use, however long the last one took
 BETTER_S: Final = 0.1  # by less than this another link is no better
 
 
@@ -47,8 +48,8 @@ class Way:
         return round(1e3 * self.rtt_s, 1) if self.rtt_s < math.inf else None
 
     def delay_s(self, now_s: float, patience_s: float) -> float:
-        """How long an answer takes; infinity where it is overdue by more than this."""
-        return math.inf if now_s - self.waits_s > self.rtt_s + patience_s else self.rtt_s
+        """How long an answer takes; infinity where one is waited for longer than this."""
+        return math.inf if now_s - self.waits_s > patience_s else self.rtt_s
 
 
 class Ways:
@@ -107,9 +108,10 @@ class Ways:
         links = self.links(number, now_s)
         if len(links) < 2:
             return False
-        delays_s = {each: way.delay_s(now_s, LOST_S) for each, way in links.items() if each != self.routes[number]}
+        delays_s = {each: way.delay_s(now_s, way.rtt_s + LOST_S) for each, way in links.items() if each != self.routes[number]}
         best = min(delays_s, key=lambda each: delays_s[each])
-        is_better = delays_s[best] < links[self.routes[number]].delay_s(now_s, OVERDUE_S) - BETTER_S
+        used = links[self.routes[number]]
+        is_better = delays_s[best] < used.delay_s(now_s, min(used.rtt_s + OVERDUE_S, LONGEST_S)) - BETTER_S
         if is_better:
             self.routes[number] = best
         return is_better
