@@ -59,6 +59,7 @@ class Consoles:
         self._review = review or (lambda operator, command, answer: answer(obey(command, operator)))
         self._news = News(boat, self.peers, self.missions)
         self._owner_s = self._namesakes_s = self._doubted_s = -math.inf
+        self.obstacles_s = -math.inf  # when OBSTACLE_DISTANCE was taken last
         self._run = secrets.token_hex(8)
 
     def count(self, name: str) -> None:

@@ -374,6 +374,7 @@ HANDLERS: Final[dict[int, Callable[[Consoles, Peer, Speaker, Message], None]]] =
     dialect.MAVLINK_MSG_ID_GPS_RTCM_DATA: _corrections,
     dialect.MAVLINK_MSG_ID_AIS_VESSEL: othervessels.vessel,
     dialect.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: othervessels.sister,
+    dialect.MAVLINK_MSG_ID_OBSTACLE_DISTANCE: othervessels.obstacles,
     dialect.MAVLINK_MSG_ID_PING: _ping,
     dialect.MAVLINK_MSG_ID_MISSION_REQUEST_LIST: _listed,
     dialect.MAVLINK_MSG_ID_MISSION_REQUEST_INT: _requested,

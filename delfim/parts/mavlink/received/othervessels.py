@@ -1,16 +1,26 @@
-"""Other vessels that the boat hears of on the console's link: by a console, and of boats of the fleet (docs/traffic.md)."""
+"""Other vessels that the boat hears of on the console's link: by a console, and of boats of the fleet; and what a sensor sees
+around the boat (docs/traffic.md)."""
 
 import math
 from typing import Final
 
-from delfim.base.vessels import MMSI_MAX, VesselPosition
+from delfim.base.geodesy import from_plane
+from delfim.base.vessels import MMSI_MAX, ThingSeen, VesselPosition
 from delfim.parts.mavlink.codec.aisvessel import NUMBERS, facts_of, position_of
-from delfim.parts.mavlink.codec.wire import GUEST, Message, Speaker
+from delfim.parts.mavlink.codec.wire import GUEST, Message, Speaker, dialect
 from delfim.parts.mavlink.consoles import Consoles
 from delfim.parts.mavlink.peers import Peer
 from delfim.parts.mavlink.telemetry import COMPONENT
 
 OLD_S: Final = 600  # a report that was older when it came is none
+EVERY_S: Final = 0.25  # OBSTACLE_DISTANCE is taken so often; what comes between says the same
+NEAREST: Final = 8  # things of one message, the nearest ...
+APART_M: Final = 4.0  # ... that are so far from each other: what is nearer is taken for the same one
+STALE_S: Final = 2.0  # distances are from the boat: an older place of the boat is none
+RADIUS_MIN_M, RADIUS_MAX_M = 0.3, 50.0
+CONFIDENCE: Final = 0.5  # so that what is seen for a moment turns nobody
+FROM_BOW: Final[dict[int, bool]] = {dialect.MAV_FRAME_GLOBAL: False, dialect.MAV_FRAME_BODY_FRD: True}  # the frames it may have
+SENSORS: Final = {0: "lidar", 1: "ultrasound", 2: "infrared", 3: "radar"}
 
 
 def vessel(consoles: Consoles, peer: Peer, source: Speaker, message: Message) -> None:
@@ -40,6 +50,39 @@ def sister(consoles: Consoles, peer: Peer, source: Speaker, message: Message) ->
         "fleet",
     )
     consoles.boat.state.hear(position, "fleet", consoles.clock.monotonic_s(), f"boat {source.system}")
+
+
+def obstacles(consoles: Consoles, peer: Peer, source: Speaker, message: Message) -> None:
+    """OBSTACLE_DISTANCE: how far the nearest obstacle is in each of up to 72 directions, each a thing that stands, as wide as
+    its direction. Nobody tells what they are, so that a swimmer is one of them."""
+    state, now_s = consoles.boat.state, consoles.clock.monotonic_s()
+    is_from_bow, motion = FROM_BOW.get(message.frame), state.motion
+    is_sane = math.isfinite(message.increment_f + message.angle_offset)
+    if not (_is_heard(consoles) and is_sane) or source.component == GUEST or is_from_bow is None:
+        consoles.count("vessels_refused")
+        return
+    if now_s - consoles.obstacles_s < EVERY_S:
+        return
+    if state.origin is None or not {"position", "heading"} <= motion.has or now_s - state.navigation_s > STALE_S:
+        consoles.count("vessels_refused")
+        return
+    consoles.obstacles_s = now_s
+    step_deg = abs(message.increment_f) or float(message.increment)
+    seen = [
+        (cm / 100.0, i) for i, cm in enumerate(message.distances) if message.min_distance <= cm <= message.max_distance and cm
+    ]
+    first_rad = math.radians(message.angle_offset) + (motion.heading_rad if is_from_bow else 0.0)
+    half_rad = math.radians(min(0.5 * step_deg, 45.0))
+    told = list[tuple[float, float]]()
+    for far_m, i in sorted(seen):
+        radius_m = min(max(far_m * math.tan(half_rad), RADIUS_MIN_M), RADIUS_MAX_M)
+        bearing_rad, middle_m = first_rad + i * math.copysign(math.radians(step_deg), message.increment_f), far_m + radius_m
+        at = motion.north_m + middle_m * math.cos(bearing_rad), motion.east_m + middle_m * math.sin(bearing_rad)
+        if len(told) == NEAREST or any(math.dist(at, other) < APART_M for other in told):
+            continue
+        told.append(at)
+        name = f"{SENSORS.get(message.sensor_type, 'sensor')} {source.component}"
+        state.hear(ThingSeen(*from_plane(state.origin, *at), radius_m, "thing", CONFIDENCE), source.name, now_s, name)
 
 
 def _is_heard(consoles: Consoles) -> bool:
