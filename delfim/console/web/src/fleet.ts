@@ -1,16 +1,16 @@
 // The boats on the map: symbol, name, past track, course, reference, ghost when silent, and what is aboard.
-import Feature from "ol/Feature";
-import { type Circle, LineString, Point, type Polygon } from "ol/geom";
+import Feature, { type FeatureLike } from "ol/Feature";
+import { type Circle, LineString, MultiPoint, Point, type Polygon } from "ol/geom";
 import { circular } from "ol/geom/Polygon";
 import VectorLayer from "ol/layer/Vector";
 import VectorImageLayer from "ol/layer/VectorImage";
 import VectorSource from "ol/source/Vector";
-import { Circle as Disc, Fill, Icon, Stroke, Style, Text } from "ol/style";
+import { Circle as Disc, Fill, Icon, RegularShape, Stroke, Style, Text } from "ol/style";
 import { keptAboard } from "./aboard";
 import type { Chart, Pixel } from "./chart";
 import { point } from "./chart";
 import { distance_m, towards } from "./geo";
-import { FACE, cased, inked, palette, theme } from "./palette";
+import { FACE, cased, inked, over, palette, theme } from "./palette";
 import type { State } from "./state";
 import { age_s, ageWords, freshness } from "./state";
 import type { Boat, Place } from "./wire";
@@ -22,6 +22,7 @@ const GAP_S = 15; // where nothing was heard for so long no track is drawn
 const JUMP_MPS = 15; // nor where a boat would have been faster, beyond ...
 const JUMP_M = 20; // ... so far: another boat, or another fix
 const AHEAD_S = 60;
+const TICKS = [0.25, 0.5, 0.75, 1]; // of the course: each 15 s
 const RAD = Math.PI / 180;
 const LETTER_PX = 8;
 const LINE_PX = 18;
@@ -48,8 +49,10 @@ interface Shown {
   last_s: number;
   last: Place | null; // the last point
   icon: Icon | null;
+  tick: RegularShape | null;
   name: Text | null;
   side: (typeof SIDES)[number];
+  label: string;
   look: string;
 }
 
@@ -188,10 +191,13 @@ export class Fleet {
   private placeName(shown: Shown, boat: Boat, marks: Pixel[]): void {
     const place = position(boat);
     const its = place && this.chart.pixelOf(place);
-    const width = LETTER_PX * (shown.name?.getText()?.length ?? 0);
+    const width = LETTER_PX * shown.label.length;
     const free = ({ x, y, from }: Shown["side"]) =>
       its && !marks.some(([i, j]) => Math.abs(j - its[1] - y) < LINE_PX / 2 + MARK_PX && Math.abs(i - its[0] - x - (0.5 - from) * width) < width / 2 + MARK_PX);
-    shown.side = [shown.side, ...SIDES].find(free) ?? shown.side;
+    const side = [shown.side, ...SIDES].find(free);
+    shown.side = side ?? shown.side;
+    shown.name?.setText(side || boat.id === this.state.selected || !its ? shown.label : ""); // the number on the hull stays
+    if (side && its) for (let x = 0; x <= width; x += LINE_PX) marks.push([its[0] + side.x + x - side.from * width, its[1] + side.y]);
     shown.name?.setOffsetX(shown.side.x);
     shown.name?.setOffsetY(shown.side.y);
     shown.name?.setTextAlign(shown.side.align);
@@ -207,6 +213,7 @@ export class Fleet {
     put(shown.ring, here && boat.id === this.state.selected ? new Point(here) : null);
     put(shown.tail, here && shown.points.length ? new LineString([...shown.points, here]) : null);
     shown.icon?.setRotation((boat.heading_deg ?? boat.course_deg ?? 0) * RAD);
+    shown.tick?.setRotation((boat.course_deg ?? 0) * RAD);
     const course = !lost && place && boat.course_deg !== null && boat.speed_mps !== null && boat.speed_mps > 0.1;
     put(shown.course, course ? new LineString([here!, point(towards(place, boat.course_deg!, boat.speed_mps! * AHEAD_S))]) : null);
     put(shown.reference, !lost && here ? reference(boat, place!, here) : null);
@@ -243,8 +250,10 @@ export class Fleet {
       last_s: -Infinity,
       last: null,
       icon: null,
+      tick: null,
       name: null,
       side: SIDES[0],
+      label: "",
       look: "",
     };
     this.shown.set(boat.id, shown);
@@ -259,25 +268,31 @@ export class Fleet {
     const label = freshness(age) === "fresh" ? boat.name : `${boat.name}  ${ageWords(age)}`;
     const chosen = boat.id === this.state.selected;
     const isPlace = boat.reference?.latitude_deg != null;
-    const look = [theme, boat.colour, lost, label, chosen, isPlace].join("|");
+    const turned = boat.heading_deg !== null && !lost;
+    const plate = this.chart.charted;
+    const look = [theme, boat.colour, lost, label, chosen, isPlace, turned, plate].join("|");
     if (look === shown.look) return;
-    shown.look = look;
-    shown.icon = new Icon({ img: symbol(boat.colour, lost), rotateWithView: true, scale: 0.5 });
+    [shown.look, shown.label] = [look, label];
+    shown.icon = new Icon({ img: symbol(boat.colour, lost, turned), rotateWithView: true, scale: 0.5 });
+    shown.tick = new RegularShape({ points: 2, radius: 5, angle: Math.PI / 2, stroke: new Stroke({ color: inked(boat.colour), width: 1.6 }) });
     shown.name = new Text({
       text: label,
       font: `${chosen ? 650 : 500} 14px ${FACE}`,
       fill: new Fill({ color: lost ? palette.bad : palette.ink }),
-      stroke: new Stroke({ color: palette.halo, width: 4 }),
+      // On photographs and charts words stand on a plate.
+      ...(plate ? { backgroundFill: new Fill({ color: palette.halo }), padding: [2, 4, 1, 4] } : { stroke: new Stroke({ color: palette.halo, width: 4 }) }),
     });
-    shown.symbol.setStyle(new Style({ image: shown.icon, text: shown.name, zIndex: chosen ? 9 : 8 }));
+    const number = new Text({ text: String(boat.id), font: `700 11px ${FACE}`, offsetY: 1, fill: new Fill({ color: lost ? inked(boat.colour) : over(boat.colour) }) });
+    const zIndex = chosen ? 9 : 8;
+    shown.symbol.setStyle([new Style({ image: shown.icon, text: shown.name, zIndex }), new Style({ text: number, zIndex })]);
     shown.ring.setStyle(new Style({ image: new Disc({ radius: 23, stroke: new Stroke({ color: palette.accent, width: 2 }) }), zIndex: 7 }));
-    shown.course.setStyle(cased(inked(boat.colour), 1.6));
+    shown.course.setStyle([...cased(inked(boat.colour), 1.6), new Style({ image: shown.tick, geometry: ticks })]);
     shown.reference.setStyle(isPlace ? [...steering(), target()] : steering());
     shown.tail.setStyle(track(boat));
     shown.ghost.setStyle(
       new Style({ fill: new Fill({ color: inked(boat.colour, 0.12) }), stroke: new Stroke({ color: inked(boat.colour), width: 1.5, lineDash: [4, 5] }) }),
     );
-    shown.ghostSymbol.setStyle(new Style({ image: new Icon({ img: symbol(boat.colour, true), rotation: (boat.course_deg ?? 0) * RAD, scale: 0.5, opacity: 0.7 }) }));
+    shown.ghostSymbol.setStyle(new Style({ image: new Icon({ img: symbol(boat.colour, true, false), rotation: (boat.course_deg ?? 0) * RAD, scale: 0.5, opacity: 0.7 }) }));
   }
 
   private append(shown: Shown, boat: Boat, at_s: number, place: Place): void {
@@ -365,20 +380,29 @@ function put<G extends Point | LineString | Polygon | Circle>(feature: Feature<G
 
 const symbols = new Map<string, HTMLCanvasElement>();
 
-/** A hull from above with its bow, twice as large as it is shown; hollow when the link is lost. */
-function symbol(colour: string, hollow: boolean): HTMLCanvasElement {
-  const key = `${colour}|${hollow}|${theme}`;
+/** Where a minute's course has its ticks. */
+function ticks(feature: FeatureLike): MultiPoint | undefined {
+  const course = feature.getGeometry() as LineString | undefined;
+  return course && new MultiPoint(TICKS.map((part) => course.getCoordinateAt(part)));
+}
+
+/** A hull from above with its bow, twice as large as it is shown, and a line ahead where the heading is known; hollow when the link is lost. */
+function symbol(colour: string, hollow: boolean, ahead: boolean): HTMLCanvasElement {
+  const key = `${colour}|${hollow}|${ahead}|${theme}`;
   const known = symbols.get(key);
   if (known) return known;
   const canvas = document.createElement("canvas");
-  [canvas.width, canvas.height] = [60, 84];
+  [canvas.width, canvas.height] = [60, 184];
   const pen = canvas.getContext("2d")!;
-  pen.translate(30, 42);
+  pen.translate(30, 92);
   pen.lineJoin = "round";
   const hull = new Path2D("M0 -38 C11 -26 18 -10 18 6 L15 35 L-15 35 L-18 6 C-18 -10 -11 -26 0 -38 Z");
+  const bow = new Path2D(ahead ? "M0 -38 V-86" : "");
   const stroke = (tint: string, width: number) => {
     [pen.strokeStyle, pen.lineWidth] = [tint, width];
     pen.stroke(hull);
+    pen.lineWidth = width / 1.6;
+    pen.stroke(bow);
   };
   stroke(palette.halo, 11);
   stroke(hollow ? inked(colour) : palette.hull, 5.5);

@@ -73,6 +73,12 @@ export function inked(colour: string, alpha = 1): string {
   return `rgba(${rgb.map((each) => Math.min(255, Math.round(each * factor + lift))).join(",")},${alpha})`;
 }
 
+/** Words that are read on that colour. */
+export function over(colour: string): string {
+  const [red, green, blue] = channels(colour);
+  return 0.299 * red + 0.587 * green + 0.114 * blue > 130 ? "#000000" : "#ffffff";
+}
+
 /** A line that is seen on any chart: its colour over a halo. */
 export function cased(color: string, width: number, lineDash?: number[]): Style[] {
   const stroke = (tint: string, wide: number) =>

@@ -188,7 +188,7 @@ export class Plans {
   /** Solid: the mission aboard. Dashed: a plan that is on the screen only. */
   private drawMission(mission: Mission, boat: Boat | null, look: Look): void {
     const path = pathOf(mission).map(point);
-    if (path.length > 1) this.legs.addFeature(styled(new LineString(path), ribbon(look)));
+    if (path.length > 1 && boat?.mode === "path") this.legs.addFeature(styled(new LineString(path), ribbon(look)));
     this.legs.addFeatures(drawnLegs(mission, look.colour, 2.2, look.lineDash));
     if (boat && !look.lineDash) this.legs.addFeatures(drawnProgress(mission, boat));
     const sails = !look.lineDash && (boat?.mode === "play" || boat?.mode === "goto");

@@ -10,7 +10,7 @@ import type { Screen } from "./keys";
 import { bars, linkWords, linksWords, weakWords } from "./link";
 import { measuredWords } from "./measured";
 import { OrderRow } from "./orders";
-import { palette } from "./palette";
+import { over, palette } from "./palette";
 import { UNNAMED } from "./mission";
 import { isSailing } from "./planning";
 import type { State } from "./state";
@@ -144,6 +144,8 @@ class Chip {
     attribute(this.root, "data-mode", boat.mode ?? "");
     this.root.classList.toggle("selected", boat.id === state.selected);
     this.dot.style.background = boat.colour;
+    this.dot.style.color = over(boat.colour);
+    text(this.dot, String(boat.id));
     text(this.name, boat.name);
     text(this.age, ageWords(age));
     this.drawMode(boat, actions);
