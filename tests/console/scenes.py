@@ -343,6 +343,24 @@ def hour(each: Message) -> list[list[float]]:
     return points
 
 
+async def themes(page: Page, picture: Picture) -> None:
+    """A tablet in all four."""
+    async with at_work().serving() as gateway:
+        day = Day(gateway)
+        await day.sail(0.1)
+        await opened(page, gateway, width=1024, height=768)
+        await page.value("document.querySelector('#hint button').click()")
+        await page.press("Tab")
+        await show(page, -150, -300, 180, 200)
+        await day.sail(120)
+        for theme in ("Bright", "Day", "Dusk", "Night"):
+            await page.value("document.querySelector('#bar .colours').click()")
+            await choose(page, theme)
+            await gateway.frame()
+            await caught_up(page, gateway)
+            await picture(f"theme-{theme.lower()}")
+
+
 async def phone(page: Page, picture: Picture) -> None:
     async with at_work().serving() as gateway:
         day = Day(gateway)
@@ -417,7 +435,7 @@ async def traffic_on_a_phone(page: Page, picture: Picture) -> None:
 
 
 async def main(folder: Path, only: list[str]) -> None:
-    for scene in (work, traffic, traffic_on_a_phone, plan, replayed, many, phone):
+    for scene in (work, traffic, traffic_on_a_phone, plan, replayed, many, themes, phone):
         if only and scene.__name__ not in only:
             continue
         with tempfile.TemporaryDirectory(prefix="page-", ignore_cleanup_errors=True) as place_of_browser:
