@@ -243,8 +243,8 @@ async def _socket(heard: Callable[[bytes, tuple[str, int]], None]) -> asyncio.Da
 class Gateway:
     """`delfim console`, which finds its boats and its page again on the same ports when it is started anew."""
 
-    def __init__(self, folder: Path) -> None:
-        self.boats = ("127.0.0.1", _unused(socket.SOCK_DGRAM))
+    def __init__(self, folder: Path, *more: str) -> None:
+        self.boats, self._more = ("127.0.0.1", _unused(socket.SOCK_DGRAM)), more
         self._page = _unused(socket.SOCK_STREAM)
         self._folder = folder
         self._program: subprocess.Popen[str] | None = None
@@ -253,7 +253,7 @@ class Gateway:
         """Where the page is, once it is there. Blocks meanwhile."""
         words = [f"--boats=127.0.0.1:{self.boats[1]}", f"--page=127.0.0.1:{self._page}", "--no-browser", f"--vehicle={VEHICLE}"]
         words += [f"--{each}={self._folder}/{each}" for each in ("missions", "charts", "sessions", "token")]
-        command = [sys.executable, "-u", "-m", "delfim", "console", *words]
+        command = [sys.executable, "-u", "-m", "delfim", "console", *words, *self._more]
         self._program = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
         line = cast(Any, self._program.stdout).readline()
         assert "the console is at " in line
@@ -343,9 +343,11 @@ async def shown_mode(page: Page, number: int, words: str) -> None:
 
 
 @contextlib.asynccontextmanager
-async def operating(folder: Path, *more: str, count: int = 2, env: dict[str, str] | None = None) -> AsyncIterator[Sea]:
-    """`count` boats; `more` settings of the boats; `env` of their programs, where they are not ours."""
-    gateway = Gateway(folder)
+async def operating(
+    folder: Path, *more: str, count: int = 2, env: dict[str, str] | None = None, console: tuple[str, ...] = ()
+) -> AsyncIterator[Sea]:
+    """`count` boats; `more` settings of the boats; `env` of their programs, where they are not ours; `console`: its options."""
+    gateway = Gateway(folder, *console)
     radios = [Radio(gateway.boats) for _ in range(count)]
     ports = [await radio.open() for radio in radios]
     try:

@@ -54,6 +54,7 @@ def options(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--key", metavar="FILE", help="Sign with this key; the boats must have the same.")
     parser.add_argument("--vehicle", metavar="FILE", type=shipped, help="The vehicle's file, for dry runs of missions.")
+    _of_logs(parser)
     _of_operators(parser)
     parser.add_argument("--keygen", metavar="FILE", help="Make a signing key in this file, and exit.")
     parser.add_argument(
@@ -65,6 +66,17 @@ def options(parser: argparse.ArgumentParser) -> None:
         help="Show the boats in Foxglove, too, on this port of this computer (without PORT: 8766).",
     )
     parser.add_argument("--no-browser", dest="browser", action="store_false", help="Do not open the browser.")
+
+
+def _of_logs(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--logs",
+        action="append",
+        default=[],
+        metavar="NAME=URL",
+        help="Where the logs of the boat of that name are, as for `delfim log fetch`: the page fetches them.",
+    )
+    parser.add_argument("--logs-into", default="logs", metavar="FOLDER", help="Put them here, in a folder of each boat.")
 
 
 def _of_operators(parser: argparse.ArgumentParser) -> None:

@@ -75,7 +75,8 @@ class Fleet:
         self._peers: dict[Address, Codec] = {}
         self._ways = Ways()
         self._requests = Requests(self._send_on_each, self._send_all)
-        self.questions = Questions(self._send, self._requests.wait_for)
+        self.is_busy = self._requests.wait_for  # whether an order to a boat is under way
+        self.questions = Questions(self._send, self.is_busy)
         self._drivers = Drivers(self._send_on_each, self._say)
         self._ticked_s, self._deaf_until_s, self._slept_s = clock.monotonic_s(), -math.inf, 0.0
         self._beat_s = self._complained_s = -math.inf

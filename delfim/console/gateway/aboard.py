@@ -4,7 +4,7 @@ What was changed can be kept in a file: the vehicle's file of the console with t
 """
 
 import asyncio
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Final
 
@@ -16,6 +16,7 @@ from delfim.base.errors import DelfimError, Refused, in_words
 from delfim.console.boats.fleet import Fleet
 from delfim.console.gateway import page_messages
 from delfim.console.link.mavlink import PARAMS, BoatQuestion, ToldRow
+from delfim.console.logs.fetching import LogFetching
 from delfim.console.terminal.describe import meaning
 from delfim.services.vehiclefile import changed
 
@@ -30,14 +31,33 @@ class AboardDesk:
 
     def __init__(self, fleet: object, vehicle: Path | None, tell: Tell) -> None:
         self._fleet, self._vehicle, self._tell = fleet, vehicle, tell
+        self.logs = LogFetching({}, Path("logs"), tell, lambda number: False)
         self._settings = dict[int, dict[str, ToldRow]]()  # by boat and key, as they were told last
 
-    def ask(self, asked: page_messages.Itself, tell: Tell, answer: Answer) -> None:
+    def fetches(self, sources: Mapping[str, str], folder: Path) -> None:
+        """Logs of boats by these names come from there, into this folder."""
+        if isinstance(self._fleet, Fleet):
+            self.logs = LogFetching(sources, folder, self._tell, self._fleet.is_busy)
+
+    def tick(self, now_s: float) -> None:
+        if isinstance(self._fleet, Fleet):
+            self.logs.tick(self._fleet.boats, now_s)
+
+    def close(self) -> None:
+        self.logs.close()
+
+    def ask(self, asked: page_messages.Itself | page_messages.Logs, tell: Tell, answer: Answer) -> None:
         """Raises Refused."""
         if not isinstance(self._fleet, Fleet):
             raise Refused("a recording tells nothing of this")
+        boat = self._fleet.boat(asked.boat)
+        if isinstance(asked, page_messages.Logs):
+            self.logs.ask(boat, asked.do, answer)
+        else:
+            self._read(self._fleet, asked, tell, answer)
+
+    def _read(self, fleet: Fleet, asked: page_messages.Itself, tell: Tell, answer: Answer) -> None:
         number, of = asked.boat, asked.do
-        self._fleet.boat(number)
 
         def read(rows: list[ToldRow], why: str) -> None:
             if not why and of == "settings":
@@ -53,9 +73,9 @@ class AboardDesk:
             answer(not row.refused, row.refused)
 
         if of == "change":
-            self._fleet.questions.ask(number, BoatQuestion("change", key=asked.key, value=asked.value), done)
+            fleet.questions.ask(number, BoatQuestion("change", key=asked.key, value=asked.value), done)
         else:
-            self._fleet.questions.read(number, of, read)
+            fleet.questions.read(number, of, read)
 
     async def keep(self, asked: web.Request) -> web.Response:
         """A vehicle's file in which the changed keys have the values in force; without one of that boat, these lines alone."""

@@ -31,7 +31,13 @@ def needed(asked: page_messages.Message) -> Role:
             | page_messages.Quiet()
         ):
             return Role.WATCH
-        case page_messages.Home() | page_messages.Afford() | page_messages.Replay() | page_messages.Survey():
+        case (
+            page_messages.Home()
+            | page_messages.Afford()
+            | page_messages.Replay()
+            | page_messages.Survey()
+            | page_messages.Logs()
+        ):
             return Role.WATCH
         case page_messages.Mission(do=deed) if deed in LOOKING:
             return Role.WATCH

@@ -136,7 +136,7 @@ class Gateway:
         self._complaints: dict[str, str] = {}  # the last complaint about each link and file, to say it once
         self.heard_on: list[str] = [*self.radios]  # addresses and radios, for the page
         self._desk, self._surveys = Desk(self.fleet, missions, vehicle, self.charts), SurveyDesk(vehicle, self._heard)
-        self._aboard = AboardDesk(self.fleet, vehicle, self.tell)
+        self.aboard = AboardDesk(self.fleet, vehicle, self.tell)
         self._ticks = self._opened = 0
         self.app = web.Application(middlewares=[admission.admit], client_max_size=MESSAGE_BYTES)
         self._route()
@@ -148,7 +148,7 @@ class Gateway:
         self.app.router.add_get("/foxglove.json", self._layout)
         self.app.router.add_get("/watch.csv", self.watch.serve)
         self.app.router.add_post("/area", self._surveys.read)
-        self.app.router.add_get("/kept.toml", self._aboard.keep)
+        self.app.router.add_get("/kept.toml", self.aboard.keep)
         PlanFiles().routes(self.app)
         if self.adoption is not None:
             self.app.router.add_get("/adoption.html", self.adoption.serve_report)
@@ -164,12 +164,11 @@ class Gateway:
         if self.session is not None:
             self.session.flush()
             self._keep()
-        if self.watch.file is not None:
-            self.watch.file.close()
+        self.watch.close()
         if self.soundings is not None:
             self.soundings.flush()
-        self.charts.close()
-        self._surveys.close()
+        for desk in (self.charts, self._surveys, self.aboard):
+            desk.close()
         if self.adoption is not None:
             self.adoption.close()
 
@@ -193,6 +192,7 @@ class Gateway:
         if isinstance(self.fleet, Fleet):
             self.watch.tick(self.fleet.boats.values(), self._clock.monotonic_s())
         self.bridge.tick(self._pages, self._clock.monotonic_s())
+        self.aboard.tick(self._clock.monotonic_s())
         self._complain("file of operators", self.bridge.operators.reason)
         if self.session is not None:
             if self.session.tick():
@@ -442,8 +442,8 @@ class Gateway:
             case page_messages.Depths():
                 self._forget_depths()
                 answer(True, "")
-            case page_messages.Itself():
-                self._aboard.ask(asked, page.tell, answer)
+            case page_messages.Itself() | page_messages.Logs():
+                self.aboard.ask(asked, page.tell, answer)
             case page_messages.Adopt():
                 if self.adoption is None:
                     raise Refused("nothing is adopted in a replay")

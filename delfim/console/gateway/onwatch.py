@@ -111,6 +111,10 @@ class WatchKeeper:
 
         return answered
 
+    def close(self) -> None:
+        if self.file is not None:
+            self.file.close()
+
     def tick(self, boats: Iterable[Boat], now_s: float) -> None:
         """Often: who is silent, whose link is weak, and what has changed."""
         for boat in boats:

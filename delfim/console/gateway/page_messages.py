@@ -208,6 +208,14 @@ class Itself(Said, frozen=True):
     value: bool | Real | Annotated[str, msgspec.Meta(max_length=64)] = ""
 
 
+class Logs(Said, frozen=True):
+    """Fetches the logs of a boat, those of its state or all, or ends that; `progress` tells how far it is. The answer comes at
+    the end."""
+
+    boat: Number
+    do: Literal["state", "all", "end"]
+
+
 Message = (
     Command
     | Input
@@ -226,5 +234,6 @@ Message = (
     | Depths
     | Adopt
     | Itself
+    | Logs
 )
 NO_NUMBERS = frozenset({"t", "seq", "boat", "command"})

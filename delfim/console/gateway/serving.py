@@ -24,6 +24,7 @@ from delfim.console.gateway.browser import show
 from delfim.console.gateway.foxglove import FoxgloveView
 from delfim.console.gateway.gateway import Gateway
 from delfim.console.link.mavlink import Key
+from delfim.console.logs.fetching import sources_of
 from delfim.console.tapes.replay import open_tapes
 from delfim.console.watch.operators import OperatorsFile
 from delfim.parts.fleet.broker import UP, BrokerLine, BrokerPlace
@@ -106,6 +107,7 @@ def run(asked: argparse.Namespace) -> int:
         operators=OperatorsFile(Path(asked.operators).expanduser()),
     )
 
+    gateway.aboard.fetches(sources_of(asked.logs), Path(asked.logs_into))
     if asked.broker and not tapes:
         gateway.broker = broker_line(gateway, asked)
         gateway.heard_on.append(gateway.broker.place.host)

@@ -106,18 +106,26 @@ def wanted(entries: Sequence[RemoteFile], ids: Sequence[str], span: Span, *, sum
     return sorted(result, key=_rank)
 
 
+def _bar(total: float) -> Callable[[float], None]:
+    return progress("fetch", total, bytes=True)
+
+
 def transfer(
-    connect: Callable[[], LogSource], entries: Sequence[RemoteFile], directory: Path, tell: Callable[[str], object]
+    connect: Callable[[], LogSource],
+    entries: Sequence[RemoteFile],
+    directory: Path,
+    tell: Callable[[str], object],
+    show: Callable[[float], Callable[[float], None]] = _bar,
 ) -> Fetched:
-    """Fetch these files where they are not here in full. A lost link is restored. Raises DelfimError if that fails; the data
-    received so far stays for the next time."""
+    """Fetch these files where they are not here in full. A lost link is restored. `show` is told how many bytes are to come,
+    and then how many have. Raises DelfimError if a link is not restored; the data received so far stays for the next time."""
     due = [entry for entry in entries if _size(directory / entry.path) != entry.size]
     total = sum(entry.size - _here(directory / entry.path, entry.size) for entry in due)
     tell(f"{len(due)} files to fetch, {total / 1e6:.1f} MB; {len(entries) - len(due)} are here")
     directory.mkdir(parents=True, exist_ok=True)
     if total > (free := shutil.disk_usage(directory).free - FREE_BYTES):
         raise DelfimError(f"{directory} has room for {max(free, 0) / 1e6:.1f} MB: fetch a part, by --id, --from and --to")
-    told, fetched, cut, arrived = progress("fetch", total, bytes=True), [], [], [0]
+    told, fetched, cut, arrived = show(total), [], [], [0]
 
     def count(data: bytes) -> None:
         arrived[0] += len(data)

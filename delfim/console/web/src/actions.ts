@@ -163,6 +163,12 @@ export class Actions {
     if (!answer.ok) this.say(boat, 4, refusal("forget", answer.reason));
   }
 
+  /** Answered when they are here; the strip says how far it is. */
+  async logs(boat: number, what: "state" | "all" | "end"): Promise<void> {
+    const answer = await this.net.ask({ t: "logs", boat, do: what });
+    if (!answer.ok) this.say(boat, 4, refusal("fetch logs", answer.reason));
+  }
+
   async forgetDepths(): Promise<void> {
     const answer = await this.net.ask({ t: "depths", do: "forget" });
     if (!answer.ok) this.say(null, 4, refusal("forget the depths", answer.reason));

@@ -165,12 +165,18 @@ export class Menus {
       ...(boat.orders ?? []).filter(({ title, name }) => title || name).map((order) => this.offered(boat, at, order)),
       ...this.adopt.items(boat, at),
       { title: "Before the start…", do: () => this.panes.open(boat, "checks") },
+      { title: "Fetch its logs", sub: () => this.logs(boat) },
       { title: "Settings…", do: () => this.panes.open(boat, "settings") },
       command("Take control", "take", boat.owner && "this console is in control"),
       { title: "Forget it", note: "off all pages, until it is heard again", refuse: freshness(age_s(this.state, boat)) !== "lost" && "it is heard", do: () => void this.actions.forget(boat.id) },
       "line",
       ...PROFILES.map((name): Item => ({ title: `Link: ${name}`, tick: boat.link.profile === name, do: () => void this.actions.profile(boat.id, name) })),
     ];
+  }
+
+  private logs({ id }: Boat): Entry[] {
+    const item = (title: string, what: "state" | "all" | "end", note: string): Item => ({ title, note, do: () => void this.actions.logs(id, what) });
+    return [item("Of its state", "state", "its voyages, with events"), item("All", "all", "every frame of its buses, too"), item("End", "end", "the next time goes on from there")];
   }
 
   private view(place: Place | null): Entry[] {

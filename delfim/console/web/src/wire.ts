@@ -319,6 +319,7 @@ export type Said =
   | { t: "depths"; do: "forget" }
   | { t: "adopt"; boat: number; do: "begin" | "afresh" | "berth" | "yes" | "no" | "end" | "close"; radius_m?: number }
   | { t: "itself"; boat: number; do: "settings" | "checks" | "change"; key?: string; value?: AboardRow["value"] }
+  | { t: "logs"; boat: number; do: "state" | "all" | "end" }
   | { t: "forget"; boat: number }
   | { t: "home"; boat: number }
   | { t: "afford"; boat: number }

@@ -1,0 +1,1 @@
+"""Logs of boats, fetched for the console."""
