@@ -44,7 +44,6 @@ def options(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--missions", default="missions", metavar="FOLDER", help="The operator's missions.")
     parser.add_argument("--charts", default="charts", metavar="FOLDER", help="The operator's charts.")
-    parser.add_argument("--sessions", default="sessions", metavar="FOLDER", help="Record sessions here.")
     parser.add_argument("--trials", default="adopt", metavar="FOLDER", help="Keep trials of boats here (docs/adopt.md).")
     parser.add_argument(
         "--replay",
@@ -54,7 +53,7 @@ def options(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--key", metavar="FILE", help="Sign with this key; the boats must have the same.")
     parser.add_argument("--vehicle", metavar="FILE", type=shipped, help="The vehicle's file, for dry runs of missions.")
-    _of_logs(parser)
+    _of_records(parser)
     _of_operators(parser)
     parser.add_argument("--keygen", metavar="FILE", help="Make a signing key in this file, and exit.")
     parser.add_argument(
@@ -68,7 +67,8 @@ def options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--no-browser", dest="browser", action="store_false", help="Do not open the browser.")
 
 
-def _of_logs(parser: argparse.ArgumentParser) -> None:
+def _of_records(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--sessions", default="sessions", metavar="FOLDER", help="Record sessions here.")
     parser.add_argument(
         "--logs",
         action="append",
