@@ -5,6 +5,7 @@ standard output, both JSON. `{"read": PATH}` is answered by the `areas` of that 
 answered by a `PreviewTold`; both by `{"refused": WORDS}` where there is none. It has no limit of time: who asks ends it.
 """
 
+import os
 import sys
 from collections.abc import Iterable, Sequence
 from typing import Any, Final, Literal, NamedTuple
@@ -14,10 +15,10 @@ import msgspec
 from delfim import config
 from delfim.base.errors import DelfimError, in_words
 from delfim.base.geodesy import Origin
+from delfim.base.input.bounded import bounded
 from delfim.survey.areafile import CORNERS, Corner, Ring, Shape, read_area
 
 MEMORY_BYTES: Final = 2 << 30  # of addresses; numpy and Shapely take half a gigabyte of them
-NICE: Final = 5
 SHARE: Final = "lines", "way", "time_s", "mission"  # of a boat's share
 NEEDS: Final = "a survey needs the package shapely, which is not installed: pip install 'delfim[ground]'"
 
@@ -237,13 +238,8 @@ def answered(line: bytes, settings: config.Vehicle) -> dict[str, Any]:
 
 def main(vehicle: str) -> int:
     """The process."""
-    if sys.platform != "win32":
-        import os
-        import resource
-
-        os.environ["OPENBLAS_NUM_THREADS"] = "1"  # each thread would take addresses
-        os.nice(NICE)
-        resource.setrlimit(resource.RLIMIT_AS, (MEMORY_BYTES, MEMORY_BYTES))
+    os.environ["OPENBLAS_NUM_THREADS"] = "1"  # each thread would take addresses
+    bounded(MEMORY_BYTES)
     settings = config.load(vehicle)
     for line in sys.stdin.buffer:
         sys.stdout.buffer.write(msgspec.json.encode(answered(line, settings)) + b"\n")

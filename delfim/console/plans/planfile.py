@@ -16,6 +16,7 @@ import msgspec
 from delfim import config
 from delfim.base.errors import DelfimError, FormatError, in_words
 from delfim.base.input import shapefile
+from delfim.base.input.bounded import bounded
 from delfim.base.input.elements import Elements
 from delfim.base.input.untrusted import parse_json, read_file
 from delfim.console.link.mavlink import Item, plans
@@ -231,11 +232,7 @@ KINDS: Final[dict[str, Callable[[bytes], Found]]] = {
 
 def main(path: str) -> int:
     """The process."""
-    if sys.platform != "win32":
-        import resource
-
-        resource.setrlimit(resource.RLIMIT_AS, (MEMORY_BYTES, MEMORY_BYTES))
-        resource.setrlimit(resource.RLIMIT_CPU, (CPU_S, CPU_S))
+    bounded(MEMORY_BYTES, CPU_S)
     try:
         found: Found = read_plan(path)
     except MemoryError:

@@ -15,6 +15,7 @@ from typing import Any, Final
 import msgspec
 
 from delfim.base.errors import DelfimError, FormatError
+from delfim.base.input.bounded import bounded
 from delfim.base.input.untrusted import read_file
 from delfim.survey.enc.records import checked, checksums
 
@@ -180,13 +181,7 @@ def _value(value: Any) -> float | str | list[str] | None:
 
 def main(file: str, *layers: str) -> int:
     """The process."""
-    if sys.platform != "win32":
-        import os
-        import resource
-
-        os.nice(5)
-        resource.setrlimit(resource.RLIMIT_CPU, (CPU_S, CPU_S))
-        resource.setrlimit(resource.RLIMIT_AS, (MEMORY_BYTES, MEMORY_BYTES))
+    bounded(MEMORY_BYTES, CPU_S)
     try:
         sys.stdout.buffer.write(msgspec.msgpack.encode(gathered(Path(file), layers)))
     except DelfimError as error:

@@ -16,12 +16,12 @@ import msgspec
 from delfim import config
 from delfim.base.cooperative import Work
 from delfim.base.errors import ConfigError, DelfimError, FormatError
+from delfim.base.input.bounded import bounded
 from delfim.vehicle.plans.mission import Mission, PathPoint, PayloadItem, Waypoint, read_mission
 
 PROGRAM: Final = (sys.executable, "-m", "delfim.vehicle.plans.missionreader")
 CPU_S: Final = 10  # the largest mission takes half a second, and on a slow board ten times that
 MEMORY_BYTES: Final = 1 << 28
-NICE: Final = 10
 ROW, ZONE = 4, 20  # time for a line with a row or with a zone, counted in comparisons
 WRONG: Final = 3  # exit code for a text that is not a mission
 _rows = {  # by the tables' names
@@ -91,13 +91,7 @@ def _line(name: str, told: object) -> bytes:
 
 def main(cpu_s: str) -> int:
     """The process."""
-    if sys.platform != "win32":  # there only the console runs, and ends a reading that lasts
-        import os
-        import resource
-
-        os.nice(NICE)
-        resource.setrlimit(resource.RLIMIT_CPU, (int(cpu_s), int(cpu_s)))
-        resource.setrlimit(resource.RLIMIT_AS, (MEMORY_BYTES, MEMORY_BYTES))
+    bounded(MEMORY_BYTES, int(cpu_s))
     try:
         sys.stdout.buffer.writelines(written(read_mission(sys.stdin.buffer.read().decode())))
     except ConfigError as error:
