@@ -1,5 +1,5 @@
 """How old a sounding is when the page draws it, through the real chain, and what depths take of the link:
-`python -m tests.console.depth_age`. A boat's programs, the console's and Chromium run on this machine, by one clock.
+`python -m tests.console.depth_age [radio]`. A boat's programs, the console's and Chromium run on this machine, by one clock.
 """
 
 import asyncio
@@ -63,11 +63,12 @@ async def linked(folder: Path) -> AsyncIterator[tuple[Counted, int, str]]:
         radio.close()
 
 
-async def measured(folder: Path) -> None:
-    """Prints the ages on *wifi*, and the bytes a second."""
+async def measured(folder: Path, profile: str) -> None:
+    """Prints the ages on a profile of the link, and the bytes a second."""
+    settings = (*SOUNDER, f'mavlink.profile="{profile}"')
     async with linked(folder) as (radio, port, url), tab() as page:
         await page.open(url, width=DESK[0], height=DESK[1], scale=1.0)
-        with afloat(folder / "1", 1, port, SOUNDER) as boat:
+        with afloat(folder / "1", 1, port, settings) as boat:
             await boat.until(lambda state: state["measured"].get("depth_m"))
             await page.until("delfim.depths()[0] > 0", PATIENCE_S)
             await page.call("Page.bringToFront")
@@ -106,7 +107,7 @@ async def pinged(boat: Boat, folder: Path) -> list[float]:
 
 async def main() -> None:
     with tempfile.TemporaryDirectory(prefix="depth-age-", ignore_cleanup_errors=True) as folder:
-        await measured(Path(folder))
+        await measured(Path(folder), *(sys.argv[1:] or ["wifi"]))
 
 
 if __name__ == "__main__":
