@@ -1,6 +1,6 @@
 """Whether anybody could have stayed clear: ships of 90 m at 6 m/s that turn late, and all ways that a boat of 1.5 m/s has left.
 
-    python -m bench.escapes [--seeds 2]
+    python -m bench.escapes [--seeds 2] [--lost] [--only 3]
 
 From where the guard's boat is at a moment on, the places that some way reaches without a domain are kept as a grid, each
 twelve seconds. The ways are those of a point that turns at once, a tenth faster than the boat, and a square is struck out only
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt  # type: ignore[import-untyped]
 
 from delfim.simulator.nodes.other_vessels import axes_m
-from tests.parts.traffic.encounters import LIMITS, Instant, Ship, encounters, late, place, sail, turning
+from tests.parts.traffic.encounters import LIMITS, ClassB, Instant, Ship, encounters, late, place, sail, turning
 
 OWN_MPS: Final = 1.5
 CELL_M: Final = 2.0
@@ -74,13 +74,17 @@ def last_way_out_s(log: Sequence[Instant], ships: Sequence[Ship], entered_s: flo
 def main() -> None:
     parser = argparse.ArgumentParser()
     parser.add_argument("--seeds", type=int, default=2)
+    parser.add_argument("--lost", action="store_true", help="by class B, of which a fifth is lost, instead of perfect reports")
+    parser.add_argument("--only", type=int, help="this encounter of the 22")
     asked = parser.parse_args()
     for manner in (late, turning):
         sailed = entered = lost = 0
         for seed in range(asked.seeds):
             for i, (title, kept) in enumerate(encounters("imazu22-real")):
+                if asked.only not in (None, i + 1):
+                    continue
                 ships = manner(kept, i + 22 * seed)
-                log = sail(ships, SMALL)
+                log = sail(ships, SMALL, see=ClassB(i + 22 * seed)) if asked.lost else sail(ships, SMALL)
                 sailed += 1
                 bad = [now.t_s for now in log if any(place(now.own, ship)[0] < 1.0 for ship in now.ships)]
                 if not bad:
