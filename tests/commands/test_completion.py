@@ -56,7 +56,7 @@ def test_bash_offers_what_may_stand_there(script: str, words: tuple[str, ...], o
 def test_each_option_of_each_command_is_in_it(script: str) -> None:
     found, with_verbs = completion.parsers()
     assert set(SENTENCES) <= set(found)
-    assert with_verbs == ["can", "log", "survey", "parts"]
+    assert with_verbs == ["can", "iridium", "log", "survey", "parts"]
     for of, parser in found.items():
         line = next(line for line in script.splitlines() if line.strip().startswith(f'"{of}":*:-*)'))
         options = {name for each in parser._actions if each.help != argparse.SUPPRESS for name in each.option_strings}
