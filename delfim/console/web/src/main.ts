@@ -36,6 +36,7 @@ import { Panes } from "./panes";
 import { NOBODY, State, ageWords } from "./state";
 import { Survey, surveyed } from "./survey";
 import { Strips } from "./strip";
+import { Timeline } from "./timeline";
 import { Traffic } from "./traffic";
 import { Watch } from "./watch";
 import { WatchLog } from "./watchlog";
@@ -73,7 +74,8 @@ const wayHome = new WayHome(chart, state, net);
 popup.closed = () => wayHome.show(null);
 const depths = new Depths(element("depths"), chart, state, survey);
 const adopt = new Adopt(element("adopt"), chart, state, popup, net, messages);
-const menus = new Menus(popup, state, actions, chart, fleet, plans, planning, () => watchLog.open(), sound, watch, wayHome, () => keyCard.toggle(), adopt, depths, panes);
+const timeline = new Timeline(element("timeline"), state);
+const menus = new Menus(popup, state, actions, chart, fleet, plans, planning, () => watchLog.open(), sound, watch, wayHome, () => keyCard.toggle(), adopt, depths, panes, timeline);
 new Header(element("bar"), state, sound, menus, popup);
 const hints = new Hints(element("hint"), element("nobody"), state, actions.did, popup);
 const aim = new Aim(element("map"), chart, { seen: (place) => text(element("where"), whereWords(place, state)), chosen: press, added: (place) => !state.replaying && planning.add(place) });
@@ -161,6 +163,7 @@ function heard(message: Heard): void {
     case "forgotten":
       return state.forget(message.boat);
     case "text":
+      timeline.say(message.boat, message.severity, message.text);
       return message.alarm ? undefined : messages.say(message.boat, message.severity, message.text);
     case "alerts":
       return alerts.take(message.alerts);

@@ -18,6 +18,7 @@ import type { Sound } from "./sound";
 import { surveyed } from "./survey";
 import { age_s, freshness } from "./state";
 import type { State } from "./state";
+import type { Timeline } from "./timeline";
 import { inKnots, setKnots } from "./units";
 import { ZONES_M } from "./watch";
 import type { Watch } from "./watch";
@@ -45,6 +46,7 @@ export class Menus {
     private readonly adopt: Adopt,
     private readonly depths: Depths,
     private readonly panes: Panes,
+    private readonly timeline: Timeline,
   ) {}
 
   boat(boat: Boat, at: Pixel): void {
@@ -211,6 +213,7 @@ export class Menus {
       { title: "Forget the depths", note: "on all pages: another survey of the same water begins", refuse: this.depths.counts[0] ? undefined : "none were heard", do: () => void this.actions.forgetDepths() },
       ...charts,
       "line",
+      { title: "The last ten minutes", note: "speed, depth, link, modes and messages of the boat", tick: this.timeline.visible, do: () => this.timeline.toggle() },
       { title: "Log of the watch", do: this.log },
       { title: "Clear the tracks", do: () => this.fleet.clearTracks() },
       { title: "Full screen", do: () => void document.documentElement.requestFullscreen() },
