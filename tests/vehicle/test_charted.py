@@ -122,7 +122,7 @@ def test_a_file_that_is_not_whole_is_not_taken(change: object, words: str, tmp_p
     with pytest.raises(ConfigError):
         Lockstep(settings, 1, lambda clock: NoLog())
     file.unlink()
-    with pytest.raises(ConfigError, match="there is no such file: the boat, its simulation and replays"):
+    with pytest.raises(ConfigError, match="there is no such file: the boat, its dry runs and replays"):
         load(settings)
 
 

@@ -75,7 +75,7 @@ def load(settings: config.Vehicle) -> Chart | None:
     except (FormatError, OSError) as error:
         words = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
         if isinstance(error, FileNotFoundError):
-            words = "there is no such file: the boat, its simulation and replays of its logs read the chart that they sail by"
+            words = "there is no such file: the boat, its dry runs and replays of its logs read the chart that they sail by"
         raise ConfigError(file, "fence.chart", words) from None
     for name in ("draught_m", "air_draught_m"):
         made_m, needed_m = getattr(chart.head, name), getattr(settings.boat, name)
