@@ -10,6 +10,7 @@ from delfim.base.modes import Mode
 from delfim.simulator.tables import Sea
 from delfim.vehicle.control.control import admit, control, enter
 from delfim.vehicle.control.guidance import along
+from delfim.vehicle.control.memory import LineOfSight
 from delfim.vehicle.control.modes.path import APPROACH
 from delfim.vehicle.helm.setpoints import first
 from delfim.vehicle.state import Arc, Line, Motion, Plan, Setpoint, Waypoint
@@ -138,6 +139,23 @@ def test_a_survey_whose_lines_pass_where_the_boat_lies_is_sailed_from_end_to_end
         setpoint = Setpoint(plan=Plan("", (), path), piece=piece)
         legs = [x.leg for x in boat.sail(Mode.PATH, setpoint, 900.0) if x.mode is Mode.PATH]
         assert list(dict.fromkeys(legs)) == [APPROACH - piece, *range(piece, len(path))]
+
+
+@pytest.mark.parametrize(
+    ("turn_deg", "kept"), [(0.0, 1.0), (30.0, math.cos(math.pi / 6.0)), (90.0, 0.0), (-120.0, 0.0), (180.0, 0.0)]
+)
+def test_round_a_corner_the_guidance_keeps_what_lies_aside_of_the_next_piece(turn_deg: float, kept: float) -> None:
+    """What wind and water did on one line they do from another side on the next: the boat had to unlearn it for 25 to 50 m."""
+    turn_rad = math.radians(turn_deg)
+    path = (Line(0.0, 0.0, 60.0, 0.0, 1.5), Line(60.0, 0.0, 60.0 + 60.0 * math.cos(turn_rad), 60.0 * math.sin(turn_rad), 1.5))
+    setpoint = Setpoint(plan=Plan("", (), path))
+    memory = enter(Mode.PATH, HERE, setpoint, SETTINGS)
+    memory = memory._replace(leg=0, course=LineOfSight(0.0, 2.0))
+    before, _, _ = control(Mode.PATH, memory, HERE._replace(north_m=20.0), setpoint, SETTINGS, DT_S)
+    after, _, _ = control(Mode.PATH, memory, HERE._replace(north_m=61.0), setpoint, SETTINGS, DT_S)
+    assert (before.leg, after.leg) == (0, 1)
+    assert before.course.shift_m == pytest.approx(2.0, abs=0.1)
+    assert after.course.shift_m == pytest.approx(2.0 * kept, abs=0.1)
 
 
 @pytest.mark.parametrize(("north_m", "onto_deg"), [(20.0, 45.0), (65.0, 45.0), (90.0, 75.1)])

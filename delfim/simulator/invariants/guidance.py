@@ -10,7 +10,7 @@ from delfim.simulator.invariants.cycle import CycleSeen
 from delfim.simulator.invariants.fence import PlainFence
 from delfim.simulator.lockstep import Lockstep
 from delfim.vehicle.control.memory import Integrals, LineOfSight, Memory
-from delfim.vehicle.state import Line, Motion, Setpoint, State, Waypoint
+from delfim.vehicle.state import Arc, Line, Motion, Setpoint, State, Waypoint
 
 SAME: Final = 1e-6  # m, m/s, rad
 CREEP_MPS: Final = 0.3  # docs/control.md
@@ -208,6 +208,9 @@ class Guidance:
         if stops:
             speed_mps = min(speed_mps, max(math.sqrt(control.speed.ramp_mps2 * max(left_m, 0.0)), CREEP_MPS))
         yield from self._steers(cycle, heading_rad, speed_mps)
+        if following is not None and cycle.memory.leg == onwards:  # it learnt what pushes aside of this piece, not of the next
+            kept = max(math.cos(_tangent_rad(following) - bearing_rad), 0.0)
+            course = course._replace(shift_m=course.shift_m * kept)
         yield from _remembers(cycle, course)
         if differs(state.reference.cross_track_m, cross_m) or differs(state.reference.distance_m, max(left_m, 0.0)):
             yield f"path tells {state.reference.distance_m} m to go, {state.reference.cross_track_m} m off, not {left_m}"
@@ -215,8 +218,7 @@ class Guidance:
             yield f"path is {'done' if state.reference.done else 'not done'} {left_m:.1f} m before its end"
         over_m = 0.0
         if isinstance(following, Line) and not stops:
-            next_rad = math.atan2(following.to_east_m - following.east_m, following.to_north_m - following.north_m)
-            corner_rad = min(abs(wrap(next_rad - bearing_rad)), math.radians(120.0))
+            corner_rad = min(abs(wrap(_tangent_rad(following) - bearing_rad)), math.radians(120.0))
             over_m = min(3.0 * speed_mps * math.tan(corner_rad / 2.0), ahead_m)
             leg = was.leg if left_m > over_m else onwards
             if cycle.memory.leg != leg:
@@ -258,6 +260,13 @@ class Guidance:
             yield from self._steers(cycle, heading_rad, driving * min(far_m / 5.0, hold.speed_mps))
         elif not cycle.run.vehicle.helm.limits.hull.aside_n:
             yield from self._steers(cycle, None, 0.0)
+
+
+def _tangent_rad(piece: Line | Arc) -> float:
+    """Of its beginning."""
+    if isinstance(piece, Line):
+        return math.atan2(piece.to_east_m - piece.east_m, piece.to_north_m - piece.north_m)
+    return piece.start_rad + math.copysign(math.pi / 2.0, piece.turn_rad)
 
 
 def _beginning(piece: Line, line_m: float) -> Point:

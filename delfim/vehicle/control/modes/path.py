@@ -3,7 +3,8 @@
 A boat goes to the beginning of the first piece, or of the one that it is told to begin with, wherever it is. At a corner the
 boat leaves a line early by R tan(angle / 2), where a turn of radius R begins that ends on the next one. A boat that kept clear
 of others comes back at 45 degrees. A piece at whose end the boat stays for a while is sailed to its end, slowly at last, and
-the boat stays there as in hold mode. A survey's line that was interrupted goes on where it was left, with a run-in.
+the boat stays there as in hold mode. At a corner the integral of the guidance keeps what of it lies aside of the next piece:
+wind and water push from another side there. A survey's line that was interrupted goes on where it was left, with a run-in.
 """
 
 import math
@@ -12,7 +13,7 @@ from collections.abc import Sequence
 from delfim.base.geodesy import wrap
 from delfim.vehicle.control.autopilot import entered, steer
 from delfim.vehicle.control.guidance import CREEP_MPS, along, course_to_steer
-from delfim.vehicle.control.memory import Memory, Settings
+from delfim.vehicle.control.memory import LineOfSight, Memory, Settings
 from delfim.vehicle.control.modes import hold
 from delfim.vehicle.control.safe import STOP
 from delfim.vehicle.state import Arc, Line, Motion, Plan, Reference, Setpoint, Wanted
@@ -111,9 +112,11 @@ def step(
         return after, reference._replace(done=True) if left_m <= 0.0 else reference, wanted
     if stops:
         return after._replace(north_m=north_m, east_m=east_m, heading_rad=None, left_s=piece.hold_s), reference, wanted
-    if left_m > _wheel_over_m(tangent_rad, path[onwards], speed_mps, ahead_m):
+    corner_rad = abs(wrap(_start_tangent_rad(path[onwards]) - tangent_rad))
+    if left_m > _wheel_over_m(corner_rad, speed_mps, ahead_m):
         return after, reference, wanted
-    return after._replace(leg=onwards, swept_rad=0.0), reference, wanted
+    course = LineOfSight(course.crab_rad, course.shift_m * max(math.cos(corner_rad), 0.0))
+    return after._replace(leg=onwards, swept_rad=0.0, course=course), reference, wanted
 
 
 def _stay(
@@ -148,10 +151,9 @@ def nearest(piece: Line | Arc, motion: Motion, swept_rad: float) -> tuple[float,
     return bearing_rad + side * math.pi / 2.0, cross_m, (abs(piece.turn_rad) - swept_rad) * piece.radius_m, swept_rad
 
 
-def _wheel_over_m(tangent_rad: float, following: Line | Arc, speed_mps: float, at_most_m: float) -> float:
+def _wheel_over_m(corner_rad: float, speed_mps: float, at_most_m: float) -> float:
     """How far before its end a piece is left for the next one; zero where they join smoothly."""
-    corner_rad = min(abs(wrap(_start_tangent_rad(following) - tangent_rad)), CORNER_MAX_RAD)
-    return min(speed_mps * TURN_S * math.tan(corner_rad / 2.0), at_most_m)
+    return min(speed_mps * TURN_S * math.tan(min(corner_rad, CORNER_MAX_RAD) / 2.0), at_most_m)
 
 
 def _start_tangent_rad(piece: Line | Arc) -> float:
