@@ -80,7 +80,7 @@ def test_tables_arrays_and_services(tmp_path: Path) -> None:
         (BOAT + "[control]\ncruise_mps = 2", "control.cruise_mps", "unknown key; did you mean control.speed.cruise_mps?", ""),
         (BOAT + "[ports.gps]", "ports", "unknown key; did you mean nmea0183.ports?", ""),
         (BOAT + "[heading]", "heading", "unknown key; did you mean control.heading?", ""),
-        (BOAT + "[control.sonar]", "control.sonar", "unknown key", "heading, speed, path, goto, hold, home"),
+        (BOAT + "[control.sonar]", "control.sonar", "unknown key", "heading, speed, path, goto, hold, home, unstick"),
         (
             BOAT + "[services.httpd]\ncolour = 1",
             "services.httpd.colour",

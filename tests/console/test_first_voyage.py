@@ -149,8 +149,8 @@ async def first_sight(you: Visit, boat: Boat) -> None:
     """Name, mission and way of the boat, without a click."""
     await you.sees("boat1")
     await you.sees("waypoint 1 of 12")
-    await you.sees("to go")
-    await you.sees("hdg ")
+    await you.sees("To go")
+    await you.sees("Heading")
     await you.sees("a menu opens")
     await you.page.until("delfim.drawn().aboard === 12 && delfim.drawn().plan === 12", PATIENCE_S)
     state = boat.state()

@@ -68,6 +68,8 @@ async def replayed(place: Path, picture: Callable[[Console], Awaitable[None]]) -
         said = f"{TEXT.format('#traffic')}.match(/AIS: 3 targets, last report [0-9]+ s ago. Sees only who transmits./)"
         await page.until(f"Boolean({said})")
         assert sorted(await page.value("delfim.vessels().map(([name]) => name)")) == ["MARIA", "PILAR 7", "TEJO"]
+        await page.value("document.querySelector('.chip [aria-expanded=false]').click()")
+        await page.until(f"{TEXT.format('.chip')}.includes('log')")
         strip = await page.value(TEXT.format(".chip"))
         assert "from the boat's own log" in strip
         assert not [words for words in ("not ready", "not read", "signed", "% ·", "wifi") if words in strip], strip

@@ -145,6 +145,7 @@ WORDS = (  # the same in the boat's own words
     {"command": "reset"},
     {"command": "clear"},
     {"command": "take"},
+    {"command": "overrule"},
     {"command": "payload", "name": "camera"},
     {"command": "order", "name": "pay_out"},
 )

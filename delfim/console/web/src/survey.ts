@@ -171,8 +171,9 @@ export class Survey {
     const before = this.mission;
     const kept = before.survey?.values ?? [];
     const fields = formFields(kept.length === BEGIN.length ? kept : BEGIN);
+    const here = this.from(this.state.boat);
     let values: number[] = [];
-    const ask = (now: number[]) => ({ ...asked(before, (values = [...now])), ...this.from(this.state.boat) });
+    const ask = (now: number[]) => ({ ...asked(before, (values = [...now])), ...here });
     this.shape("Survey lines", fields, before, ask, (told) => {
       const { across } = told;
       this.change(planned(before, told.mission, { areas: areasOf(before), values, lines: told.lines, across }));
@@ -192,7 +193,8 @@ export class Survey {
   fill(): void {
     const before = this.mission;
     const { left, speed_mps } = rest(before);
-    const ask = ([speed]: number[]) => ({ ...left(speed!), ...this.from(this.state.boat) });
+    const here = this.from(this.state.boat);
+    const ask = ([speed]: number[]) => ({ ...left(speed!), ...here });
     this.shape("Fill the gaps", [speedField(speed_mps)], before, ask, (told) => this.change(planned(before, told.mission, known(before, told))));
   }
 
@@ -208,11 +210,12 @@ export class Survey {
     const { left, speed_mps } = rest(before);
     const boats = this.state.boats.slice(0, BOATS_MOST);
     const fields = boats.map((each): Field => ({ title: each.name, unit: "", value: goesOn(each) ? 0 : 1, step: 1, least: 0, most: 1, zero: "takes part", show: () => "stays out" }));
+    const places = new Map(boats.map((each) => [each, whereIs(each)] as const));
     let who: Boat[] = [];
     const ask = ([speed, ...out]: number[]) => {
       who = boats.filter((_, i) => !out[i]);
       const [first, ...others] = who;
-      return first ? { ...left(speed!), ...this.from(first), others: others.map(whereIs) } : null;
+      return first ? { ...left(speed!), at: places.get(first)!, boat: this.state.planning, others: others.map((each) => places.get(each)!) } : null;
     };
     this.shape("Divide among the boats", [speedField(speed_mps), ...fields], before, ask, (told) => {
       const shares = told.shares.length ? told.shares : [told];
@@ -224,6 +227,7 @@ export class Survey {
     }, () => who);
   }
 
+  /** Where the boat is as the form opens: with each step of a boat that drifts the lines would be others, and never be there. */
   private from(boat: Boat | null) {
     return { at: boat && whereIs(boat), boat: this.state.planning };
   }
