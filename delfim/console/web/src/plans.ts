@@ -1,7 +1,7 @@
 // The plans on the map: waypoints, legs, fence, obstacles, and the handles by which one pointing button moves them.
 import Feature from "ol/Feature";
 import type MapBrowserEvent from "ol/MapBrowserEvent";
-import { LineString, Point } from "ol/geom";
+import { LineString, Point, Polygon } from "ol/geom";
 import PointerInteraction from "ol/interaction/Pointer";
 import VectorLayer from "ol/layer/Vector";
 import VectorSource from "ol/source/Vector";
@@ -10,12 +10,11 @@ import type { Chart, Pixel } from "./chart";
 import { placeOf, point } from "./chart";
 import { keptAboard } from "./aboard";
 import { bearing, bearing_deg, distance_m, metres } from "./geo";
-import { insertRingCorner, isSurvey, moveRingCorner, ringsOf } from "./area";
+import { areasOf, insertRingCorner, isSurvey, moveRingCorner, ringsOf } from "./area";
 import { alike, cornerPlace, insertCorner, insertWaypoint, leg, moveCorner, moveWaypoint, path as pathOf, setObstacle } from "./mission";
 import { FACE, cased, inked, palette } from "./palette";
-import { drawnAreas } from "./survey";
 import type { State } from "./state";
-import type { Boat, Mission, Place, Station, Waypoint } from "./wire";
+import type { Boat, Mission, Place, Ring, Station, Waypoint } from "./wire";
 
 const REACH_PX = 14;
 const REACH_TOUCH_PX = 26;
@@ -391,4 +390,15 @@ function drawnRuler(from: Place, to: Place): Feature[] {
   const end = drawnCorner(to, palette.ink, 4);
   (end.getStyle() as Style).setText(text);
   return [line, drawnCorner(from, palette.ink, 4), end];
+}
+
+/** The areas of a plan. */
+function drawnAreas(mission: Mission): Feature[] {
+  const shade = new Style({ fill: new Fill({ color: `${palette.survey}1f` }), stroke: new Stroke({ color: palette.survey, width: 1.6 }) });
+  return areasOf(mission).map(([outline, holes]) => {
+    const ring = (corners: Ring) => [...corners, corners[0]!].map((each) => point(cornerPlace(each)));
+    const area = new Feature(new Polygon([outline, ...holes].map(ring)));
+    area.setStyle(shade);
+    return area;
+  });
 }

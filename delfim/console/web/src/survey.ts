@@ -1,6 +1,6 @@
 // Surveys: areas are drawn or loaded, and a form shows their lines on the map while it changes. The gateway makes the lines.
 import Feature from "ol/Feature";
-import { LineString, Point, Polygon } from "ol/geom";
+import { LineString, Point } from "ol/geom";
 import VectorLayer from "ol/layer/Vector";
 import VectorSource from "ol/source/Vector";
 import { Fill, RegularShape, Stroke, Style } from "ol/style";
@@ -419,17 +419,6 @@ export function directed(from: Place, to: Place, colour: string, width = 2.4): F
   const rotation = (bearing_deg(from, to) * Math.PI) / 180;
   arrow.setStyle(new Style({ image: new RegularShape({ points: 3, radius: 6.5, rotation, scale: [0.75, 1], fill: new Fill({ color: colour }) }) }));
   return [line, arrow];
-}
-
-/** The areas of a plan. */
-export function drawnAreas(mission: Mission): Feature[] {
-  const shade = new Style({ fill: new Fill({ color: `${palette.survey}1f` }), stroke: new Stroke({ color: palette.survey, width: 1.6 }) });
-  return areasOf(mission).map(([outline, holes]) => {
-    const ring = (corners: Ring) => [...corners, corners[0]!].map((each) => point(cornerPlace(each)));
-    const area = new Feature(new Polygon([outline, ...holes].map(ring)));
-    area.setStyle(shade);
-    return area;
-  });
 }
 
 function handle(at: number[]): Feature {
