@@ -6,8 +6,11 @@ import asyncio
 import sys
 from pathlib import Path
 
+import pytest
+
 from tests.console.scenes import a_minute_at_work, alert, at_work, choose, opened, pixel
 from tests.console.standin import Message, Standin
+from tests.console.test_bridge_page import word
 from tests.kit.page import sailing, shown
 from tests.kit.pictures import keeper
 from tests.services.browser import Page, shrink, tab
@@ -82,6 +85,19 @@ async def test_a_finger_takes_note_too_and_the_bar_does_not_change_its_height() 
             await page.touch("Start", (x, y))
             await page.touch("End")
             await gateway.until(lambda m, said=said: said.items() <= m.items())
+
+
+@pytest.mark.parametrize("width", [1200, 1366, 1440, 1920])
+async def test_the_words_of_an_alert_have_room_beside_all_else_in_the_bar(width: int) -> None:
+    gateway = at_work()
+    async with gateway.serving(), tab() as page:
+        await opened(page, gateway, width=width, height=760)
+        await gateway.tell(word(1, granted=1, grant=1))
+        await gateway.tell({"t": "alerts", "alerts": standing(gateway.at_s)})
+        await shown(page, gateway, f"{LINE}.includes({DEAD!r})")
+        cut = "[...document.querySelectorAll('#bar p *')].filter((each) => each.scrollWidth > each.clientWidth + 1).length"
+        assert await page.value(f"getComputedStyle(document.querySelector('#bar p')).display !== 'none' && {cut}") == 0
+        assert await page.value("document.getElementById('bar').scrollWidth <= innerWidth")
 
 
 async def test_the_time_in_the_bar_is_the_consoles() -> None:
