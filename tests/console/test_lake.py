@@ -144,7 +144,7 @@ async def lake(folder: Path, picture: Picture, whole: bool = False) -> None:
             await page.open(url, width=DESK[0], height=DESK[1], scale=1.0)
             await page.call("Page.bringToFront")
             you = Visit(page, lambda name: picture(page, name), False)
-            await you.sees("depth\xa0")
+            await you.sees("Depth")
             await you.sees("no mission aboard")
             low, high = place(-4.0, -75.0), place(52.0, 35.0)
             await page.value(f"delfim.fit({low[0]}, {low[1]}, {high[0]}, {high[1]})")
