@@ -445,13 +445,13 @@ def test_damage_raises_nothing_and_is_counted():
 
 @pytest.mark.long
 @pytest.mark.timeout(600)
-def test_a_million_damaged_sentences_leave_memory_flat():
+def test_a_quarter_of_a_million_damaged_sentences_leave_memory_flat():
     damage(10_000)
     tracemalloc.start()
     before, _ = tracemalloc.get_traced_memory()
-    for seed in range(20):
+    for seed in range(5):
         line = damage(50_000, seed)
         assert sum(line.refused.values()) > 25_000
     after, _ = tracemalloc.get_traced_memory()
     tracemalloc.stop()
-    assert after - before < 1 << 20
+    assert after - before < 1 << 18
