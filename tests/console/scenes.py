@@ -162,6 +162,16 @@ async def opened(page: Page, gateway: Standin, *, width: int = SIZE[0], height: 
     await caught_up(page, gateway)
 
 
+async def begun(page: Page, gateway: Standin, *, width: int = SIZE[0], height: int = SIZE[1]) -> Day:
+    """A day at work on an open page, its hint away, its second boat selected."""
+    day = Day(gateway)
+    await day.sail(0.1)
+    await opened(page, gateway, width=width, height=height)
+    await page.value("document.querySelector('#hint button').click()")
+    await page.press("Tab")
+    return day
+
+
 async def caught_up(page: Page, gateway: Standin) -> None:
     """Wait until the page has taken the last frame, and with it all that was told before."""
     await page.until(f"delfim.at_s() >= {gateway.at_s}", timeout_s=60.0)
@@ -196,11 +206,7 @@ async def pixel(page: Page, north_m: float, east_m: float) -> tuple[float, float
 
 async def work(page: Page, picture: Picture) -> None:
     async with at_work().serving() as gateway:
-        day = Day(gateway)
-        await day.sail(0.1)
-        await opened(page, gateway)
-        await page.value("document.querySelector('#hint button').click()")
-        await page.press("Tab")
+        day = await begun(page, gateway)
         await show(page, -150, -300, 180, 260)
         await day.sail(230)
         await caught_up(page, gateway)
@@ -279,11 +285,7 @@ async def replayed(page: Page, picture: Picture) -> None:
     events = [{"at_s": gateway.at_s + at_s, "boat": 2, "severity": severity, "text": text} for at_s, severity, text in said]
     gateway.hello["replay"] = {"from_s": gateway.at_s - 300, "to_s": gateway.at_s + 1500, "events": events}
     async with gateway.serving():
-        day = Day(gateway)
-        await day.sail(0.1)
-        await opened(page, gateway)
-        await page.value("document.querySelector('#hint button').click()")
-        await page.press("Tab")
+        day = await begun(page, gateway)
         times = [gateway.at_s - 300 + 3 * n for n in range(600)]
         values = {
             "speed_mps": [[t, SPEED_MPS - 0.5 * max(0.0, math.cos(t / 31)) ** 30 + 0.03 * math.sin(t)] for t in times],
@@ -346,11 +348,7 @@ def hour(each: Message) -> list[list[float]]:
 async def themes(page: Page, picture: Picture) -> None:
     """A tablet in all four."""
     async with at_work().serving() as gateway:
-        day = Day(gateway)
-        await day.sail(0.1)
-        await opened(page, gateway, width=1024, height=768)
-        await page.value("document.querySelector('#hint button').click()")
-        await page.press("Tab")
+        day = await begun(page, gateway, width=1024, height=768)
         await show(page, -150, -300, 180, 200)
         await day.sail(120)
         for theme in ("Bright", "Day", "Dusk", "Night"):
@@ -401,11 +399,7 @@ async def shipping_lane(gateway: Standin, day: Day) -> None:
 
 async def traffic(page: Page, picture: Picture) -> None:
     async with at_work().serving() as gateway:
-        day = Day(gateway)
-        await day.sail(0.1)
-        await opened(page, gateway)
-        await page.value("document.querySelector('#hint button').click()")
-        await page.press("Tab")
+        day = await begun(page, gateway)
         await show(page, -250, -330, 330, 560)
         await shipping_lane(gateway, day)
         await page.value("document.querySelector('#traffic .said').click()")
@@ -423,11 +417,7 @@ async def traffic(page: Page, picture: Picture) -> None:
 
 async def traffic_on_a_phone(page: Page, picture: Picture) -> None:
     async with at_work().serving() as gateway:
-        day = Day(gateway)
-        await day.sail(0.1)
-        await opened(page, gateway, width=390, height=780)
-        await page.value("document.querySelector('#hint button').click()")
-        await page.press("Tab")
+        day = await begun(page, gateway, width=390, height=780)
         await show(page, -330, -170, 130, 80)
         await shipping_lane(gateway, day)
         await caught_up(page, gateway)
