@@ -1,10 +1,12 @@
 """Areas drawn in other programs: GeoJSON, KML, GPX, the plans of QGroundControl, shapefiles. Corners in degrees come out.
 
 A file is from anybody: its size, its depth and the number of its corners are bounded before it is understood.
+`python -m delfim.survey.areafile FILE` prints its `areas`, or why it is refused, as JSON, in bounded time and memory.
 """
 
 import math
 import struct
+import sys
 from collections.abc import Callable, Iterable, Iterator
 from itertools import pairwise
 from pathlib import Path
@@ -12,11 +14,14 @@ from typing import Any, Final, NamedTuple
 
 from delfim.base.errors import FormatError
 from delfim.base.input import shapefile
+from delfim.base.input.bounded import printed
 from delfim.base.input.elements import Elements
+from delfim.base.input.geojson import geometries
 from delfim.base.input.untrusted import parse_json, read_file
 
 BYTES: Final = 1 << 23
 CORNERS: Final = 10_000  # of all polygons together
+MEMORY_BYTES, CPU_S = 1 << 30, 20  # of the process that reads
 LATITUDE_DEG: Final = 89.0
 ROUND: Final = 32  # corners of a circle, which lies within them
 
@@ -72,21 +77,11 @@ Found = Iterator[tuple[Iterable[Any], list[Any]]]
 
 
 def _geojson(data: bytes) -> Found:
-    """RFC 7946; longitude comes first, and points and lines are nothing to survey."""
-    ahead = [parse_json(data)]
-    while ahead:
-        it = ahead.pop()
-        match it["type"]:
-            case "FeatureCollection":
-                ahead += reversed(it["features"])
-            case "Feature" if it["geometry"] is not None:
-                ahead.append(it["geometry"])
-            case "GeometryCollection":
-                ahead += reversed(it["geometries"])
-            case "Polygon" | "MultiPolygon" as kind:
-                for rings in [it["coordinates"]] if kind == "Polygon" else it["coordinates"]:
-                    outline, *holes = ([(place[1], place[0]) for place in ring] for ring in rings)
-                    yield outline, holes
+    """Points and lines are nothing to survey."""
+    for it in geometries(data):
+        if it.kind == "Polygon":
+            outline, *holes = ([(place[1], place[0]) for place in ring] for ring in it.coordinates)
+            yield outline, holes
 
 
 def _plan(data: bytes) -> Found:
@@ -166,3 +161,6 @@ KINDS: Final[dict[str, Callable[[bytes], Found]]] = {
     ".plan": _plan,
     ".shp": _shapefile,
 }
+
+if __name__ == "__main__":
+    sys.exit(printed(lambda path: {"areas": read_area(path)}, sys.argv[1], MEMORY_BYTES, CPU_S))

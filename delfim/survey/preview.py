@@ -1,8 +1,8 @@
 """Surveys planned for a page, in a process of its own: Shapely is nothing for the gateway's loop, and an area may take long.
 
 `python -m delfim.survey.preview FILE`, with the vehicle's file, answers each line of its standard input with a line of its
-standard output, both JSON. `{"read": PATH}` is answered by the `areas` of that file, anything else is a `PreviewAsked` and
-answered by a `PreviewTold`; both by `{"refused": WORDS}` where there is none. It has no limit of time: who asks ends it.
+standard output, both JSON: a `PreviewAsked` by a `PreviewTold`, or by `{"refused": WORDS}` where there is none. It has no limit
+of time: who asks ends it.
 """
 
 import os
@@ -16,7 +16,7 @@ from delfim import config
 from delfim.base.errors import DelfimError, in_words
 from delfim.base.geodesy import Origin
 from delfim.base.input.bounded import bounded
-from delfim.survey.areafile import CORNERS, Corner, Ring, Shape, read_area
+from delfim.survey.areafile import CORNERS, Corner, Ring, Shape
 
 MEMORY_BYTES: Final = 2 << 30  # of addresses; numpy and Shapely take half a gigabyte of them
 SHARE: Final = "lines", "way", "time_s", "mission"  # of a boat's share
@@ -224,10 +224,7 @@ def _around(asked: PreviewAsked, boats: config.Zones) -> config.Zones:
 def answered(line: bytes, settings: config.Vehicle) -> dict[str, Any]:
     """The answer to a line. Whatever stands in it, there is one."""
     try:
-        asked = msgspec.json.decode(line)
-        if isinstance(asked, dict) and "read" in asked:
-            return {"areas": read_area(str(asked["read"]))}
-        return told(msgspec.convert(asked, PreviewAsked), settings)
+        return told(msgspec.json.decode(line, type=PreviewAsked), settings)
     except ModuleNotFoundError:
         return {"refused": NEEDS}
     except MemoryError:

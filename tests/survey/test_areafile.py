@@ -3,6 +3,8 @@
 import json
 import math
 import struct
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -211,3 +213,14 @@ def test_the_command_tells_what_it_made(tmp_path, capsys) -> None:
     assert lines(tmp_path / "a.geojson", "--swath", "20", "--inside", "--heading", "45") == 0
     assert main(["survey", "lines", str(tmp_path / "a.geojson")]) == 2
     assert "say --spacing, or --swath" in capsys.readouterr().err
+
+
+def test_a_process_of_its_own_reads_a_file_and_says_what_is_wrong_with_it(tmp_path) -> None:
+    told = []
+    for name, text in (("dock.geojson", json.dumps(FEATURE)), ("cut.geojson", json.dumps(FEATURE)[:-20])):
+        (tmp_path / name).write_text(text)
+        command = [sys.executable, "-m", "delfim.survey.areafile", str(tmp_path / name)]
+        told.append(json.loads(subprocess.run(command, capture_output=True, timeout=60, check=True).stdout))
+    assert told[0] == {"areas": json.loads(json.dumps([SHAPE]))}
+    assert list(told[1]) == ["refused"]
+    assert told[1]["refused"].startswith(f"{tmp_path / 'cut.geojson'}: not JSON")

@@ -1,6 +1,6 @@
 """Surveys for the pages: areas read from files, and lines of an area while its form changes.
 
-A process of its own does both (`delfim.survey.preview`), and a thread waits for it. It is asked for one survey at a time; of
+A process of its own makes them (`delfim.survey.preview`), and a thread waits for it. It is asked for one survey at a time; of
 each page the newest request waits, and one that came before it is answered *replaced*. A survey that takes longer than its
 bound, or in whose way a newer one is, is ended with the process.
 """
@@ -9,7 +9,6 @@ import asyncio
 import json
 import subprocess
 import sys
-import tempfile
 import time
 from collections.abc import Callable, Iterable
 from pathlib import Path
@@ -19,16 +18,14 @@ from typing import Any, Final
 import msgspec
 from aiohttp import web
 
-from delfim.base.errors import Refused
 from delfim.console.gateway import page_messages
-from delfim.console.gateway.plan_files import sent_file
 from delfim.console.plans.plan import page_of
+from delfim.console.plans.sent_files import FileReader
 from delfim.vehicle.plans.mission import Mission
 
 LIMIT_S: Final = 20.0  # of one request; a usual one takes a tenth of a second
 NEWER_S: Final = 2.0  # a newer request ends one that has taken so long
 USUAL: Final = Path(__file__).parents[2] / "etc/delfimx.toml"  # the boat, where no file was given
-READS_MAX: Final = 2  # files at a time
 TOO_LONG: Final = f"no lines within {LIMIT_S:.0f} s: simplify the area, or take a larger spacing"
 REPLACED: Final = "replaced by a newer form"
 
@@ -86,7 +83,7 @@ class SurveyDesk:
         self._planner = Planner(str(vehicle or USUAL))
         self._waiting: dict[str, tuple[bytes, page_messages.Survey, Tell, Answer]] = {}  # of each page the newest
         self._began_s: float | None = None  # when the request under way was begun
-        self._reads = 0
+        self._reader = FileReader("delfim.survey.areafile")
 
     def close(self) -> None:
         """Called after the last request."""
@@ -118,29 +115,7 @@ class SurveyDesk:
 
     async def read(self, asked: web.Request) -> web.Response:
         """The `areas` of a file that a page sends, or why it is `refused`; its name says which kind it is."""
-        if self._reads >= READS_MAX:
-            return web.json_response({"refused": "other files are being read"})
-        self._reads += 1
-        try:
-            name, data = await sent_file(asked)
-            told = await asyncio.get_running_loop().run_in_executor(None, self._read, name, data)
-        except Refused as error:
-            told = {"refused": str(error)}
-        finally:
-            self._reads -= 1
-        return web.json_response(told)
-
-    def _read(self, name: str, data: bytes) -> dict[str, Any]:
-        """In a process of its own, so that surveys go on meanwhile."""
-        reader = Planner(self._planner._command[-1])
-        with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
-            file = Path(folder) / f"area{Path(name).suffix.lower()[:9]}"
-            file.write_bytes(data)
-            told = reader.ask(msgspec.json.encode({"read": str(file)}))
-        reader.close()
-        if "refused" in told:
-            told["refused"] = told["refused"].replace(str(file), name)
-        return told
+        return web.json_response((await self._reader.read(asked))[1])
 
 
 def request(asked: page_messages.Survey, heard: Iterable[Path] = ()) -> bytes:

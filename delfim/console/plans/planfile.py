@@ -14,10 +14,11 @@ from typing import Any, Final
 import msgspec
 
 from delfim import config
-from delfim.base.errors import DelfimError, FormatError, in_words
+from delfim.base.errors import FormatError
 from delfim.base.input import shapefile
-from delfim.base.input.bounded import bounded
+from delfim.base.input.bounded import printed
 from delfim.base.input.elements import Elements
+from delfim.base.input.geojson import geometries
 from delfim.base.input.untrusted import parse_json, read_file
 from delfim.console.link.mavlink import Item, plans
 from delfim.console.plans.plan import page_of
@@ -147,28 +148,18 @@ def _of_places(lines: list[list[Place]], points: list[Place], told: dict[int, di
 
 
 def _geojson(data: bytes) -> Found:
-    """RFC 7946: lines; or else points, of which our own say speed, acceptance and stay; polygons are areas, and no way."""
+    """Lines; or else points, of which our own say speed, acceptance and stay; polygons are areas, and no way."""
     lines, points, told = list[list[Place]](), list[Place](), dict[int, dict[str, float]]()
     fence = list[Place]()
-    ahead: list[tuple[Any, Any]] = [(parse_json(data), None)]
-    while ahead:
-        it, says = ahead.pop()
-        match it["type"]:
-            case "FeatureCollection":
-                ahead += [(each, None) for each in reversed(it["features"])]
-            case "Feature" if it["geometry"] is not None:
-                ahead.append((it["geometry"], it.get("properties") or {}))
-            case "GeometryCollection":
-                ahead += [(each, says) for each in reversed(it["geometries"])]
-            case "LineString" | "MultiLineString" as kind:
-                many = [it["coordinates"]] if kind == "LineString" else it["coordinates"]
-                lines += [[(float(at[1]), float(at[0])) for at in line] for line in many]
-            case "Point":
-                if says and says.get("waypoint"):
-                    told[len(points)] = {key: float(says.get(key, 0.0)) for key in OF_POINTS}
-                points.append((float(it["coordinates"][1]), float(it["coordinates"][0])))
-            case "Polygon" if says and says.get("fence"):
-                fence = [(float(at[1]), float(at[0])) for at in it["coordinates"][0][:-1]]
+    for kind, places, says in geometries(data):
+        if kind == "LineString":
+            lines.append([(float(at[1]), float(at[0])) for at in places])
+        elif kind == "Point":
+            if says.get("waypoint"):
+                told[len(points)] = {key: float(says.get(key, 0.0)) for key in OF_POINTS}
+            points.append((float(places[1]), float(places[0])))
+        elif says.get("fence"):
+            fence = [(float(at[1]), float(at[0])) for at in places[0][:-1]]
     found = _of_places([], points, told) if told and len(told) == len(points) else _of_places(lines, points)
     return found | {"fence": [list(corner) for corner in fence]}
 
@@ -230,18 +221,5 @@ KINDS: Final[dict[str, Callable[[bytes], Found]]] = {
 }
 
 
-def main(path: str) -> int:
-    """The process."""
-    bounded(MEMORY_BYTES, CPU_S)
-    try:
-        found: Found = read_plan(path)
-    except MemoryError:
-        found = {"refused": "the file takes too much memory"}
-    except (DelfimError, OSError) as error:
-        found = {"refused": in_words(error)}
-    sys.stdout.buffer.write(msgspec.json.encode(found))
-    return 0
-
-
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1]))
+    sys.exit(printed(read_plan, sys.argv[1], MEMORY_BYTES, CPU_S))

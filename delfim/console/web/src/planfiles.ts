@@ -3,6 +3,7 @@ import type { Chart } from "./chart";
 import type { Messages } from "./messages";
 import { WAYPOINTS_MOST, cornerPlace, retraced, spoken, understood } from "./mission";
 import type { Entry } from "./popup";
+import { chosen, sent } from "./sending";
 import type { State } from "./state";
 import type { Survey } from "./survey";
 import type { Mission, Place } from "./wire";
@@ -20,9 +21,8 @@ const KINDS: [string, string, string][] = [
 const FIT_PX = 120;
 
 interface Told {
-  mission?: Mission;
-  left?: string; // of the file, and not of the plan
-  refused?: string;
+  mission: Mission;
+  left: string; // of the file, and not of the plan
 }
 
 export class PlanFiles {
@@ -45,20 +45,12 @@ export class PlanFiles {
     const { mission } = this.state.plan(this.state.planning);
     const none = mission.waypoints.length ? undefined : "the plan has no waypoints";
     const saved = KINDS.map(([kind, title, note]) => ({ title: `Save as ${title}`, note, refuse: none, do: () => void this.save(kind) }));
-    return [{ title: "Open a file…", note: "or drop it on the map; undo brings this plan back", do: () => this.choose() }, "line", ...saved];
-  }
-
-  private choose(): void {
-    const input = document.createElement("input");
-    Object.assign(input, { type: "file", accept: ENDINGS });
-    input.addEventListener("change", () => input.files?.[0] && void this.take(input.files[0]));
-    input.click();
+    return [{ title: "Open a file…", note: "or drop it on the map; undo brings this plan back", do: () => chosen(ENDINGS, (file) => void this.take(file)) }, "line", ...saved];
   }
 
   /** The way in a file becomes the plan; a file that has areas alone is one of a survey. */
   async take(file: File): Promise<void> {
-    const answer = await fetch(`plan?name=${encodeURIComponent(file.name)}`, { method: "POST", body: file }).catch(() => null);
-    const told: Told = answer?.ok ? ((await answer.json()) as Told) : { refused: "the console does not take it" };
+    const told = await sent<Told>("plan", file);
     if (!told.mission) {
       if (told.refused?.includes("no way in it") && AREAS.test(file.name)) await this.survey.load(file);
       else this.messages.say(null, 3, `plan refused: ${told.refused}`);

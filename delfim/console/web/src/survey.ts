@@ -15,6 +15,7 @@ import type { Answer, Net } from "./net";
 import { cased, palette } from "./palette";
 import type { Plans } from "./plans";
 import type { Entry, Item, Popup } from "./popup";
+import { chosen, sent } from "./sending";
 import type { State } from "./state";
 import { enteredSpeed_mps, inKnots, speedUnit } from "./units";
 import type { Area, Boat, Heard, Mission, Place, Ring, Said } from "./wire";
@@ -73,7 +74,7 @@ export class Survey {
     return [
       { title: "Draw an area", note: "corner by corner", do: () => this.begin(false) },
       { title: "Area around here…", do: () => this.square("Area", side, place, (mission, ring) => withAreas(mission, [...areasOf(mission), [ring, []]])) },
-      { title: "Load an area…", note: "GeoJSON, KML, GPX, Shapefile, .plan", do: () => this.choose() },
+      { title: "Load an area…", note: "GeoJSON, KML, GPX, Shapefile, .plan", do: () => chosen(ENDINGS, (file) => void this.load(file)) },
       "line",
       { title: "Draw a hole", note: "which the boat must not enter", refuse: none, do: () => this.begin(true) },
       { title: "Hole around here…", refuse: none, do: () => this.square("Hole", hole, place, (mission, ring) => withHole(mission, ring, place)) },
@@ -142,17 +143,9 @@ export class Survey {
 
   // From a file.
 
-  private choose(): void {
-    const input = document.createElement("input");
-    Object.assign(input, { type: "file", accept: ENDINGS });
-    input.addEventListener("change", () => input.files?.[0] && void this.load(input.files[0]));
-    input.click();
-  }
-
   /** Takes the areas of a file. Returns why it is refused, in words. */
   async load(file: File): Promise<string> {
-    const answer = await fetch(`area?name=${encodeURIComponent(file.name)}`, { method: "POST", body: file }).catch(() => null);
-    const told = answer?.ok ? ((await answer.json()) as { areas?: Area[]; refused?: string }) : { refused: "the console does not take it" };
+    const told = await sent<{ areas: Area[] }>("area", file);
     if (!told.areas) {
       this.messages.say(null, 3, `area refused: ${told.refused}`);
       return told.refused ?? "";
