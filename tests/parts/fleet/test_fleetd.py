@@ -40,10 +40,12 @@ STATE = BoatReport(
 )
 
 
-def settings(port: int, folder: Path, listen: str = "127.0.0.1:14560", **table: Any) -> config.Vehicle:
+def settings(
+    port: int, folder: Path, listen: str = "127.0.0.1:14560", orders: str = "127.0.0.1:14555", **table: Any
+) -> config.Vehicle:
     return config.Vehicle(
         boat=config.BoatTable(name="Otter", id=3),
-        mavlink=Mavlink(key=str(folder / "key"), peers=(listen,), listen="127.0.0.1:14555"),
+        mavlink=Mavlink(key=str(folder / "key"), peers=(listen,), listen=orders),
         fleet=FleetTable(broker=f"mqtt://127.0.0.1:{port}/tagus", listen=listen, **table),
     )
 
@@ -93,9 +95,9 @@ def test_a_boat_is_found_and_commanded_and_its_state_is_kept_for_who_comes_later
         vehicle = socket.socket(socket.AF_INET, socket.SOCK_DGRAM | socket.SOCK_NONBLOCK)
         door = socket.socket(socket.AF_INET, socket.SOCK_DGRAM | socket.SOCK_NONBLOCK)
         with vehicle, door:
-            vehicle.bind(("127.0.0.1", 14555))
+            vehicle.bind(("127.0.0.1", 0))
             door.bind(("127.0.0.1", 0))
-            member = FleetMember(settings(port, tmp_path), door, clock)
+            member = FleetMember(settings(port, tmp_path, orders=f"127.0.0.1:{vehicle.getsockname()[1]}"), door, clock)
             boat = FakeBoat(3, clock, lambda data: vehicle.sendto(data, door.getsockname()), key.secret)  # type: ignore[arg-type]
             loop.add_reader(door, member.on_frames)
             loop.add_reader(vehicle, lambda: boat.hear(vehicle.recv(2048)))
