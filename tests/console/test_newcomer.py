@@ -200,7 +200,7 @@ async def test_what_is_aboard_is_drawn_and_a_mode_that_would_sail_it_asks_first(
     assert boat.obeyed[0]["command"] == "heading"
     boat.obeyed.clear()
     boat.mode = Mode.PLAY
-    await it.until("document.body.innerText.includes('MISSION')")
+    await it.until("document.querySelector('.chip.selected').dataset.mode === 'play'")
     await it.page.press("y")
     await choose(it.page, "Hold, send the plan, then play it")
     await until(it, boat, 2)

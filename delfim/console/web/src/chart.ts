@@ -27,6 +27,7 @@ const MINUTE = 1 / 60;
 const SECOND = 1 / 3600;
 const INTERVALS_DEG = [30, 10, 5, 2, 1, 30 * MINUTE, 10 * MINUTE, 5 * MINUTE, 2 * MINUTE, MINUTE, 30 * SECOND, 12 * SECOND, 6 * SECOND, 3 * SECOND, 1.2 * SECOND, 0.6 * SECOND];
 
+const DEG = 180 / Math.PI;
 const KEPT = "delfim.view";
 
 export type Pixel = [number, number];
@@ -46,11 +47,12 @@ export interface Pointing {
 
 export class Chart {
   readonly map: OlMap;
-  private readonly view = new View({ ...lastView(), maxZoom: 24, enableRotation: false });
+  private readonly view = new View({ ...lastView(), maxZoom: 24, constrainRotation: false });
   private charts = new Map<string, BaseLayer>();
   private extents = new Map<string, Extent>();
   private graticule: Graticule | null = null;
   private pressed = false;
+  private moved = (): void => {};
 
   constructor(target: HTMLElement, scale: HTMLElement, pointing: Pointing) {
     this.map = new OlMap({
@@ -150,9 +152,25 @@ export class Chart {
   }
 
   pan([right, down]: Pixel): void {
-    const [step, [x, y]] = [this.view.getResolution() ?? 1, this.view.getCenter() ?? [0, 0]];
-    this.view.setCenter([x! + right * step, y! - down * step]);
+    const [step, [x, y], turned] = [this.view.getResolution() ?? 1, this.view.getCenter() ?? [0, 0], this.view.getRotation()];
+    this.moved();
+    this.view.setCenter([x! + step * (right * Math.cos(turned) + down * Math.sin(turned)), y! + step * (right * Math.sin(turned) - down * Math.cos(turned))]);
     this.map.renderSync();
+  }
+
+  /** Calls back when a hand moves the map. */
+  onMoved(moved: () => void): void {
+    this.moved = moved;
+    this.map.on("pointerdrag", moved);
+  }
+
+  /** The direction that is up on the screen. */
+  get up_deg(): number {
+    return -this.view.getRotation() * DEG;
+  }
+
+  set up_deg(deg: number) {
+    this.view.setRotation(-deg / DEG);
   }
 
   /** What is in the middle of the part that nothing covers. */

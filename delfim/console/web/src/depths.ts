@@ -126,13 +126,18 @@ export class Depths {
       [this.canvas.width, this.canvas.height] = [Math.round(width * ratio), Math.round(height * ratio)];
     }
     const pen = this.canvas.getContext("2d")!;
-    pen.setTransform(ratio, 0, 0, ratio, 0, 0);
-    pen.clearRect(0, 0, width, height);
+    pen.resetTransform();
+    pen.clearRect(0, 0, this.canvas.width, this.canvas.height);
     pen.imageSmoothingEnabled = false;
     const draw = ([west, south, east, north]: Extent, picture: HTMLCanvasElement) => {
       const at = (latitude_deg: number, longitude_deg: number) => apply(frame.coordinateToPixelTransform, point({ latitude_deg, longitude_deg })) as [number, number];
-      const [[left, top], [right, bottom]] = [at(north, west), at(south, east)];
-      if (right > 0 && left < width && bottom > 0 && top < height) pen.drawImage(picture, left, top, right - left, bottom - top);
+      const [[x, y], right, down] = [at(north, west), at(north, east), at(south, west)]; // the map may be turned
+      const [a, b, c, d] = [right[0] - x, right[1] - y, down[0] - x, down[1] - y];
+      const [left, top] = [Math.min(x, x + a, x + c, x + a + c), Math.min(y, y + b, y + d, y + b + d)];
+      if (left > width || top > height || left + Math.abs(a) + Math.abs(c) < 0 || top + Math.abs(b) + Math.abs(d) < 0) return;
+      const [across, high] = [picture.width / ratio, picture.height / ratio];
+      pen.setTransform(a / across, b / across, c / high, d / high, x * ratio, y * ratio);
+      pen.drawImage(picture, 0, 0);
     };
     if (this.gaps) draw(this.gaps.extent, this.gaps.picture);
     for (const { extent, picture } of this.tiles.values()) draw(extent, picture);

@@ -10,7 +10,7 @@ import { keptAboard } from "./aboard";
 import type { Chart, Pixel } from "./chart";
 import { point } from "./chart";
 import { distance_m, towards } from "./geo";
-import { FACE, cased, inked, over, palette, theme } from "./palette";
+import { FACE, cased, inked, onPlate, over, palette, theme } from "./palette";
 import type { State } from "./state";
 import { age_s, ageWords, freshness } from "./state";
 import type { Boat, Place } from "./wire";
@@ -274,13 +274,12 @@ export class Fleet {
     if (look === shown.look) return;
     [shown.look, shown.label] = [look, label];
     shown.icon = new Icon({ img: symbol(boat.colour, lost, turned), rotateWithView: true, scale: 0.5 });
-    shown.tick = new RegularShape({ points: 2, radius: 5, angle: Math.PI / 2, stroke: new Stroke({ color: inked(boat.colour), width: 1.6 }) });
+    shown.tick = new RegularShape({ points: 2, radius: 5, angle: Math.PI / 2, rotateWithView: true, stroke: new Stroke({ color: inked(boat.colour), width: 1.6 }) });
     shown.name = new Text({
       text: label,
       font: `${chosen ? 650 : 500} 14px ${FACE}`,
       fill: new Fill({ color: lost ? palette.bad : palette.ink }),
-      // On photographs and charts words stand on a plate.
-      ...(plate ? { backgroundFill: new Fill({ color: palette.halo }), padding: [2, 4, 1, 4] } : { stroke: new Stroke({ color: palette.halo, width: 4 }) }),
+      ...onPlate(plate, 4),
     });
     const number = new Text({ text: String(boat.id), font: `700 11px ${FACE}`, offsetY: 1, fill: new Fill({ color: lost ? inked(boat.colour) : over(boat.colour) }) });
     const zIndex = chosen ? 9 : 8;
@@ -292,7 +291,7 @@ export class Fleet {
     shown.ghost.setStyle(
       new Style({ fill: new Fill({ color: inked(boat.colour, 0.12) }), stroke: new Stroke({ color: inked(boat.colour), width: 1.5, lineDash: [4, 5] }) }),
     );
-    shown.ghostSymbol.setStyle(new Style({ image: new Icon({ img: symbol(boat.colour, true, false), rotation: (boat.course_deg ?? 0) * RAD, scale: 0.5, opacity: 0.7 }) }));
+    shown.ghostSymbol.setStyle(new Style({ image: new Icon({ img: symbol(boat.colour, true, false), rotation: (boat.course_deg ?? 0) * RAD, rotateWithView: true, scale: 0.5, opacity: 0.7 }) }));
   }
 
   private append(shown: Shown, boat: Boat, at_s: number, place: Place): void {

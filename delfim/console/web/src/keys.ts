@@ -25,6 +25,8 @@ const SCREEN: Group = [
   "Screen",
   [
     ["+ −", "zoom"],
+    ["F", "follow the boat, or no longer; a hand on the map ends it"],
+    ["N", "the boat’s course up, or north"],
     ["W", "crosshair: arrows move the map, Enter opens the menu of the place"],
     ["K", "acknowledge the alert in the bar, and vessels in danger"],
     ["S", "silence: no sound of alarms for half a minute"],
@@ -42,7 +44,6 @@ export const REPLAY_CARD: readonly Group[] = [
       ["Space", "play, pause"],
       ["→ ←", "10 s on, 10 s back"],
       ["↑ ↓", "faster, slower"],
-      ["F", "follow the boat, or no longer"],
     ],
   ],
   [
@@ -112,6 +113,8 @@ export interface Screen {
   nobody(): void;
   aim(): void;
   follow(): void;
+  keep(): void;
+  turn(): void;
   zoom(by: number): void;
   undo(): void;
   /** Somebody has taken note of the alert in the bar, and of the vessels in danger. */
@@ -168,6 +171,8 @@ export class Keys {
     if (event.key === "Tab" && !event.ctrlKey && !event.altKey) this.next(event.shiftKey ? -1 : 1);
     else if (event.key.toUpperCase() === "W" && !event.ctrlKey && !event.altKey) this.screen.aim();
     else if (event.key.toUpperCase() === "K" && !event.ctrlKey && !event.altKey) this.screen.acknowledge();
+    else if (event.key.toUpperCase() === "F" && !event.ctrlKey && !event.altKey) this.screen.keep();
+    else if (event.key.toUpperCase() === "N" && !event.ctrlKey && !event.altKey) this.screen.turn();
     else if (event.key.toUpperCase() === "S" && !event.ctrlKey && !event.altKey) this.screen.silence();
     else if (event.key.toUpperCase() === "A" && !event.ctrlKey && !event.altKey) this.screen.alerts();
     else if (event.key === "F6") this.reach(event.shiftKey ? -1 : 1);

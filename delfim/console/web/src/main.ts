@@ -7,6 +7,7 @@ import { Adopt } from "./adopt";
 import { Aim } from "./aim";
 import { Alerts } from "./alerts";
 import { Bridge } from "./bridge";
+import { Camera } from "./camera";
 import type { Pixel } from "./chart";
 import { Chart } from "./chart";
 import { Check } from "./check";
@@ -62,6 +63,7 @@ const popup = new Popup(document.body, element("corner"));
 const bridge = new Bridge(element("bar"), net, popup, (severity, words) => messages.say(null, severity, words), (name) => (state.operator = name));
 const keyCard = card(document.body, state);
 const chart = new Chart(element("map"), element("scale"), { click, press, hover });
+const camera = new Camera(chart, state, element("north"));
 const land = new Land(chart, state, element("base"));
 const fleet = new Fleet(chart, state);
 const watch = new Watch(state, sound);
@@ -75,13 +77,13 @@ popup.closed = () => wayHome.show(null);
 const depths = new Depths(element("depths"), chart, state, survey);
 const adopt = new Adopt(element("adopt"), chart, state, popup, net, messages);
 const timeline = new Timeline(element("timeline"), state);
-const menus = new Menus(popup, state, actions, chart, fleet, plans, planning, () => watchLog.open(), sound, watch, wayHome, () => keyCard.toggle(), adopt, depths, panes, timeline);
+const menus = new Menus(popup, state, actions, chart, fleet, plans, planning, () => watchLog.open(), sound, watch, wayHome, () => keyCard.toggle(), adopt, depths, panes, timeline, camera);
 new Header(element("bar"), state, sound, menus, popup);
 const hints = new Hints(element("hint"), element("nobody"), state, actions.did, popup);
 const aim = new Aim(element("map"), chart, { seen: (place) => text(element("where"), whereWords(place, state)), chosen: press, added: (place) => !state.replaying && planning.add(place) });
 const strips = new Strips(element("strips"), state, drive, actions, (boat, at) => chosen(boat, at), { enterMode: (boat, mode) => planning.sail(boat, mode) });
 const corner = new Corner(element("stop"), element("stop-all"), state, actions, () => popup.close(), nobody);
-const replay = new Replay(element("replay"), state, actions, (place) => chart.follow(place, 0));
+const replay = new Replay(element("replay"), state, actions, camera.button);
 new Keys(state, actions, {
   menuTakes: (key) => popup.takes(key) || panes.takes(key) || (key === "Escape" && (keyCard.close() || panes.close() || watchLog.close() || alerts.close())) || aim.takes(key),
   closeMenu: escape,
@@ -96,6 +98,8 @@ new Keys(state, actions, {
     moved = true;
     aim.press();
   },
+  keep: () => camera.follow(),
+  turn: () => camera.turn(),
   follow: () => state.boat && position(state.boat) && chart.follow(position(state.boat)!),
   zoom: (by) => {
     moved = true;

@@ -1,6 +1,7 @@
 // The menus of a boat and of the bare map: modes, commands, view and screen.
 import type { Actions } from "./actions";
 import type { Adopt } from "./adopt";
+import type { Camera } from "./camera";
 import type { Chart, Pixel } from "./chart";
 import type { Depths } from "./depths";
 import type { Fleet } from "./fleet";
@@ -47,6 +48,7 @@ export class Menus {
     private readonly depths: Depths,
     private readonly panes: Panes,
     private readonly timeline: Timeline,
+    private readonly camera: Camera,
   ) {}
 
   boat(boat: Boat, at: Pixel): void {
@@ -185,6 +187,8 @@ export class Menus {
     const entries: Entry[] = [
       { title: "Ruler from here", refuse: place ? undefined : "the boat’s position is not known", do: () => this.plans.measure(place) },
       { title: this.everything().length || !this.chart.charted ? "Show everything" : "Show the chart", do: () => this.chart.fit(this.everything(), 250) },
+      { title: "Follow the boat", key: "F", tick: this.camera.following, do: () => this.camera.follow() },
+      { title: "Course up", key: "N", tick: this.camera.courseUp, do: () => this.camera.turn() },
       { title: "Screen", sub: () => this.screen() },
       { title: "Keys and lines", key: "F1", do: this.card },
     ];

@@ -10,7 +10,7 @@ import type { Chart, Pixel } from "./chart";
 import { point } from "./chart";
 import { position } from "./fleet";
 import { moved, towards } from "./geo";
-import { FACE, cased, palette, theme } from "./palette";
+import { FACE, cased, onPlate, palette, theme } from "./palette";
 import type { State } from "./state";
 import { speedWords } from "./units";
 import { worst } from "./watch";
@@ -91,7 +91,7 @@ export class Others {
       zIndex: grave === "none" ? 4 : 6,
     });
     const far = grave === "none" && this.zoom < NAMES_FROM_ZOOM;
-    if (grave === "danger" || vessel.kind === "distress" || (named && !far)) style.setText(label(vessel, grave !== "none"));
+    if (grave === "danger" || vessel.kind === "distress" || (named && !far)) style.setText(label(vessel, grave !== "none", this.chart.charted));
     add(new Point(here), style);
     return made;
   }
@@ -103,13 +103,14 @@ export class Others {
       if (!place || !boat.order) return [];
       const far_m = Math.max(ORDER_M, (boat.speed_mps ?? 0) * ORDER_S);
       const line = new Feature(new LineString([point(place), point(towards(place, boat.order.course_deg, far_m))]));
-      const isWest = Math.sin(boat.order.course_deg * RAD) < 0;
+      const turned = (boat.order.course_deg - this.chart.up_deg) * RAD;
+      const isLeft = Math.sin(turned) < 0;
       const words = new Text({
         text: boat.order.words.replace(/, (?!CPA)/g, ",\n"),
         font: `600 13px ${FACE}`,
-        textAlign: isWest ? "right" : "left", // beyond the line, not over it
-        offsetX: isWest ? -14 : 14,
-        offsetY: -16 * Math.cos(boat.order.course_deg * RAD),
+        textAlign: isLeft ? "right" : "left", // beyond the line, not over it
+        offsetX: isLeft ? -14 : 14,
+        offsetY: -16 * Math.cos(turned),
         fill: new Fill({ color: palette.steer }),
         stroke: new Stroke({ color: palette.halo, width: 4 }),
       });
@@ -146,7 +147,7 @@ function domain(vessel: Vessel): number[][] {
 const inQuestion = (isDanger: boolean): Style =>
   new Style({ fill: new Fill({ color: palette.danger }), stroke: new Stroke({ color: palette.bad, width: isDanger ? 2.2 : 1.2, lineDash: [6, 4] }) });
 
-function label(vessel: Vessel, grave: boolean): Text {
+function label(vessel: Vessel, grave: boolean, plate: boolean): Text {
   return new Text({
     text: labelWords(vessel),
     font: `${grave ? 650 : 500} 12px ${FACE}`,
@@ -154,7 +155,7 @@ function label(vessel: Vessel, grave: boolean): Text {
     offsetX: 16,
     offsetY: 8,
     fill: new Fill({ color: grave ? palette.bad : palette.soft }),
-    stroke: new Stroke({ color: palette.halo, width: 3.5 }),
+    ...onPlate(plate, 3.5),
   });
 }
 

@@ -1,6 +1,6 @@
 // The colours of the map, which are those of the page: tokens.css has them, in four themes.
 
-import { Stroke, Style } from "ol/style";
+import { Fill, Stroke, Style } from "ol/style";
 
 export const THEMES = ["bright", "day", "dusk", "night"] as const;
 export type Theme = (typeof THEMES)[number];
@@ -84,4 +84,9 @@ export function cased(color: string, width: number, lineDash?: number[]): Style[
   const stroke = (tint: string, wide: number) =>
     new Style({ stroke: new Stroke({ color: tint, width: wide, lineCap: lineDash ? "butt" : "round", ...(lineDash ? { lineDash } : {}) }) });
   return [stroke(palette.halo, width + 2.4), stroke(color, width)];
+}
+
+/** What lies behind words: a plate on photographs and charts, a halo on the bare sea. */
+export function onPlate(plate: boolean, width: number): { backgroundFill?: Fill; padding?: number[]; stroke?: Stroke } {
+  return plate ? { backgroundFill: new Fill({ color: palette.halo }), padding: [2, 4, 1, 4] } : { stroke: new Stroke({ color: palette.halo, width }) };
 }

@@ -286,7 +286,7 @@ function drawnLegs(mission: Mission, colour: string, width: number, lineDash?: n
     const [a, b] = [points[Math.floor((points.length - 1) / 2)]!, points[Math.floor((points.length - 1) / 2) + 1]!];
     const arrow = new Feature(new Point([a[0]! + (b[0]! - a[0]!) * 0.62, a[1]! + (b[1]! - a[1]!) * 0.62]));
     const rotation = Math.atan2(b[0]! - a[0]!, b[1]! - a[1]!);
-    arrow.setStyle(new Style({ image: new RegularShape({ points: 3, radius: 2.6 * width, rotation, scale: [0.75, 1], fill: new Fill({ color: colour }) }) }));
+    arrow.setStyle(new Style({ image: new RegularShape({ points: 3, radius: 2.6 * width, rotation, rotateWithView: true, scale: [0.75, 1], fill: new Fill({ color: colour }) }) }));
     return [line, arrow];
   });
 }

@@ -1,12 +1,11 @@
 // The time line of a recorded run. The gateway plays; this sets time and rate.
 import type { Actions } from "./actions";
 import { make, text } from "./dom";
-import { position } from "./fleet";
 import { duration } from "./geo";
 import { GraphStrip } from "./graphs";
 import { severityWord } from "./messages";
 import type { State } from "./state";
-import type { Event, Graphs, Place, TimeLine } from "./wire";
+import type { Event, Graphs, TimeLine } from "./wire";
 
 const RATES = [1, 2, 5, 10, 30, 60];
 const STEP_S = 10;
@@ -20,8 +19,6 @@ export class Replay {
   private rate = 1;
   private paused = false;
   private held = false;
-  private following = false;
-  private readonly follow = make("button.plain", "Follow");
   private readonly graphs = new Map<number, Graphs>();
   private readonly strip = new GraphStrip((part) => {
     const { from_s, to_s } = this.state.hello!.replay!;
@@ -32,18 +29,16 @@ export class Replay {
     private readonly bar: HTMLElement,
     private readonly state: State,
     private readonly actions: Actions,
-    private readonly look: (place: Place) => void,
+    follow: HTMLElement,
   ) {
     this.slider.type = "range";
     this.slider.step = "0.1";
-    for (const each of [this.slider, this.play, this.faster, this.follow]) each.tabIndex = -1;
+    for (const each of [this.slider, this.play, this.faster]) each.tabIndex = -1;
     this.slider.setAttribute("aria-label", "time");
     this.faster.setAttribute("aria-label", "rate");
-    bar.append(make("b", "REPLAY"), this.play, make("div.line", this.slider, this.marks, this.strip.root), this.clock, this.faster, this.follow);
+    bar.append(make("b", "REPLAY"), this.play, make("div.line", this.slider, this.marks, this.strip.root), this.clock, this.faster, follow);
     this.play.addEventListener("click", () => this.toggle());
     this.faster.addEventListener("click", () => this.setRate(RATES[(RATES.indexOf(this.rate) + 1) % RATES.length]!));
-    this.follow.title = "keeps the selected boat in sight (F)";
-    this.follow.addEventListener("click", () => this.toggleFollow());
     this.slider.addEventListener("pointerdown", () => (this.held = true));
     this.slider.addEventListener("input", () => this.tell(Number(this.slider.value)));
     this.slider.addEventListener("change", () => {
@@ -58,7 +53,6 @@ export class Replay {
   /** In a replay there is nothing to stop or to steer: Space plays and pauses, the arrows go through time. */
   takes(code: string): boolean {
     if (code === "Space") this.toggle();
-    else if (code === "KeyF") this.toggleFollow();
     else if (code === "ArrowLeft" || code === "ArrowRight") this.seek(this.state.at_s + (code === "ArrowRight" ? STEP_S : -STEP_S));
     else if (code === "ArrowUp" || code === "ArrowDown") {
       const next = RATES.indexOf(this.rate) + (code === "ArrowUp" ? 1 : -1);
@@ -78,13 +72,6 @@ export class Replay {
     if (!range) return;
     this.strip.draw(this.graphs.get(this.state.selected ?? 0) ?? {}, range);
     this.strip.tell(this.state.at_s, range);
-  }
-
-  private toggleFollow(): void {
-    this.following = !this.following;
-    this.follow.classList.toggle("pressed", this.following);
-    this.follow.setAttribute("aria-pressed", String(this.following));
-    this.tell(this.state.at_s);
   }
 
   private begin(): void {
@@ -137,8 +124,6 @@ export class Replay {
     if (!range || !at_s) return;
     if (!this.held) this.slider.value = String(at_s);
     this.strip.tell(at_s, range);
-    const place = this.following && this.state.boat && position(this.state.boat);
-    if (place) this.look(place);
     text(this.clock, `${time(at_s)} · ${duration(at_s - range.from_s)} of ${duration(range.to_s - range.from_s)}`);
   }
 }

@@ -410,7 +410,7 @@ export function directed(from: Place, to: Place, colour: string, width = 2.4): F
   line.setStyle(cased(colour, width));
   const arrow = new Feature(new Point([(a[0]! + b[0]!) / 2, (a[1]! + b[1]!) / 2]));
   const rotation = (bearing_deg(from, to) * Math.PI) / 180;
-  arrow.setStyle(new Style({ image: new RegularShape({ points: 3, radius: 6.5, rotation, scale: [0.75, 1], fill: new Fill({ color: colour }) }) }));
+  arrow.setStyle(new Style({ image: new RegularShape({ points: 3, radius: 6.5, rotation, rotateWithView: true, scale: [0.75, 1], fill: new Fill({ color: colour }) }) }));
   return [line, arrow];
 }
 
