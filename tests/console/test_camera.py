@@ -1,4 +1,4 @@
-"""What the map keeps to: the boat in sight, its course up. In a real browser at a real gateway; the boat speaks MAVLink from here."""
+"""What the map keeps to: the boat in sight, its course up. In a real browser at a real gateway; the boat speaks MAVLink."""
 
 import contextlib
 import math
