@@ -24,30 +24,28 @@ from statistics import median
 from typing import Any, Final
 
 import msgspec
-import numpy as np
 
 from bench import otherhulls
 from delfim import config
 from delfim.adoption import identify, magnet
-from delfim.adoption.model import said
 from delfim.adoption.trial.boats import SimulatedTrial
 from delfim.adoption.trial.dialogue import NOISE
-from delfim.adoption.trial.hiddenhull import Hidden, LateModel, drawn
+from delfim.adoption.trial.hiddenhull import Hidden, drawn
 from delfim.adoption.trial.manoeuvres import SeaTrial
 from delfim.adoption.trial.motors import corrected
 from delfim.adoption.trial.session import TrialProgress, TrialSession
 from delfim.adoption.trial.taped import record_of
 from delfim.base.errors import DelfimError
+from delfim.campaign.adopted.truth import BoatTruth, compass_off, figures_off, truth
 from delfim.simulator.model import hull_of
 from delfim.simulator.realtime.external_model import SteppedModel
-from delfim.simulator.tables import Sea, Simulation
+from delfim.simulator.tables import Simulation
 
 BOATS: Final = "heron", "otter", "wam-v", "blueboat"
 OTHERS: Final = 40  # the first hull of another hand
 STEERED: Final = "skiff", "bait-boat"
 STEERED_FROM: Final = 100  # the first hull with one motor that steers
 RADIUS_M: Final = 60.0
-STEADY_S: Final = 60.0
 
 
 def vehicle(boat: str, *more: str) -> config.Vehicle:
@@ -72,25 +70,9 @@ def other_model(settings: config.Vehicle, hull: int, seed: int) -> Iterator[Step
         model._socket.close()
 
 
-def truth(settings: config.Vehicle, hidden: Hidden) -> dict[str, Any]:
-    """What a trial should find of a drawn boat."""
-    calm = LateModel(settings, hidden._replace(sea=Sea()), 1)
-    ahead = {row.name: -1.0 if is_back else 1.0 for row, is_back in zip(hidden.rows, hidden.reversed, strict=True)}
-    for name, part in ahead.items():
-        calm.push(name, part, hidden.middle_rad)
-    for _ in range(round(STEADY_S / 0.05)):
-        calm.advance(0.05)
-    return {
-        "wiring": [hidden.swapped, list(hidden.reversed), hidden.turned],
-        "full_mps": calm.surge_mps,
-        "dead": [hidden.rows[0].dead] * 2,
-        "late_s": hidden.delay_s + hidden.hull.motor_s,
-    }
-
-
-def other_truth(its: otherhulls.Drawn) -> dict[str, Any]:
-    wiring = [its.swapped, list(its.reversed), False]
-    return {"wiring": wiring, "full_mps": otherhulls.full_mps(its), "dead": list(its.dead), "late_s": its.delay_s + its.lag_s}
+def other_truth(its: otherhulls.Drawn) -> BoatTruth:
+    wiring = its.swapped, tuple(its.reversed), False
+    return BoatTruth(wiring, otherhulls.full_mps(its), tuple(its.dead), its.delay_s + its.lag_s)
 
 
 def tried(hull: int, seed: int, place: Path, *, motors_alone: bool) -> dict[str, Any]:
@@ -114,9 +96,7 @@ def tried(hull: int, seed: int, place: Path, *, motors_alone: bool) -> dict[str,
         found = progress.wiring
         row = {"hull": hull, "seed": seed, "boat": settings.boat.name, "ended": ended, "most_m": most_m[0]}
         row |= {"seconds": session.trial.elapsed_s, "cpu_s": time.process_time() - began_s, "told": hidden.words()}
-        row["motors"] = (
-            "none" if found is None else "right" if [found[0], list(found[1]), found[2]] == real["wiring"] else "wrong"
-        )
+        row["motors"] = "none" if found is None else "right" if (found[0], found[1], found[2]) == real.wiring else "wrong"
         row["proven"] = progress.is_proven
         row["power"] = max((abs(part) for each in progress.tape for part in each.told), default=0.0)
         if not ended and not motors_alone:
@@ -133,7 +113,7 @@ def _motors(session: TrialSession) -> str:
         SeaTrial.hull = hull  # type: ignore[method-assign]
 
 
-def _figures(settings: config.Vehicle, hidden: Hidden, progress: TrialProgress, real: dict[str, Any]) -> dict[str, Any]:
+def _figures(settings: config.Vehicle, hidden: Hidden, progress: TrialProgress, real: BoatTruth) -> dict[str, Any]:
     """What the fit and the compass alone say, less the truth."""
     assert progress.motors is not None
     record = record_of(progress, is_estimated=settings.navigation.estimator)
@@ -149,16 +129,8 @@ def _figures(settings: config.Vehicle, hidden: Hidden, progress: TrialProgress, 
         result = identify.identified(record, owner, "2026-11-27")
     except DelfimError as error:
         return row | {"refused": str(error)}
-    p, full = result.fit.values, result.found.figures["full_mps"]
     row |= {"fit_s": time.process_time() - began_s, "chi2": result.fit.chi2, "refused": result.fit.refusal}
-    row |= {"full_off": full.found / real["full_mps"] - 1.0, "full_beyond": full.is_beyond}
-    sides = ("dead_starboard", "dead_port")[: len(settings.thrusters)]
-    row |= {"dead_off": [p[name] - dead for name, dead in zip(sides, real["dead"], strict=False)]}
-    if settings.thrusters[0].steer is not None:
-        row |= {"straight_off_deg": math.degrees(p["straight"] - (-1.0 if hidden.turned else 1.0) * hidden.middle_rad)}
-    row |= {"late_off_s": p["delay"] + p["lag"] - real["late_s"]}
-    numbers = {key: p[key] for key in ("hard_ahead", "hard_aside", "soft_along", "soft_across", "compass_offset")}
-    return row | _bent("fit", hidden, numbers)
+    return row | figures_off(result, settings, hidden, real)
 
 
 def _compass(name: str, hidden: Hidden, found: magnet.CompassFound) -> dict[str, Any]:
@@ -178,11 +150,8 @@ def _compass(name: str, hidden: Hidden, found: magnet.CompassFound) -> dict[str,
 
 def _bent(name: str, hidden: Hidden, numbers: dict[str, Any]) -> dict[str, float]:
     """Offset and deviation less the truth, degrees: the mean over all headings, and the rest, rms and at most."""
-    headings = np.radians(np.arange(0.0, 360.0, 5.0))
-    off = said(numbers, headings) - np.array([hidden.sensors.said(each) for each in headings])
-    off = np.degrees(np.remainder(off + np.pi, 2.0 * np.pi) - np.pi)
-    rest = off - off.mean()
-    return {f"{name}_offset_deg": off.mean(), f"{name}_rms_deg": rest.std(), f"{name}_most_deg": np.abs(rest).max()}
+    off = compass_off(hidden, numbers)
+    return {f"{name}_offset_deg": off.offset_deg, f"{name}_rms_deg": off.rms_deg, f"{name}_most_deg": off.most_deg}
 
 
 def table(rows: list[dict[str, Any]]) -> Iterator[str]:
@@ -202,13 +171,13 @@ def table(rows: list[dict[str, Any]]) -> Iterator[str]:
     taken = [row for row in rows if row.get("refused") == ""]
     yield f"{sum('refused' in row for row in rows)} fits, {len(taken)} taken; of these within:"
     within: list[tuple[str, Callable[[dict[str, Any]], float | None], float]] = [
-        ("full speed 5 %, where it was sailed", lambda row: None if row["full_beyond"] else row["full_off"], 0.05),
-        ("full speed 5 %, extrapolated", lambda row: row["full_off"] if row["full_beyond"] else None, 0.05),
-        ("dead band 2 % of command", lambda row: max(map(abs, row["dead_off"])), 0.02),
+        ("full speed 5 %, where it was sailed", lambda row: None if row["beyond"] else row["full_off"], 0.05),
+        ("full speed 5 %, extrapolated", lambda row: row["full_off"] if row["beyond"] else None, 0.05),
+        ("dead band 2 % of command", lambda row: row["dead_off"], 0.02),
         ("angle at which she goes straight 1.5 degrees", lambda row: row.get("straight_off_deg"), 1.5),
         ("delay and lag 0.1 s", lambda row: row["late_off_s"], 0.1),
-        ("offset of the compass 1 degree, by the fit", lambda row: row["fit_offset_deg"], 1.0),
-        ("deviation 1.5 degrees, by the fit", lambda row: row["fit_most_deg"], 1.5),
+        ("offset of the compass 1 degree, by the fit", lambda row: row["offset_off_deg"], 1.0),
+        ("deviation 1.5 degrees, by the fit", lambda row: row["deviation_off_deg"], 1.5),
         ("offset of the compass 1 degree, alone", lambda row: row.get("compass_offset_deg"), 1.0),
         ("deviation 1.5 degrees, alone", lambda row: row.get("compass_most_deg"), 1.5),
     ]

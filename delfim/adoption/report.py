@@ -54,7 +54,8 @@ def page(name: str, record: BoatRecord, fit: Fit, found: BoatFindings, twin: OnT
 def _head(name: str, record: BoatRecord, fit: Fit, command: str) -> Iterator[str]:
     minutes = fit.windows.steps * STEP_S * len(fit.windows.from_s) / 60.0
     yield f"<h1>{escape(name)}: what was found</h1>"
-    yield f"<p class=soft>{escape(record.source)}, SHA-256 {record.digest[:16]}; {minutes:.1f} minutes of it were looked at, "
+    digest = f", SHA-256 {record.digest[:16]}" if record.digest else ""  # a trial has none
+    yield f"<p class=soft>{escape(record.source)}{digest}; {minutes:.1f} minutes of it were looked at, "
     yield f"{len(fit.windows.from_s)} windows. Again: <code>{escape(command)}</code></p>"
     if fit.refusal:
         yield f"<p class=fails>Refused: {escape(fit.refusal)}. Nothing of it is to be used.</p>"

@@ -9,11 +9,13 @@ import duckdb
 import numpy as np
 
 from delfim.base.errors import DelfimError
+from delfim.campaign.adopted.columns import COLUMNS
 from delfim.campaign.measures import MEASURES
 from delfim.campaign.runplan import Answer, CampaignFile, Pass, Plan
 from delfim.campaign.store import parts, schema
 
-NUMBERS: Final = tuple(measure.name for measure in MEASURES if measure.kind != "VARCHAR")
+_KINDS: Final = {each.name: each.kind for each in MEASURES} | {each.name: each.kind for each in COLUMNS}
+NUMBERS: Final = tuple(name for name, kind in _KINDS.items() if kind != "VARCHAR")
 JUDGED: Final = ("cross_rms_m", "cross_max_m", "noticed_s", "energy_j", "sailed_s")  # the greatest are the worst, in this order
 QUANTILES: Final = (0.05, 0.5, 0.95)
 WILSON: Final = 1.959964  # of the normal distribution: 95 %
@@ -128,7 +130,8 @@ def share(part: int, of: int) -> tuple[float, float]:
 def quantities(database: duckdb.DuckDBPyConnection) -> list[Quantity]:
     """The quantiles of each measure."""
     found = list[Quantity]()
-    for name in NUMBERS:
+    there = {name for (name,) in selected(database, "select column_name from (describe runs)")[1]}
+    for name in (each for each in NUMBERS if each in there):
         sql = f"select count({name}), {', '.join(f'quantile_cont({name}, {part})' for part in QUANTILES)} from runs"
         runs, *values = selected(database, sql)[1][0]
         if runs:

@@ -19,6 +19,7 @@ from delfim import config
 from delfim.base import tables
 from delfim.base.errors import ConfigError, FormatError
 from delfim.base.input.untrusted import read_text
+from delfim.campaign.adopted.columns import ADOPTION
 from delfim.simulator.scenarios.encounters import staged_of
 from delfim.simulator.scenarios.scenario import FaultAt, Scenario, fault_of, load_scenario
 from delfim.simulator.scenarios.searching import DRAWN
@@ -79,7 +80,8 @@ class Seeds(tables.Table, frozen=True):
 
 class CampaignFile(tables.Table, frozen=True):
     """The file of a campaign. `vehicle`, `scenario` and `mission` are files beside it, one or several: each boat sails each of
-    the others. The scenarios "mixed", "chased", "forged" and "searching" are drawn from the seed."""
+    the others. The scenarios "mixed", "chased", "forged" and "searching" are drawn from the seed; so is "adoption", whose runs
+    are trials of boats that are not as their files say, and have columns of their own."""
 
     version: Literal[1]
     name: Name
@@ -103,6 +105,11 @@ class CampaignFile(tables.Table, frozen=True):
             raise ValueError("name a scenario, a mission, or both")
         if twice := self.vary.keys() & self.draw.keys():
             raise ValueError(f"{min(twice)} is varied and drawn")
+        if ADOPTION in _names(self.scenario):
+            if self.mission or self.scenario not in (ADOPTION, (ADOPTION,)):
+                raise ValueError(f"a campaign of {ADOPTION} has no other scenario, and no mission")
+            if self.page or self.audit or self.pairs:
+                raise ValueError(f"a campaign of {ADOPTION} has no tracks, audit and pairs: page = false")
 
 
 class Story(NamedTuple):
@@ -137,6 +144,10 @@ class Plan(NamedTuple):
     limit_s: float
     audit: bool = False
     pairs: bool = False
+
+    @property
+    def is_adoption(self) -> bool:
+        return any(story.name == ADOPTION for story in self.stories)
 
     @property
     def runs(self) -> int:
@@ -252,7 +263,7 @@ def _names(asked: str | tuple[str, ...]) -> tuple[str, ...]:
 
 def _trials(folder: Path, name: str) -> Iterator[tuple[str, dict[str, Any] | None, str]]:
     """(name, scenario's file, mission's text) of a scenario's file, or of each of its encounters."""
-    if name in DRAWN:
+    if name in DRAWN or name == ADOPTION:
         yield name, None, ""
         return
     path = folder / name

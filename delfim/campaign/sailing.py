@@ -105,9 +105,12 @@ def one(plan: Plan, number: int, point: int, seed: int) -> dict[str, Any]:
     story = plan.stories[plan.points[point][0]]
     row: dict[str, Any] = {"batch": number, "point": point, "seed": seed, "vehicle": story.boat, "story": story.name} | values
     try:
-        sailed, failures = judged(plan, drawn_run(plan, point, seed), seed)
-        row |= {"ok": not failures, "failures": failures, "error": ""}
-        row |= {measure.name: measure.value(sailed) for measure in MEASURES}
+        if plan.is_adoption:
+            its, failures = _adopted(plan, laid(story.vehicle, values), story.boat, seed)
+        else:
+            sailed, failures = judged(plan, drawn_run(plan, point, seed), seed)
+            its = {measure.name: measure.value(sailed) for measure in MEASURES}
+        row |= {"ok": not failures, "failures": failures, "error": ""} | its
     except Exception as error:  # a defect, or a limit: a result of this run, not the end of the campaign
         row |= {"ok": False, "failures": [], "error": f"{type(error).__name__}: {error}"}
     return row | {
@@ -117,6 +120,19 @@ def one(plan: Plan, number: int, point: int, seed: int) -> dict[str, Any]:
         "pid": os.getpid(),
         "version": VERSION,
     }
+
+
+def _adopted(plan: Plan, boat: dict[str, Any], name: str, seed: int) -> tuple[dict[str, Any], list[str]]:
+    """Adopt a drawn boat; returns the columns, and what failed."""
+    from delfim.campaign.adopted import whole  # it needs numpy
+
+    until_s = time.process_time() + plan.limit_s
+
+    def look() -> None:
+        if time.process_time() > until_s:
+            raise TooLong(f"not over after {plan.limit_s:g} s of computing")
+
+    return whole.figures(boat, name, seed, look)
 
 
 def judged(plan: Plan, drawn: "Drawn", seed: int) -> tuple[Sailed, list[str]]:
@@ -148,6 +164,8 @@ class Drawn(NamedTuple):
 def drawn_run(plan: Plan, point: int, seed: int) -> Drawn:
     """Draw the run of a point and a seed. Raises DelfimError."""
     story, (values, faults) = plan.stories[plan.points[point][0]], parted(plan.values(point, seed))
+    if plan.is_adoption:
+        raise DelfimError(f"a trial is a dialogue: delfim adopt etc/boats/{story.boat}.toml --sim {seed} --yes has it again")
     boat, scenario, mission = laid(story.vehicle, values), None, story.mission
     if story.scenario is not None:
         scenario = tables.decode(story.scenario, Scenario, story.name)

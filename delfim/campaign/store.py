@@ -19,6 +19,7 @@ import pyarrow.parquet as pq
 
 from delfim.base.errors import DelfimError, in_words
 from delfim.base.input.untrusted import parse_json, read_text
+from delfim.campaign.adopted.columns import COLUMNS
 from delfim.campaign.measures import MEASURES
 from delfim.campaign.runplan import Plan
 
@@ -53,7 +54,7 @@ def schema(plan: Plan) -> pa.Schema:
     fields += [("vehicle", pa.string()), ("story", pa.string())]
     fields += [(key, *kinds) for key, kinds in keys.items()]
     fields += [("ok", pa.bool_()), ("failures", pa.list_(pa.string())), ("error", pa.string())]
-    fields += [(measure.name, _KINDS[measure.kind]) for measure in MEASURES]
+    fields += [(each.name, _KINDS[each.kind]) for each in (COLUMNS if plan.is_adoption else MEASURES)]
     fields += [
         ("wall_s", pa.float64()),
         ("cpu_s", pa.float64()),

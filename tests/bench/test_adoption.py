@@ -12,8 +12,8 @@ def test_a_hull_of_another_hand_is_found_out_about(tmp_path: Path) -> None:
     assert (row["motors"], row["ended"], row["refused"], row["place"]) == ("right", "", "", "")
     assert row["most_m"] < 1.25 * RADIUS_M
     assert abs(row["full_off"]) < 0.05
-    assert abs(row["fit_offset_deg"]) < 1.0
-    assert row["fit_most_deg"] < 1.5
+    assert abs(row["offset_off_deg"]) < 1.0
+    assert row["deviation_off_deg"] < 1.5
     lines = list(table([json.loads(json.dumps(row, default=float))]))
     assert lines[2].startswith("| Heron, another hand | 1 | 1 | 0 | 0 | 1 |")
 
