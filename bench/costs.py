@@ -203,7 +203,8 @@ def _vessels(settings: config.Vehicle) -> list[Row]:
     number, edge = f"{MOST} vessels", thingcosts.field(1.0)
     return [
         Row(f"{number}: a step of the watch", watched),
-        Row(f"{number}, {thingcosts.THINGS} things: a step of the watch", partial(thingcosts.watched, settings)),
+        Row(f"{number}, {thingcosts.THINGS} things: a step of the watch", partial(thingcosts.watched, settings, "thing")),
+        Row(f"{number}, {thingcosts.THINGS} swimmers: a step of the watch", partial(thingcosts.watched, settings, "person")),
         Row("a way past all things, by the largest chart", thingcosts.passed),
         Row("the largest chart: a look 8 m along an edge", _once(lambda: edge.least_m((0.0, 0.0), (8.0, 0.0), 3.0))),
         Row(f"{number}: state for a watcher", told),

@@ -5,7 +5,7 @@ largest chart.
 import math
 from collections.abc import Iterator
 from random import Random
-from typing import Final
+from typing import Final, Literal
 
 from delfim import config
 from delfim.base import geodesy
@@ -30,7 +30,7 @@ Callbacks = Iterator[object]  # as those of `bench.costs`
 KNOTS: Final = 1024  # a side of the grids of a chart
 TICKS: Final = 40
 WARM_S: Final = 3.0
-SEEN: Final = 10  # in a step: five programs tell 20 a second each
+SEEN: Final = 12  # in a step, the most that one takes: five programs may tell 20 a second each
 
 
 def field(near_m: float) -> ClearanceField:
@@ -45,8 +45,8 @@ def by_a_chart() -> Fence:
     return Fence((charted("the largest chart", field(12.0)),), config.FenceTable())
 
 
-def watched(settings: config.Vehicle) -> Callbacks:
-    """A step of the watch each, from the first report on."""
+def watched(settings: config.Vehicle, kind: Literal["thing", "person"]) -> Callbacks:
+    """A step of the watch each, from the first report on. Swimmers are so far from each other that none is taken for another."""
     random, sea = Random(1), Lockstep(settings, 1, lambda clock: NoLog())
     for _ in sea.cycles(WARM_S):
         pass
@@ -58,8 +58,9 @@ def watched(settings: config.Vehicle) -> Callbacks:
         place = geodesy.from_plane(at, random.uniform(100.0, 900.0), random.uniform(-600.0, 600.0))
         course_rad, speed_mps = random.uniform(0.0, math.tau), random.uniform(0.5, 6.0) if i < keepclear.MOST else 0.5
         sea.state.hear(VesselPosition(200_000_000 + i, *place, course_rad, speed_mps, None, None, "B"), "ais", sea.elapsed_s)
-    places = [geodesy.from_plane(at, random.uniform(10.0, 190.0), random.uniform(-60.0, 60.0)) for _ in range(THINGS)]
-    seen = [ThingSeen(*place, 0.5) for place in places]
+    far = 1.0 if kind == "thing" else 8.0
+    places = [(random.uniform(10.0, 190.0) * far, random.uniform(-60.0, 60.0) * far) for _ in range(THINGS)]
+    seen = [ThingSeen(*geodesy.from_plane(at, *place), 0.5, kind) for place in places]
     yield None
     for tick in range(TICKS):
         sea.clock.advance(0.1)

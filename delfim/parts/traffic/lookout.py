@@ -15,7 +15,8 @@ from delfim.vehicle.state import Sighting, State
 from delfim.vehicle.target import NEVER_S, Target
 
 AT_ONCE: Final = 24  # reports that one step takes; a busy harbour brings one
-OF_THING: Final = 2  # so many a sighting of a thing counts: it is compared with all that are known
+OF_THING: Final = 2  # so many a sighting of a thing counts: it is compared with all that are known, ...
+NEAR: Final = 12  # ... and one more for each so many things that it must be measured against
 LOOK_S: Final = 1.0
 TOLD_S: Final = 10.0  # what was missed is told for so long
 SLICE: Final = 200  # comparisons of one step
@@ -35,9 +36,7 @@ class TrafficLookout:
         if waiting:
             left = AT_ONCE
             for name in tuple(islice(waiting, AT_ONCE)):
-                sighting = waiting.pop(name)
-                self._take(sighting)
-                left -= OF_THING if isinstance(sighting.told, ThingSeen) else 1
+                left -= self._take(waiting.pop(name))
                 if left <= 0:
                     return
 
@@ -90,16 +89,18 @@ class TrafficLookout:
             return f"more vessels than the boat can know: of those that come near it knows {MOST}"
         return f"reports of {name} contradict each other: there may be more than one" if now_s - disputed_s < TOLD_S else ""
 
-    def _take(self, sighting: Sighting) -> None:
+    def _take(self, sighting: Sighting) -> int:
+        """Take it into what is known, and return how many it counts of AT_ONCE."""
         told, by, at_s, key = sighting
+        if isinstance(told, ThingSeen):
+            return OF_THING + self.things.hear(told, key, at_s) // NEAR
         if isinstance(told, VesselPosition):
             self.tracker.hear(told, by, at_s, key)
         elif isinstance(told, VesselFacts):
             self.tracker.facts(told, at_s, key)
-        elif isinstance(told, ThingSeen):
-            self.things.hear(told, key, at_s)
         else:
             self.tracker.refuse(told)
+        return 1
 
 
 def _nobody() -> Work[tuple[Target, ...]]:

@@ -7,6 +7,7 @@ is kept for KEPT times as many seconds. Bounded; no clock, no exception for any 
 """
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Final
 
@@ -24,7 +25,7 @@ PERSON_S: Final = 120.0  # a swimmer is kept no longer, since it swims ...
 PERSON_MPS: Final = 1.0  # ... as fast as that
 PERSON_MAX_M: Final = 60.0
 MARGIN_M: Final = 2.0  # of the place of a thing, with that of the boat itself
-HEAD_REACH_M: Final = 6.1  # farther from the edge of a thing no sighting is of it
+HEAD_REACH_M: Final = 6.1  # farther from the edge of a thing, or from where a swimmer may be, no sighting is of it
 SAME_M: Final = 3.0  # a sighting so near to a thing is of that one, ...
 SAME_PERSON_M: Final = 6.0  # ... or to a swimmer: a camera tells poorly how far away a head is
 HEAD_M: Final = 1.0  # radius of what may be a head above the water, seen by who cannot tell it from a buoy, ...
@@ -32,7 +33,6 @@ HEAD_S: Final = 3.0  # ... and for how long after a sighting what is seen where 
 SMOOTH, SMOOTH_PERSON = 4, 2  # sightings that make the place of a thing, and of a swimmer
 NUMBERS: Final = 999
 LOOKED: Final = 3  # comparisons that where one thing is now costs
-FARTHEST_M: Final = 700.0  # no sighting so far off is of a thing: its radius is 50 m at most, and a swimmer is soon forgotten
 RADIUS_M: Final = 6_378_137.0
 LATITUDE_MAX_RAD: Final = math.radians(89.0)
 
@@ -90,49 +90,51 @@ class Things:
     def __len__(self) -> int:
         return len(self._things)
 
-    def hear(self, told: ThingSeen, name: str, now_s: float) -> None:
-        """Take a sighting. `name`: who saw it, and as what."""
+    def hear(self, told: ThingSeen, name: str, now_s: float) -> int:
+        """Take a sighting. `name`: who saw it, and as what. Returns how many things it had to be measured against."""
         if not abs(told.latitude_rad) <= LATITUDE_MAX_RAD or told.latitude_rad == told.longitude_rad == 0.0:
             self.refused += 1
-            return
-        known = self._at(told, now_s)
+            return 0
+        near = self._near(told, now_s)
+        known = _nearest(near, told, now_s)
         if known is not None and told.confidence == 0.0:
             del self._things[known.number]
         elif known is not None:
             known.take(told, now_s)
             if known.kind == "person":
-                self._gather(known)
-        elif told.confidence > 0.0 and self._has_room(told):
-            number = next(each for i in range(NUMBERS) if (each := (self._last + i) % NUMBERS + 1) not in self._things)
-            self._last = number
-            place = told.latitude_rad, told.longitude_rad, told.radius_m
-            self._things[number] = Thing(told.kind, name, number, *place, now_s, told.confidence, now_s)
+                self._gather(known, now_s)
+        elif told.confidence > 0.0:
+            is_full = len(self._things) >= MOST
+            if not is_full or self._makes_room(told):
+                number = next(each for i in range(NUMBERS) if (each := (self._last + i) % NUMBERS + 1) not in self._things)
+                self._last = number
+                place = told.latitude_rad, told.longitude_rad, told.radius_m
+                self._things[number] = Thing(told.kind, name, number, *place, now_s, told.confidence, now_s)
+            return len(near) + (MOST if is_full else 0)
+        return len(near)
 
-    def _at(self, told: ThingSeen, now_s: float) -> Thing | None:
-        """The thing of which this is a sighting, a swimmer first, the nearest one; None: it is a new one."""
-        found, least, latitude_rad = None, (True, math.inf), told.latitude_rad
+    def _near(self, told: ThingSeen | Thing, now_s: float) -> list[Thing]:
+        """The things of which something there may be one. Most are not, and the loop waits for this: no function for those."""
+        latitude_rad, longitude_rad = told.latitude_rad, told.longitude_rad
+        parallel_m, found = RADIUS_M * math.cos(latitude_rad), list[Thing]()
         for each in self._things.values():
-            north_m = RADIUS_M * (latitude_rad - each.latitude_rad)
-            if each.kind == "thing" and not -each.radius_m - HEAD_REACH_M <= north_m <= each.radius_m + HEAD_REACH_M:
-                continue  # as most are: the loop waits for this
-            reach_m = _reach_m(each, told, now_s)
-            far_m = _far_m(each, told)
-            if far_m <= reach_m and (this := (each.kind != "person", far_m)) < least:
-                found, least = each, this
+            reach_m = HEAD_REACH_M + (each.radius_m if each.kind == "thing" else PERSON_MPS * abs(now_s - each.at_s))
+            if not -reach_m <= RADIUS_M * (latitude_rad - each.latitude_rad) <= reach_m:
+                continue
+            if not reach_m < abs(parallel_m * (longitude_rad - each.longitude_rad)) < math.tau * parallel_m - reach_m:
+                found.append(each)
         return found
 
-    def _gather(self, swimmer: Thing) -> None:
+    def _gather(self, swimmer: Thing, now_s: float) -> None:
         """What is so near to a swimmer and as small is that one, which a camera took for another, farther or nearer."""
-        for each in tuple(self._things.values()):
+        for each in self._near(swimmer, now_s):
             is_small = each.kind == "person" or each.radius_m <= HEAD_M
             if each is not swimmer and is_small and _far_m(each, swimmer) <= SAME_PERSON_M:
                 swimmer.belief = max(swimmer.belief, each.belief)
                 del self._things[each.number]
 
-    def _has_room(self, told: ThingSeen) -> bool:
-        """Whether there is room for one more: of more than MOST the one that is farthest from the boat goes."""
-        if len(self._things) < MOST:
-            return True
+    def _makes_room(self, told: ThingSeen) -> bool:
+        """Whether it is one of the MOST that are nearest to the boat: then the farthest one goes."""
         last = max(self._things.values(), key=lambda each: self._away(each.latitude_rad, each.longitude_rad))
         self.refused += 1
         if self._away(told.latitude_rad, told.longitude_rad) >= self._away(last.latitude_rad, last.longitude_rad):
@@ -160,11 +162,19 @@ class Things:
         return found
 
 
+def _nearest(near: Iterable[Thing], told: ThingSeen, now_s: float) -> Thing | None:
+    """The thing of which this is a sighting, a swimmer first, the nearest one; None: it is a new one."""
+    found, least = None, (True, math.inf)
+    for each in near:
+        far_m = _far_m(each, told)
+        if far_m <= _reach_m(each, told, now_s) and (this := (each.kind != "person", far_m)) < least:
+            found, least = each, this
+    return found
+
+
 def _far_m(each: Thing, told: ThingSeen | Thing) -> float:
-    """From a thing to a sighting, m; infinite: so far north or south that no sighting can be of it."""
+    """From a thing to a sighting, m."""
     north_m = RADIUS_M * (told.latitude_rad - each.latitude_rad)
-    if not -FARTHEST_M < north_m < FARTHEST_M:
-        return math.inf
     return math.hypot(north_m, RADIUS_M * math.cos(told.latitude_rad) * wrap(told.longitude_rad - each.longitude_rad))
 
 

@@ -122,6 +122,19 @@ def test_sightings_of_things_are_taken_fewer_at_a_time() -> None:
     assert len(its.things) == 3 * AT_ONCE // OF_THING
 
 
+def test_a_sighting_that_may_be_any_of_many_swimmers_counts_more() -> None:
+    """Each may have swum to where the others were, so that each is measured."""
+    state, its, later_s = State(), TrafficLookout(config.TrafficTable()), 100.0
+    swimmers = [ThingSeen(HERE[0], HERE[1] + 1.6e-6 * number, 0.5, "person") for number in range(60)]  # 8 m from each other
+    for number, each in enumerate(swimmers):
+        its.things.hear(each, f"camera {number}", 0.0)
+    assert len(its.things) == len(swimmers)
+    for number, each in enumerate(swimmers):
+        state.hear(each, "payload camera", later_s, f"camera {number}")
+    its.hear(state)
+    assert len(swimmers) - len(state.heard) == 8  # of twelve
+
+
 def test_all_are_looked_at_once_a_second_and_a_boat_without_position_has_no_targets() -> None:
     state, lookout = State(), TrafficLookout(config.TrafficTable())
     lookout.hear(state)
