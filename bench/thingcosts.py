@@ -46,7 +46,7 @@ def by_a_chart() -> Fence:
 
 
 def watched(settings: config.Vehicle, kind: Literal["thing", "person"]) -> Callbacks:
-    """A step of the watch each, from the first report on. Swimmers are so far from each other that none is taken for another."""
+    """A step of the watch each, from the first report on. Swimmers are too far from each other to be taken for one."""
     random, sea = Random(1), Lockstep(settings, 1, lambda clock: NoLog())
     for _ in sea.cycles(WARM_S):
         pass

@@ -9,6 +9,7 @@ from delfim.audit.rule import Finding, Rule
 NAMED: Final = ("manual", "heading", "course", "goto", "play", "path")  # orders that are called as their modes
 BY_OPERATOR: Final = "operator"
 BY_PAYLOAD: Final = "payload"  # begins the reason of a change of mode that a program ordered, and its operator's name
+SENSOR: Final = "sensor "  # begins the name of a sensor that the boat hears itself, which sees, and orders nothing
 RIGHTS: Final = {  # of payload programs, by their orders
     "pause": "hold",
     "sight": "obstacles",
@@ -145,7 +146,7 @@ def programs_below(e: Evidence) -> Iterator[Finding]:
         program = _program(order)
         if not program:
             given = str(order.value.get("name")) if order.name == BY_PAYLOAD and not order.refused else ""
-        elif not order.refused:
+        elif not (order.refused or (order.name == "sight" and program.startswith(SENSOR))):
             right = RIGHTS.get(order.name, "")
             if right not in e.setting(f"payload.{program}.may"):
                 yield Finding(order.t_s, f"{order.name} of payload {program} was obeyed, which has no right to it")

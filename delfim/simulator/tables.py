@@ -112,10 +112,11 @@ class SimulatedThing(Table, frozen=True):
 
 
 class SimulatedLookout(Table, frozen=True):
-    """A sensor that looks round four times a second, played in the name of the payload program that would read it. A figure
-    that it does not name is that of its kind."""
+    """A sensor that looks round four times a second, played in the name of the payload program that would read it; or a radar
+    that speaks for itself. A figure that it does not name is that of its kind."""
 
-    payload: Name  # the program, of this look-out alone, with the right "obstacles"
+    payload: Name | None = None  # the program, of this look-out alone, with the right "obstacles"
+    port: Name | None = None  # instead: of [nmea0183.ports], where a radar of kind radar tells its targets by TTM and TLL
     kind: Literal["lidar", "radar", "camera"] = "lidar"  # how far, how exactly, and all round or ahead
     reach_m: Annotated[float, msgspec.Meta(gt=0.0, le=10_000.0)] | None = None  # how far it sees
     missed: Fraction | None = None  # part of the looks at a thing in which it does not see it

@@ -145,7 +145,7 @@ def sighted(line: bytes, state: State, now_s: float) -> bool:
 
 
 def seen(vessel: SeenVessel, by: str, state: State, now_s: float) -> None:
-    """Another vessel or a thing, into the state. `by`: "guest", or "payload " and the program's name."""
+    """Another vessel or a thing, into the state. `by`: "guest", or "payload " and the program's name, or a sensor."""
     place = math.radians(vessel.latitude_deg), math.radians(vessel.longitude_deg)
     if vessel.kind != "vessel":
         name = f"{by.removeprefix('payload ')} {vessel.id}"

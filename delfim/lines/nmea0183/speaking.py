@@ -25,7 +25,7 @@ def rmc(n: Navigation) -> bytes:
         return b""
     speed, course = _movement(n) or ("", "")
     date = _date(n.utc_ns // _DAY_NS)
-    return framed(f"GPRMC,{clock(n)},A,{place},{speed},{course},{date},,,{_MODE.get(n.fix, 'A')}")
+    return framed(f"GPRMC,{clock(n.utc_ns)},A,{place},{speed},{course},{date},,,{_MODE.get(n.fix, 'A')}")
 
 
 def gga(n: Navigation) -> bytes:
@@ -34,7 +34,7 @@ def gga(n: Navigation) -> bytes:
         return b""
     hdop = "" if n.hdop is None else f"{n.hdop:.1f}"
     age = "" if n.corrections_s is None else f"{min(n.corrections_s, 999.0):.1f}"
-    return framed(f"GPGGA,{clock(n)},{place},{_QUALITY.get(n.fix, 1)},{n.satellites:02d},{hdop},,M,,M,{age},")
+    return framed(f"GPGGA,{clock(n.utc_ns)},{place},{_QUALITY.get(n.fix, 1)},{n.satellites:02d},{hdop},,M,,M,{age},")
 
 
 def hdt(n: Navigation) -> bytes:
@@ -63,11 +63,12 @@ def _place(n: Navigation) -> str | None:
     """Position as four fields, minutes with six decimals (2 mm)."""
     if n.latitude_rad is None or n.longitude_rad is None or not n.utc_ns or not n.fix:
         return None
-    return _halves(n.latitude_rad, n.longitude_rad)
+    return halves(n.latitude_rad, n.longitude_rad)
 
 
 @lru_cache(1)  # GGA and RMC tell the same place and time
-def _halves(latitude_rad: float, longitude_rad: float) -> str:
+def halves(latitude_rad: float, longitude_rad: float) -> str:
+    """A position as four fields."""
     return f"{_half(latitude_rad, 2, 'NS')},{_half(longitude_rad, 3, 'EW')}"
 
 
@@ -94,9 +95,9 @@ def _date(day: int) -> str:
     return f"{datetime.fromtimestamp(86_400 * day, UTC):%d%m%y}"
 
 
-def clock(n: Navigation) -> str:
+def clock(utc_ns: int) -> str:
     """The time of day as a field."""
-    return _clock(n.utc_ns % _DAY_NS // 10_000_000)
+    return _clock(utc_ns % _DAY_NS // 10_000_000)
 
 
 @lru_cache(1)

@@ -19,7 +19,9 @@ from delfim.parts.mavlink.sequences import Sequences
 from delfim.parts.mavlink.table import Mavlink
 from delfim.parts.mavlink.telemetry import TelemetryView
 from delfim.vehicle import console
+from delfim.vehicle.grex import SeenVessel
 from delfim.vehicle.loop import HELD_BY_HAND, VehicleLoop
+from delfim.vehicle.orders.entrusting import PAYLOAD, SENSOR
 from delfim.vehicle.state import HANDSET
 
 DOUBT_S: Final = 30.0  # between two texts that a console is not believed
@@ -92,6 +94,10 @@ class Consoles:
         refused = self._obey(command, source.name)
         self.tell_news()
         return refused
+
+    def see(self, sensor: str, target: SeenVessel) -> None:
+        """A sensor sees a thing. It is logged as what programs see, so that a replay sees it too."""
+        self._obey(console.Sight(target), f"{PAYLOAD}{SENSOR}{sensor}")
 
     def propose(self, source: Speaker, command: console.Commands, answer: Callable[[str | None], None]) -> None:
         """The same for a plan, whose review takes a while: `answer` gets its outcome."""

@@ -127,7 +127,7 @@ def nodes_of(settings: config.Vehicle, seed: int, model: Model | None = None) ->
     on_buses = (each.devices_of(settings, model, seed) for each in of_parts if hasattr(each, "devices_of"))
     beside = tuple(each for each in (*others, *on_buses) if each is not None)
     shipping = next((each for each in beside if isinstance(each, Shipping)), None)
-    instruments = instruments_of(settings, model, seed, shipping.sentences if shipping else None)
-    return Nodes(
-        model, named, beside, instruments, surroundings_of(settings, model, seed, shipping.vessels if shipping else ())
-    )
+    around = surroundings_of(settings, model, seed, shipping.vessels if shipping else ())
+    ais = shipping.sentences if shipping else None
+    instruments = instruments_of(settings, model, seed, ais, around.radars if around else ())
+    return Nodes(model, named, beside, instruments, around)

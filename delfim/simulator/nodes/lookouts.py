@@ -2,7 +2,8 @@
 ghosts.
 
 A look-out tells what a payload program would that reads such a sensor, in its name: in lock step the boat is told so at once,
-in real time by a pipe that the program copies out (delfim/simulator/realtime/lookout_pipes.py). It measures from where the
+in real time by a pipe that the program copies out (delfim/simulator/realtime/lookout_pipes.py). A radar may have a port of NMEA
+0183 instead, where it speaks for itself (radars.py). A look-out measures from where the
 boat truly is. Who is heard by AIS is not told again.
 """
 
@@ -17,6 +18,8 @@ from delfim.base.geodesy import from_plane, wrap
 from delfim.simulator.model import Model
 from delfim.simulator.nodes.other_vessels import Vessel
 from delfim.simulator.nodes.period import Period
+from delfim.simulator.nodes.radars import PlayedRadar, SeesBy
+from delfim.simulator.nodes.talkers import hears
 from delfim.simulator.nodes.worlds import Standing, drawn
 from delfim.simulator.tables import SimulatedLookout, Simulation
 from delfim.vehicle import console
@@ -79,14 +82,9 @@ class TrueThing:
 class PlayedSensor:
     """One sensor."""
 
-    def __init__(self, number: int, row: SimulatedLookout, model: Model, seed: int) -> None:
-        self.payload, self._model, self._random = row.payload, model, Random(f"look-out {number} {seed}")
-        sort = SORTS[row.kind]
-        self._sort = sort._replace(
-            reach_m=sort.reach_m if row.reach_m is None else row.reach_m,
-            missed=sort.missed if row.missed is None else row.missed,
-            ghosts=sort.ghosts if row.ghosts is None else row.ghosts,
-        )
+    def __init__(self, number: int, row: SimulatedLookout, payload: str, model: Model, seed: int) -> None:
+        self.payload, self._model, self._random = payload, model, Random(f"look-out {number} {seed}")
+        self._sort = _sort(row)
         self._told = dict[str, int]()  # the look at which each was told last
         self._looks = 0
 
@@ -143,24 +141,35 @@ class PlayedSensor:
         return console.Sight(SeenVessel(name, *place, *motion, length_m=row.length_m, beam_m=row.beam_m))
 
 
+def _sort(row: SimulatedLookout) -> SensorSort:
+    """What this one can do."""
+    sort = SORTS[row.kind]
+    return sort._replace(
+        reach_m=sort.reach_m if row.reach_m is None else row.reach_m,
+        missed=sort.missed if row.missed is None else row.missed,
+        ghosts=sort.ghosts if row.ghosts is None else row.ghosts,
+    )
+
+
 class Surroundings:
     """All things, and all look-outs. Call `step` after the model was advanced."""
 
     def __init__(self, settings: config.Vehicle, model: Model, seed: int, vessels: Sequence[Vessel] = ()) -> None:
-        """Raises ConfigError where a look-out's program is none of the file that may tell of obstacles."""
+        """Raises ConfigError where a look-out has no program that may tell of obstacles, and no port."""
         here, self._model, self._vessels = settings.of(Simulation).things, model, vessels
         rows = [Standing(*(getattr(each, name) for name in Standing._fields)) for each in here.thing]
         rows += drawn(here.world, Random(f"things {here.world} {seed}"))
         self.things = [TrueThing(number, row) for number, row in enumerate(rows, 1)]
         self._half_m = settings.boat.length_m / 2.0, settings.boat.beam_m / 2.0
-        programs = settings.table("payload")
+        self._lookouts, self.radars = list[PlayedSensor](), list[PlayedRadar]()
         for i, row in enumerate(here.lookout):
-            if row.payload in [each.payload for each in here.lookout[:i]]:
-                raise ConfigError("the vehicle's file", f"simulation.things.lookout[{i}].payload", "it has a look-out already")
-            if row.payload not in programs or "obstacles" not in programs[row.payload].may:
-                words = f'no program of this name has the right "obstacles": [payload.{row.payload}]'
-                raise ConfigError("the vehicle's file", f"simulation.things.lookout[{i}].payload", words)
-        self._lookouts = [PlayedSensor(i, row, model, seed) for i, row in enumerate(here.lookout)]
+            if (why := _fault(settings, row, here.lookout[:i])) is not None:
+                raise ConfigError("the vehicle's file", f"simulation.things.lookout[{i}].{why[0]}", why[1])
+            if row.payload is not None:
+                self._lookouts.append(PlayedSensor(i, row, row.payload, model, seed))
+            elif row.port is not None:
+                by = SeesBy(*(getattr(_sort(row), name) for name in SeesBy._fields))
+                self.radars.append(PlayedRadar(row.port, by, model, seed, self.things, vessels))
         self._period, self._began_s = Period(LOOK_S), math.nan
 
     @property
@@ -180,6 +189,22 @@ class Surroundings:
         if not self._lookouts or not self._period.passed(now_s):
             return []
         return [(each.payload, told) for each in self._lookouts for told in each.look(self.things, self._vessels)]
+
+
+def _fault(settings: config.Vehicle, row: SimulatedLookout, before: Sequence[SimulatedLookout]) -> tuple[str, str] | None:
+    """The key of a look-out that is wrong, and why; None: none is."""
+    programs, payload, port = settings.table("payload"), row.payload, row.port
+    if (payload is None) is (port is None):
+        return "payload", "a look-out has a program, or a port of [nmea0183.ports], and not both"
+    if (payload, port) in [(each.payload, each.port) for each in before]:
+        return "payload" if port is None else "port", "it has a look-out already"
+    if payload is not None and (payload not in programs or "obstacles" not in programs[payload].may):
+        return "payload", f'no program of this name has the right "obstacles": [payload.{payload}]'
+    if port is not None and row.kind != "radar":
+        return "kind", "only a radar speaks on a port"
+    if port is not None and (port not in settings.table("nmea0183").ports or not hears(settings)):
+        return "port", f'no port of this name is read: [nmea0183.ports.{port}], and "nmea0183" in sensors.names'
+    return None
 
 
 def surroundings_of(settings: config.Vehicle, model: Model, seed: int, vessels: Sequence[Vessel] = ()) -> Surroundings | None:

@@ -1,4 +1,5 @@
-"""Off-the-shelf instruments that speak NMEA 0183: receivers, of AIS, too, compass, gyro, sounder and vane, each on its port.
+"""Off-the-shelf instruments that speak NMEA 0183: receivers, of AIS, too, compass, gyro, sounder, vane and radar, each on its
+port.
 
 Where they are says `simulation.instruments` of the vehicle's file; without it all are on its first port, as behind a
 multiplexer. Bytes come out: simulator/realtime/instrument_lines.py brings them to a pty or over the network, lock step to
@@ -7,7 +8,7 @@ its lines.
 
 import math
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from importlib import import_module
 from typing import Any, Final, NamedTuple, Protocol
 
@@ -30,6 +31,7 @@ from delfim.simulator.nodes.measuring import (
 )
 from delfim.simulator.nodes.navigation import FIX, HDOP
 from delfim.simulator.nodes.period import Period
+from delfim.simulator.nodes.radars import PlayedRadar
 from delfim.simulator.tables import INSTRUMENTS, Simulation
 
 AIS_S: Final = 0.2  # between two looks at what was heard
@@ -77,7 +79,9 @@ class SimulatedInstruments:
     """All instruments. `receivers` and `compasses` are those that faults break. `ais` are the sentences of a receiver of
     AIS."""
 
-    def __init__(self, settings: config.Vehicle, model: Model, seed: int, ais: deque[bytes] | None) -> None:
+    def __init__(
+        self, settings: config.Vehicle, model: Model, seed: int, ais: deque[bytes] | None, radars: Sequence[PlayedRadar]
+    ) -> None:
         self._here, self._model, self._seed, self._ais = settings.of(Simulation), model, seed, ais
         self._corrected = settings.failsafe.gnss_poor.corrections_s > 0.0  # a boat that asks for corrections gets them
         self._variation_rad = math.radians(settings.table("nmea0183").variation_deg)
@@ -87,7 +91,7 @@ class SimulatedInstruments:
         if BOARD in settings.navigation.sources:
             self._all += self._board(settings)
         of_parts = tuple(_of_parts(settings, model, seed))
-        self._all += of_parts
+        self._all += (*of_parts, *(Instrument(each.port, each, each.say) for each in radars))
         for each in (one.sensor for one in of_parts):  # of an inertial navigation system
             self.receivers += [each.receiver] if hasattr(each, "receiver") else []
             self.compasses += [each.compass] if hasattr(each, "compass") else []
@@ -154,7 +158,7 @@ def _position(receiver: GnssReceiver, moved: AntennaMotion, utc_ns: int) -> byte
     told = *(None,) * 4, FIX, receiver.satellites, HDOP, 0, None, receiver.corrections_s
     n = tuple.__new__(Navigation, (utc_ns, *moved, *told))  # half the time of Navigation(...)
     sigma = f"{receiver.stated_m:.2f}"
-    return gga(n) + rmc(n) + framed(f"GPGST,{clock(n)},{sigma},,,,{sigma},{sigma},")
+    return gga(n) + rmc(n) + framed(f"GPGST,{clock(n.utc_ns)},{sigma},,,,{sigma},{sigma},")
 
 
 def _rate(turn: Turn, utc_ns: int) -> bytes:
@@ -173,12 +177,19 @@ def _degrees(angle_rad: float) -> str:
     return f"{round(math.degrees(angle_rad) * 10.0) % 3600 / 10.0:.1f}"
 
 
+def hears(settings: config.Vehicle) -> bool:
+    """Whether the boat listens to such ports."""
+    return "nmea0183" in (*settings.navigation.sources, *settings.sensors.names)
+
+
 def placed(settings: config.Vehicle) -> tuple[str, ...]:
     """The PORT:INSTRUMENT pairs of a boat that listens to such ports."""
-    if "nmea0183" not in (*settings.navigation.sources, *settings.sensors.names):
+    if not hears(settings):
         return ()
-    first = next(iter(settings.table("nmea0183").ports))
-    return settings.of(Simulation).instruments or tuple(f"{first}:{kind}" for kind in INSTRUMENTS)
+    here, first = settings.of(Simulation), next(iter(settings.table("nmea0183").ports))
+    if first in [each.port for each in here.things.lookout]:  # a radar has its port for itself
+        return here.instruments
+    return here.instruments or tuple(f"{first}:{kind}" for kind in INSTRUMENTS)
 
 
 def port_devices(settings: config.Vehicle) -> dict[str, str]:
@@ -204,8 +215,10 @@ def _of_parts(settings: config.Vehicle, model: Model, seed: int) -> Iterator[Ins
 
 
 def instruments_of(
-    settings: config.Vehicle, model: Model, seed: int, ais: deque[bytes] | None = None
+    settings: config.Vehicle, model: Model, seed: int, ais: deque[bytes] | None = None, radars: Sequence[PlayedRadar] = ()
 ) -> SimulatedInstruments | None:
     """The instruments that the vehicle's file calls for; None: there are none."""
-    has_any = placed(settings) or BOARD in settings.navigation.sources or any(part.played for part in on_lines(settings))
-    return SimulatedInstruments(settings, model, seed, ais) if has_any else None
+    has_any = (
+        radars or placed(settings) or BOARD in settings.navigation.sources or any(part.played for part in on_lines(settings))
+    )
+    return SimulatedInstruments(settings, model, seed, ais, radars) if has_any else None

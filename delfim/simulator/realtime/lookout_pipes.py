@@ -28,7 +28,7 @@ class LookoutPipes:
 
     def __init__(self, settings: config.Vehicle, surroundings: Surroundings | None) -> None:
         rows = settings.of(Simulation).things.lookout if surroundings is not None else ()
-        self._paths = {row.payload: pipe_of(settings, row.payload) for row in rows}
+        self._paths = {each: pipe_of(settings, each) for row in rows if (each := row.payload) is not None}
         self._ends = dict[str, int]()
         for path in self._paths.values():
             path.unlink(missing_ok=True)

@@ -21,6 +21,7 @@ from delfim.vehicle.plans.underway import SAILS
 from delfim.vehicle.state import State
 
 PAYLOAD: Final = "payload:"  # begins the name under which a program orders
+SENSOR: Final = "sensor "  # begins that of a sensor which no program reads and the boat hears itself; no program has a space
 RIGHTS: Final[dict[type[console.Command], PayloadRight]] = {
     console.Pause: "hold",
     console.Goto: "goto",
@@ -77,6 +78,9 @@ def within(command: console.Plan, zones: config.Zones) -> console.Plan:
 def order(helm: Helm, name: str, command: console.Commands, now_s: float) -> str | None:
     """Carry out an order of a program; returns why it was refused, or None. An order that is refused is no sign of life."""
     state = helm.state
+    if isinstance(command, console.Sight) and name.startswith(SENSOR):
+        grex.seen(command.target, name.removeprefix(SENSOR), state, now_s)
+        return None
     if why := forbidden(helm.settings, state, name, command):
         return f"refused: {why}"
     if isinstance(command, console.Sight):

@@ -5,12 +5,13 @@ import math
 from typing import Final
 
 from delfim.base.geodesy import from_plane
-from delfim.base.vessels import MMSI_MAX, ThingSeen, VesselPosition
+from delfim.base.vessels import MMSI_MAX, VesselPosition
 from delfim.parts.mavlink.codec.aisvessel import NUMBERS, facts_of, position_of
 from delfim.parts.mavlink.codec.wire import GUEST, Message, Speaker, dialect
 from delfim.parts.mavlink.consoles import Consoles
 from delfim.parts.mavlink.peers import Peer
 from delfim.parts.mavlink.telemetry import COMPONENT
+from delfim.vehicle.grex import SeenVessel
 
 OLD_S: Final = 600  # a report that was older when it came is none
 EVERY_S: Final = 0.25  # OBSTACLE_DISTANCE is taken so often; what comes between says the same
@@ -81,8 +82,9 @@ def obstacles(consoles: Consoles, peer: Peer, source: Speaker, message: Message)
         if len(told) == NEAREST or any(math.dist(at, other) < APART_M for other in told):
             continue
         told.append(at)
-        name = f"{SENSORS.get(message.sensor_type, 'sensor')} {source.component}"
-        state.hear(ThingSeen(*from_plane(state.origin, *at), radius_m, "thing", CONFIDENCE), source.name, now_s, name)
+        north, east = (math.degrees(each) for each in from_plane(state.origin, *at))
+        target = SeenVessel(str(source.component), north, east, kind="thing", radius_m=radius_m, confidence=CONFIDENCE)
+        consoles.see(SENSORS.get(message.sensor_type, "sensor"), target)
 
 
 def _is_heard(consoles: Consoles) -> bool:
