@@ -59,12 +59,12 @@ def test_a_vessel_is_followed_from_its_third_echo_on_with_its_course_and_speed(t
     assert {each.target_number for each in plots} == {1}
     assert len(plots) == pytest.approx(60.0 / TURN_S, abs=2), "once in each turn of the aerial"
     (vessel,), last = nodes.vessels, plots[-1]
-    assert (last.heading_type, last.distance_unit, last.timestamp) == ("T", "N", plots[0].timestamp)
+    assert (last.brg_ref, last.cog_unit, last.dist_unit) == ("T", "T", "N")
     assert float(last.distance) * NAUTICAL_M == pytest.approx(math.hypot(vessel.north_m, vessel.east_m), abs=15.0)
     bearing_deg = math.degrees(math.atan2(vessel.east_m, vessel.north_m)) % 360.0
     assert float(last.bearing) == pytest.approx(bearing_deg, abs=3.0)
     assert float(last.speed) * NAUTICAL_M / 3600.0 == pytest.approx(3.0, abs=0.6)
-    assert float(last.course) == pytest.approx(90.0, abs=15.0)
+    assert float(last.cog) == pytest.approx(90.0, abs=15.0)
 
 
 def test_a_thing_stands_where_its_position_says(tmp_path: Path) -> None:
