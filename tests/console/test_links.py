@@ -1,5 +1,6 @@
 """Several links to one boat at once: a serial radio and LTE. One session, one sequence; either may fail at any time."""
 
+from functools import partial
 from pathlib import Path
 from random import Random
 from typing import Any
@@ -95,8 +96,6 @@ def sea(boat: Any, tmp_path: Path) -> TwoLinks:
     sea = TwoLinks(boat, tmp_path, 1)
     sea.run(5.0)
     return sea
-    sea.run(5.0)
-    return sea
 
 
 def test_the_page_tells_both_links_and_the_better_one_is_used(sea: TwoLinks) -> None:
@@ -134,6 +133,27 @@ def test_an_order_that_a_newer_one_overtook_on_the_other_link_is_not_obeyed(sea:
     assert sea.boat.state.mode is Mode.IDLE
     assert "SetMode" not in sea.orders()
     assert sea.station.consoles.counts["overtaken"] >= 1
+
+
+def test_an_order_of_which_six_copies_are_lost_on_both_links_is_answered_in_time(sea: TwoLinks) -> None:
+    """As where a link fails and the other one loses many: every copy counts, and an answer after 4 s is none."""
+    lost = dict.fromkeys(PLACES, 6)
+    carries = {place: radio.carry for place, radio in sea.radios.items()}
+
+    def carry(place: Any, way: int, data: bytes, to: Any) -> None:
+        is_order = way == 0 and b'"speed"' in data
+        lost[place] -= is_order
+        if not is_order or lost[place] < 0:
+            carries[place](way, data, to)
+
+    for place, radio in sea.radios.items():
+        radio.carry = partial(carry, place)  # type: ignore[method-assign]
+    answers: list[tuple[bool, str]] = []
+    sea.fleet.command(1, "mode", {"mode": "manual"}, lambda well, why: None, page=1)
+    sea.run(2.0)
+    sea.fleet.command(1, "speed", {"speed_pct": 5.0}, lambda well, why: answers.append((well, why)))
+    sea.run(4.5)
+    assert answers == [(True, "")]
 
 
 def test_a_plan_goes_up_while_links_change(sea: TwoLinks) -> None:
