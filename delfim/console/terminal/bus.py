@@ -21,7 +21,7 @@ from delfim.base.errors import ConfigError, FormatError
 from delfim.base.frames import CAN_ERR, Frame, extended, standard
 from delfim.canproxy.opening import open_can
 from delfim.canproxy.socket import ANYTHING, CanSocket, bus_state
-from delfim.console.terminal import busstat
+from delfim.console.terminal import busstat, nodes
 from delfim.console.terminal.framefilter import Filter, Stamps, decoder, long_text, parse_filter, parse_frame
 from delfim.logging.candump import format_line, parse_line
 
@@ -252,6 +252,7 @@ def options(parser: argparse.ArgumentParser) -> None:
     one.add_argument("frame", nargs="+", metavar="FRAME", help="123#DEADBEEF, 12345678#11.22 (extended), 123#R4 (remote)")
     _add_traffic(tools)
     busstat.add_parser(tools, BUS)
+    nodes.add_parsers(tools, BUS)
 
 
 def _add_traffic(tools: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
