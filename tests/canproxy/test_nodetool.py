@@ -216,7 +216,11 @@ def test_nothing_is_asked_while_motors_are_armed(
 # The codec.
 
 values = st.one_of(
-    st.none(), st.integers(-(2**63), 2**63 - 1), st.floats(width=32, allow_nan=False, allow_infinity=False), st.booleans(), st.text(max_size=30)
+    st.none(),
+    st.integers(-(2**63), 2**63 - 1),
+    st.floats(width=32, allow_nan=False, allow_infinity=False),
+    st.booleans(),
+    st.text(max_size=30),
 )
 
 

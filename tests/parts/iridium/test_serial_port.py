@@ -1,4 +1,4 @@
-"""The service as the boat runs it: a process, at a serial port with the played modem behind it; the vehicle's door is played."""
+"""The service as the boat runs it: a process at a serial port, with the played modem behind it; the vehicle is played, too."""
 
 import os
 import select
@@ -41,7 +41,7 @@ class Door:
             assert message is not None
             self.kinds.add(message.get_type())
             if message.get_type() == "COMMAND_LONG":
-                zeros = {name: 0 for name in dialect.MAVLink_high_latency2_message.fieldnames}
+                zeros = dict.fromkeys(dialect.MAVLink_high_latency2_message.fieldnames, 0)
                 told = dialect.MAVLink_high_latency2_message(**zeros | {"latitude": 386_900_000, "longitude": -92_150_000})
                 self.socket.sendto(self._pack(told), address)
             elif message.get_type() == "V2_EXTENSION" and message.message_type == ownorders.ORDER:
