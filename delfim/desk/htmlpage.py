@@ -24,7 +24,8 @@ p.soft { color: #4d6472 }"""
 
 def whole(title: str, body: Iterable[str]) -> str:
     """The text of a page."""
-    head = f"<!doctype html><html lang=en><meta charset=utf-8><title>{escape(title)}</title><style>{STYLE}</style>"
+    head = "<!doctype html><html lang=en><meta charset=utf-8><link rel=icon href='data:,'>"  # else a browser asks for one
+    head += f"<title>{escape(title)}</title><style>{STYLE}</style>"
     return head + "".join(body) + "\n"
 
 

@@ -18,7 +18,8 @@ from delfim.vehicle import console
 from tests.adoption.test_session import vehicle
 
 SEED = 4
-TIMES = 10  # that a trial is interrupted
+WAYS = "stop", "gone", "boat killed"
+TIMES = 15  # that a trial is interrupted, in each of these ways as often
 OFF_S = 3.0  # after which at the latest the motors are off: the silence that ends a trial, and what a motor takes
 LOOK_S = 8.0
 STEPS = ("circles", "legs", "spins", "wiggle slow", "wiggle fast", "drift again")
@@ -80,14 +81,15 @@ class Interrupted:
 
 
 @pytest.mark.parametrize("proven", [False, True])
-@pytest.mark.parametrize("how", ["stop", "gone", "boat killed"])
 def test_whatever_ends_it_the_motors_are_off_the_file_is_whole_and_it_goes_on(
-    how: str, proven: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    proven: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    settings, random = vehicle("heron", f"adopted.proven={str(proven).lower()}"), Random(f"{how} {proven}")
+    settings, random = vehicle("heron", f"adopted.proven={str(proven).lower()}"), Random(f"interrupted {proven}")
     trial = Interrupted(settings, tmp_path / "a.trial", monkeypatch)
     done = tuple[str, ...]()
-    for _ in range(TIMES):
+    ways = list(WAYS) * (TIMES // len(WAYS))
+    random.shuffle(ways)
+    for how in ways:
         ended = trial.sail(how, random.uniform(0.5, 90.0))
         assert ended, "it has its reason in words"
         run = trial.boat.run

@@ -99,14 +99,18 @@ def file(tmp_path: Path) -> Path:
 
 
 def test_a_whole_trial_over_the_link_finds_the_motors_and_writes_what_is_agreed_to(file: Path, tmp_path: Path) -> None:
-    link = Link(config.load(file, NOISE), SEED)
+    settings = config.load(file, NOISE)
+    hidden = next(each for each in (drawn(settings, seed) for seed in range(1, 50)) if each.swapped and each.reversed[0])
+    link = Link(settings, SEED, hidden=hidden)
     assert tried(link, file, 60.0, tmp_path) == 0
     written = config.load(file)
     assert written.adopted.proven
     assert written.boat.inertia_kgm2
-    rows = config.load(ROOT / "etc/boats/otter.toml").thrusters
-    swapped = [row.address for row in written.thrusters] != [row.address for row in rows]
-    assert swapped == link.hidden.swapped
+    assert [row.address for row in written.thrusters] == [row.address for row in settings.thrusters][::-1]
+    wrong = [row.reversed != was.reversed for row, was in zip(written.thrusters, settings.thrusters[::-1], strict=True)]
+    assert wrong == list(hidden.reversed)[::-1]
+    assert abs(written.thrusters[0].dead - hidden.rows[0].dead) < 0.03
+    assert "; was 0" in file.read_text() or "; was 1" in file.read_text()
     assert {"drift", "motors", "bow first", "proof", "legs", "spins"} <= {each["name"] for each in link.of("step")}
     assert link.of("step")[-1]["state"] == "done"
     assert link.of("circle")[0]["radius_m"] == 60.0
@@ -168,9 +172,11 @@ def test_what_somebody_ended_gives_no_order_any_more_and_goes_on_later(file: Pat
     assert not [each for each in link.said[ended:] if "order" in each or "end" in each]
     assert "The trial ended: STOP." in link.of("tell")
     assert file.read_text() == before
-    again = Link(config.load(file, NOISE), SEED)
+    again = Link(config.load(file, NOISE), SEED, ends_at="legs")
     with pytest.raises(DelfimError, match="the circle is not free"):
         tried(Link(config.load(file, NOISE), SEED, no="Otter"), file, 60.0, tmp_path)
-    assert tried(again, file, 60.0, tmp_path) == 0
+    assert tried(again, file, 60.0, tmp_path) == 1
     assert "Goes on with" in again.of("tell")[0]
-    assert "motors" not in {each["name"] for each in again.of("step")}
+    names = [each["name"] for each in again.of("step") if each["state"] == "done"]
+    assert "circles" in names, "what was interrupted is sailed again"
+    assert "motors" not in names, "and what came to its end is not"

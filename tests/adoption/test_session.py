@@ -68,10 +68,15 @@ class Tried:
         return found is not None and found == (self.hidden.swapped, self.hidden.reversed, self.hidden.turned)
 
 
-@pytest.mark.parametrize("name", [*NAMES, *STEERED])
-def test_a_trial_finds_the_motors_and_makes_a_record_within_its_circle_and_its_time(name: str, tmp_path: Path) -> None:
-    tried = Tried(name, 5, tmp_path / "a.trial")
-    assert tried.session.run() == ""
+@pytest.fixture(scope="module", params=[*NAMES, *STEERED])
+def tried(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Tried:
+    """A trial of each boat, with its end."""
+    its = Tried(request.param, 6 if request.param in STEERED else 5, tmp_path_factory.mktemp("tried") / "a.trial")
+    assert its.session.run() == ""
+    return its
+
+
+def test_a_trial_finds_the_motors_and_makes_a_record_within_its_circle_and_its_time(tried: Tried) -> None:
     assert tried.is_right
     assert tried.most_m < 1.25 * RADIUS_M
     assert tried.session.trial.elapsed_s < 20.0 * 60.0
@@ -83,20 +88,16 @@ def test_a_trial_finds_the_motors_and_makes_a_record_within_its_circle_and_its_t
     told = zip(record.told.at_s, record.told.values, strict=True)
     pushed = [each for each in told if ahead.from_s + 1.5 < each[0] < ahead.to_s - 2.0]
     assert pushed
-    assert all(min(parts) > 0.05 if name in NAMES else parts[0] > 0.05 for _, parts in pushed), (
+    steers = tried.settings.thrusters[0].steer is not None
+    assert all(parts[0] > 0.05 if steers else min(parts) > 0.05 for _, parts in pushed), (
         "in the record ahead is positive, whatever the wiring"
     )
 
 
-@pytest.mark.parametrize("name", STEERED)
-def test_a_boat_that_steers_is_found_whole(name: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize("tried", STEERED, indirect=True)
+def test_a_boat_that_steers_is_found_whole(tried: Tried) -> None:
     """From her trial: speed, dead band, the angle at which she goes straight, and how quickly she turns."""
-    file = tmp_path / f"{name}.toml"
-    file.write_text((ROOT / f"etc/boats/{name}.toml").read_text() + "\n[adopted]\nproven = false\n")
-    settings = config.load(file, NOISE)
-    tried = Tried(name, 6, tmp_path / "a.trial", settings=settings)
-    assert tried.session.run() == ""
-    settings = corrected_vehicle(tried.progress, settings)
+    settings = corrected_vehicle(tried.progress, tried.settings)
     record = record_of(tried.progress, is_estimated=settings.navigation.estimator)
     result = identify.identified(record, settings, "2026-11-28")
     assert result.fit.refusal == ""
@@ -156,9 +157,12 @@ def test_what_is_interrupted_ends_in_idle_and_goes_on_where_it_was(
     seconds = tried.progress.tape[-1].at_s
     again = Tried("heron", 4, place)
     assert again.progress.is_proven is (at != "motors")
-    assert again.session.run() == ""
+    with monkeypatch.context() as patch:
+        if at == "motors":  # what follows them is gone on with in the other case
+            patch.setattr(SeaTrial, "hull", lambda self, *told: None)
+        assert again.session.run() == ""
     names = [each.name for each in again.progress.played]
-    assert names.count("circles") == 1
+    assert names.count("circles") == (at != "motors")
     assert names.count("proof") == 1
     times = [each.at_s for each in again.progress.tape]
     assert times == sorted(times)
