@@ -106,6 +106,7 @@ pictures: $(READY) ## draw the documentation's pictures again
 	PYTHONSAFEPATH= $(BIN)/python -m tests.console.test_first_voyage docs/pictures
 	PYTHONSAFEPATH= $(BIN)/python -m tests.console.test_lake docs/pictures
 	PYTHONSAFEPATH= $(BIN)/python -m tests.console.test_dangers_page docs/pictures
+	PYTHONSAFEPATH= $(BIN)/python -m tests.console.test_charts_dropped docs/pictures
 	PYTHONSAFEPATH= $(BIN)/python -m tests.console.test_replayed_encounter docs/pictures
 	PYTHONSAFEPATH= $(BIN)/python -m tests.console.test_survey_page docs/pictures
 	PYTHONSAFEPATH= $(BIN)/python -m tests.console.test_gaps_page docs/pictures

@@ -355,3 +355,20 @@ async def test_a_replay_says_so_with_its_keys_its_whole_way_and_its_events(tmp_p
         assert "Play mission" not in text
         await page.value("document.querySelector('.marks i').click()")
         await page.until("/· (29|30|31) s of/.test(document.querySelector('#replay output').textContent)")
+
+
+CORNER = """[...document.querySelectorAll('#map canvas')].some((each) => {
+  const [width, height] = [each.width / 4, each.height / 4];
+  return each.getContext('2d').getImageData(3 * width, 3 * height, width, height).data.some((part) => part);
+})"""
+
+
+@pytest.mark.parametrize("scale", [0.5, 0.75, 2.0])
+async def test_the_map_fills_the_window_at_any_zoom_of_the_browser(it: Console, scale: float) -> None:
+    page = it.page
+    await page.open(it.url, width=1200, height=760, scale=scale)
+    await page.until("delfim.online()")
+    await page.value("delfim.fit(38.689, -9.217, 38.691, -9.213)")
+    await page.until(CORNER)
+    boxes = "[...document.querySelectorAll('#map canvas')].map((each) => each.getBoundingClientRect().toJSON())"
+    assert {(each["width"], each["height"]) for each in await page.value(boxes)} == {(1200, 760)}

@@ -9,6 +9,7 @@ import sqlite3
 import subprocess
 import sys
 import tempfile
+import zlib
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing
 from pathlib import Path
@@ -79,6 +80,13 @@ class Charts:
         app.router.add_get("/background/{name}", self._background)
         app.router.add_get("/tiles/{name}/{z:[0-9]+}/{x:[0-9]+}/{y:[0-9]+}", self._tile)
 
+    def again(self, file: Path) -> None:
+        """Takes what `delfim charts` makes, anew where it is known. It may be called in a worker. Raises ConfigError."""
+        others = [each for each in self.backgrounds if each["name"] != file.stem]
+        if any(each["name"] == file.stem and each["kind"] != "dangers" for each in self.backgrounds):
+            raise ConfigError(str(file), "name", "another chart has the same name")
+        self.backgrounds = [*others, {"name": file.stem, **self._add_dangers(file)}]
+
     def _take(self, file: Path) -> None:
         add: Callable[[Path], dict[str, Any]]
         if file.suffix.lower() in IMAGES:
@@ -112,7 +120,7 @@ class Charts:
     def _add_dangers(self, file: Path) -> dict[str, Any]:
         """What `delfim charts` makes. The page gets its text as it is, which is known to be its own."""
         try:
-            told = msgspec.json.decode(read_file(file, DANGERS_BYTES), type=Dangers)
+            told = msgspec.json.decode(data := read_file(file, DANGERS_BYTES), type=Dangers)
         except (OSError, FormatError, *UNREADABLE) as error:
             raise ConfigError(str(file), "file", f"not of delfim charts: {error}") from None
         self._drawn[file.stem] = self._images[file.stem] = file
@@ -121,7 +129,7 @@ class Charts:
             raise ConfigError(str(file), "file", "it has no place")
         longitudes, latitudes = zip(*corners, strict=True)
         extent = min(longitudes), min(latitudes), max(longitudes), max(latitudes)
-        return {"kind": "dangers", "extent": extent, "minzoom": None, "maxzoom": None}
+        return {"kind": "dangers", "extent": extent, "minzoom": None, "maxzoom": None, "made": zlib.crc32(data)}
 
     def _add_tiles(self, file: Path) -> dict[str, Any]:
         try:

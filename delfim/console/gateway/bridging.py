@@ -31,13 +31,9 @@ def needed(asked: page_messages.Message) -> Role:
             | page_messages.Quiet()
         ):
             return Role.WATCH
-        case (
-            page_messages.Home()
-            | page_messages.Afford()
-            | page_messages.Replay()
-            | page_messages.Survey()
-            | page_messages.Logs()
-        ):
+        case page_messages.Home() | page_messages.Afford() | page_messages.Replay() | page_messages.Survey():
+            return Role.WATCH
+        case page_messages.Logs(do=deed) if deed != "chart":
             return Role.WATCH
         case page_messages.Mission(do=deed) if deed in LOOKING:
             return Role.WATCH

@@ -22,6 +22,7 @@ from delfim.console.boats.fleet import Fleet
 from delfim.console.boats.othervessels import around
 from delfim.console.boats.soundings import SoundingFiles
 from delfim.console.charts.charts import Charts
+from delfim.console.charts.dropping import ChartDrop
 from delfim.console.gateway import foxglove, page_messages
 from delfim.console.gateway.aboard import AboardDesk
 from delfim.console.gateway.admission import OPERATOR, Admission, own_number
@@ -51,6 +52,7 @@ BACKLOG_BYTES: Final = 1 << 20  # a page that is so far behind misses older stat
 PAGES_MAX: Final = 8
 QUEUE_MAX: Final = 1000  # messages to one of them
 MESSAGE_BYTES: Final = 1 << 20
+Answer = Callable[[bool, str], None]
 
 
 def encoded(message: Any) -> str:
@@ -137,6 +139,7 @@ class Gateway:
         self.heard_on: list[str] = [*self.radios]  # addresses and radios, for the page
         self._desk, self._surveys = Desk(self.fleet, missions, vehicle, self.charts), SurveyDesk(vehicle, self._heard)
         self.aboard = AboardDesk(self.fleet, vehicle, self.tell)
+        self._drop = ChartDrop(self.charts, vehicle, lambda: self.aboard.logs, self._desk.renew, self.tell)
         self._ticks = self._opened = 0
         self.app = web.Application(middlewares=[admission.admit], client_max_size=MESSAGE_BYTES)
         self._route()
@@ -153,7 +156,7 @@ class Gateway:
         if self.adoption is not None:
             self.app.router.add_get("/adoption.html", self.adoption.serve_report)
             self.app.router.add_get("/adopted.toml", self.adoption.serve_file)
-        self.charts.routes(self.app)
+        self._drop.routes(self.app)
         if PAGE.is_dir():
             self.app.router.add_static("/", PAGE)
 
@@ -167,10 +170,9 @@ class Gateway:
         self.watch.close()
         if self.soundings is not None:
             self.soundings.flush()
-        for desk in (self.charts, self._surveys, self.aboard):
-            desk.close()
-        if self.adoption is not None:
-            self.adoption.close()
+        for desk in (self._drop, self.charts, self._surveys, self.aboard, self.adoption):
+            if desk is not None:
+                desk.close()
 
     def tell(self, message: dict[str, Any]) -> None:
         """Sends to every page and viewer; a text is kept in the log of the watch."""
@@ -379,9 +381,7 @@ class Gateway:
         except (msgspec.MsgspecError, ValueError, TypeError, KeyError, RecursionError) as error:
             _answer(page, sequence, False, f"not understood: {error}")
 
-    def _ask(
-        self, page: Page, asked: page_messages.Message, words: dict[str, Any], answer: Callable[[bool, str], None]
-    ) -> None:
+    def _ask(self, page: Page, asked: page_messages.Message, words: dict[str, Any], answer: Answer) -> None:
         answer = self.watch.ordered(page.who, asked, words, answer)
         if reason := self.bridge.refusal(page, asked):
             answer(False, reason)
@@ -391,9 +391,7 @@ class Gateway:
         else:
             self._obey(page, asked, words, answer)
 
-    def _obey(
-        self, page: Page, asked: page_messages.Message, words: dict[str, Any], answer: Callable[[bool, str], None]
-    ) -> None:
+    def _obey(self, page: Page, asked: page_messages.Message, words: dict[str, Any], answer: Answer) -> None:
         fleet = self.fleet
         match asked:
             case page_messages.Input(boat=number):
@@ -442,6 +440,8 @@ class Gateway:
             case page_messages.Depths():
                 self._forget_depths()
                 answer(True, "")
+            case page_messages.Logs(do="chart" | "unsent") if isinstance(fleet, Fleet):
+                self._drop.ask(fleet.boat(asked.boat), asked.do, asked.chart, self._clock.monotonic_s(), answer)
             case page_messages.Itself() | page_messages.Logs():
                 self.aboard.ask(asked, page.tell, answer)
             case page_messages.Adopt():

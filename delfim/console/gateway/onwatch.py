@@ -98,6 +98,8 @@ class WatchKeeper:
                 order = f"adopt: {deed}"
             case page_messages.Itself(do="change", key=key, value=value):
                 order = f"change {key} = {value}"[:200]
+            case page_messages.Logs(do="chart", chart=name):
+                order = f"send chart {name}"
             case page_messages.Forget():
                 order = "forget the boat"
             case _:

@@ -210,10 +210,11 @@ class Itself(Said, frozen=True):
 
 class Logs(Said, frozen=True):
     """Fetches the logs of a boat, those of its state or all, or ends that; `progress` tells how far it is. The answer comes at
-    the end."""
+    the end. `chart` sends it a chart of this console, `unsent` asks whether that is possible: the answer says why not."""
 
     boat: Number
-    do: Literal["state", "all", "end"]
+    do: Literal["state", "all", "end", "chart", "unsent"]
+    chart: Annotated[str, msgspec.Meta(max_length=60)] = ""
 
 
 Message = (

@@ -12,6 +12,7 @@ from typing import Any, Final
 from delfim import config
 from delfim.base.cooperative import Sliced
 from delfim.base.errors import DelfimError, FormatError, Refused, in_words
+from delfim.base.wholefile import replace_file
 from delfim.console.boats.fleet import Fleet
 from delfim.console.charts.charts import Charts
 from delfim.console.gateway import page_messages
@@ -63,6 +64,24 @@ class Desk:
             case "list":
                 tell({"t": "missions", "names": self._library.names()})
                 answer(True, "")
+
+    def renew(self, field: Path, answer: Answer) -> None:
+        """The boat has this chart now: plans are checked by it, also by the next console."""
+        settings, folder = self._settings, self._charts.path
+        assert settings is not None
+        assert folder is not None
+        ashore = folder / Path(settings.fence.chart).name
+
+        def work() -> Any:
+            if ashore != field:
+                replace_file(ashore, field.read_bytes())
+            return chart_of(settings, folder)
+
+        def then(chart: Any) -> None:
+            self._chart = chart
+            answer(True, "")
+
+        self._aside(work, then, answer)
 
     def _loaded(self, number: int, tell: Tell, answer: Answer, mission: dict[str, Any]) -> None:
         if number:  # 0: a plan made before a boat is heard

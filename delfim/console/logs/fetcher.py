@@ -2,6 +2,7 @@
 
 One line of JSON comes in: `url`, `folder`, and `state`, for state logs and sidecars alone. Out go lines: `total`, then `done`,
 in bytes; at the end `files` and how many are `cut`, or why it was `refused`. What is here already is not fetched again.
+With `put`, a file of this computer, that is written there instead, as `path`; at the end come the `bytes` that are `sent`.
 """
 
 import contextlib
@@ -24,6 +25,12 @@ def main() -> None:
     asked = json.loads(sys.stdin.readline())
     try:
         connect = opener(asked["url"])
+        if "put" in asked:
+            data = Path(asked["put"]).read_bytes()
+            with contextlib.closing(connect()) as boat:
+                boat.write(asked["path"], data, _shown(len(data)))
+            _say(sent=True, bytes=len(data))
+            return
         with contextlib.closing(connect()) as boat:
             entries = wanted(boat.entries(), [], ALWAYS, summary=asked["state"])
         outcome = transfer(connect, entries, Path(asked["folder"]), lambda words: None, _shown)

@@ -27,6 +27,7 @@ Answer = Callable[[bool, str], None]
 @dataclass(slots=True)
 class LogFetch:
     child: subprocess.Popen[bytes]
+    what: str  # is under way: "logs", "chart"
     total: float = 0.0
     done: float = 0.0
     waits: bool = False
@@ -64,19 +65,43 @@ class LogFetching:
             running.child.kill()
             answer(True, "")
             return
-        if running is not None:
-            raise Refused("its logs are being fetched")
+        folder = str(self._folder / boat.name)
+
+        def said(told: dict[str, Any]) -> str:
+            words = f"{told.get('files', 0)} logs, {told.get('bytes', 0) / 1e6:.1f} MB fetched, into {folder}"
+            return words + (f"; {told['cut']} of them lack their end on the boat, too" if told.get("cut") else "")
+
+        self._begin(boat, "logs", {"folder": folder, "state": do == "state"}, said, answer)
+
+    def send(self, boat: Boat, what: str, file: Path, path: str, words: str, answer: Answer) -> None:
+        """Writes a file of this computer beside its logs; `words` are said when it is there. Raises Refused."""
+
+        def said(told: dict[str, Any]) -> str:
+            return f"{told.get('bytes', 0) / 1e3:.0f} kB sent: {words}"
+
+        self._begin(boat, what, {"put": str(file), "path": path}, said, answer)
+
+    def unreached(self, boat: Boat) -> str:
+        """Why its files cannot be fetched or sent now; empty: they can."""
+        if (running := self._running.get(boat.number)) is not None:
+            return "its logs are being fetched" if running.what == "logs" else f"its {running.what} is being sent"
         if boat.name not in self._sources:
-            raise Refused(f"start the console with --logs '{boat.name}=sftp://USER@HOST/log': it must know where they are")
+            return f"start the console with --logs '{boat.name}=sftp://USER@HOST/log': it must know where they are"
+        return ""
+
+    def _begin(
+        self, boat: Boat, what: str, asked: dict[str, Any], said: Callable[[dict[str, Any]], str], answer: Answer
+    ) -> None:
+        if why := self.unreached(boat):
+            raise Refused(why)
         command = [sys.executable, "-m", "delfim.console.logs.fetcher"]
         child = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL)
-        fetch = self._running[boat.number] = LogFetch(child)
-        asked = {"url": self._sources[boat.name], "folder": str(self._folder / boat.name), "state": do == "state"}
-        number, folder = boat.number, str(asked["folder"])
+        fetch = self._running[boat.number] = LogFetch(child, what)
+        asked["url"] = self._sources[boat.name]
 
         def ended(future: "asyncio.Future[dict[str, Any]]") -> None:
             if not future.cancelled():
-                self._end(number, folder, future.result(), answer)
+                self._end(boat.number, future.result(), said, answer)
 
         asyncio.get_running_loop().run_in_executor(None, _followed, fetch, json.dumps(asked)).add_done_callback(ended)
 
@@ -91,7 +116,7 @@ class LogFetching:
             if waits != fetch.waits and hasattr(signal, "SIGSTOP") and fetch.child.poll() is None:
                 fetch.waits = waits
                 fetch.child.send_signal(signal.SIGSTOP if waits else signal.SIGCONT)
-            what = "logs wait for the link" if fetch.waits else "logs"
+            what = f"{fetch.what} wait{'s' * (fetch.what != 'logs')} for the link" if fetch.waits else fetch.what
             part = min(fetch.done / fetch.total, 0.99) if fetch.total else 0.0
             self._tell({"t": "progress", "boat": number, "what": what, "part": part})
 
@@ -99,24 +124,21 @@ class LogFetching:
         for fetch in self._running.values():
             fetch.child.kill()
 
-    def _end(self, number: int, folder: str, told: dict[str, Any], answer: Answer) -> None:
+    def _end(self, number: int, told: dict[str, Any], said: Callable[[dict[str, Any]], str], answer: Answer) -> None:
         fetch = self._running.pop(number)
-        self._tell({"t": "progress", "boat": number, "what": "logs", "part": 1.0})
+        self._tell({"t": "progress", "boat": number, "what": fetch.what, "part": 1.0})
         why = str(told.get("refused", ""))
         if fetch.is_ended:
             why = "ended; the next time goes on from here"
-        words = f"{told.get('files', 0)} logs, {told.get('bytes', 0) / 1e6:.1f} MB fetched, into {folder}"
-        if told.get("cut"):
-            words += f"; {told['cut']} of them lack their end on the boat, too"
-        text = {"boat": number, "severity": 5 if why else 6, "text": f"logs: {why or words}", "at_s": time.time()}
-        self._tell({"t": "text"} | text)
+        words = f"{fetch.what}: {why or said(told)}"
+        self._tell({"t": "text", "boat": number, "severity": 5 if why else 6, "text": words, "at_s": time.time()})
         if not fetch.is_ended:
             answer(not why, why)
 
 
 def _followed(fetch: LogFetch, asked: str) -> dict[str, Any]:
     """In a thread: the last words of the process."""
-    told: dict[str, Any] = {"refused": "the process that fetches them ended"}
+    told: dict[str, Any] = {"refused": "the process that does it ended"}
     assert fetch.child.stdin is not None
     assert fetch.child.stdout is not None
     with fetch.child as child:
@@ -128,6 +150,6 @@ def _followed(fetch: LogFetch, asked: str) -> dict[str, Any]:
             except ValueError:
                 continue
             fetch.total, fetch.done = words.get("total", fetch.total), words.get("done", fetch.done)
-            told = words if "files" in words or "refused" in words else told
+            told = words if {"files", "sent", "refused"} & words.keys() else told
         child.wait()
     return told

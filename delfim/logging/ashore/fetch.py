@@ -13,6 +13,7 @@ import contextlib
 import ftplib
 import getpass
 import hashlib
+import io
 import os
 import posixpath
 import re
@@ -56,6 +57,7 @@ class LogSource(Protocol):
 
     def entries(self) -> list[RemoteFile]: ...
     def read(self, path: str, offset: int, sink: Callable[[bytes], object]) -> None: ...
+    def write(self, path: str, data: bytes, sent: Callable[[int], object]) -> None: ...
     def close(self) -> None: ...
 
 
@@ -312,6 +314,11 @@ class Ftp:
     def read(self, path: str, offset: int, sink: Callable[[bytes], object]) -> None:
         self._ftp.retrbinary(f"RETR {posixpath.join(self._root, path)}", sink, BLOCK, offset or None)
 
+    def write(self, path: str, data: bytes, sent: Callable[[int], object]) -> None:
+        """The boat gives it its name when it is whole."""
+        whole = io.BytesIO(data)
+        self._ftp.storbinary(f"STOR {posixpath.join(self._root, path)}", whole, BLOCK, lambda _: sent(whole.tell()))
+
     def close(self) -> None:
         self._ftp.close()
 
@@ -366,6 +373,17 @@ class Sftp:
             while data := await file.read(BLOCK * 4, offset):
                 sink(data)
                 offset += len(data)
+
+    def write(self, path: str, data: bytes, sent: Callable[[int], object]) -> None:
+        """Beside the file, which it replaces when it is whole."""
+        self._run(self._write(posixpath.join(self._root, path), data, sent))
+
+    async def _write(self, path: str, data: bytes, sent: Callable[[int], object]) -> None:
+        async with self._client.open(f"{path}.part", "wb") as file:
+            for at in range(0, len(data), BLOCK):
+                await file.write(data[at : at + BLOCK])
+                sent(at)
+        await self._client.posix_rename(f"{path}.part", path)
 
     def _run(self, work: Any) -> Any:
         try:

@@ -169,6 +169,13 @@ export class Actions {
     if (!answer.ok) this.say(boat, 4, refusal("fetch logs", answer.reason));
   }
 
+  /** Sends a chart of the console, or asks whether that is possible; returns why not. */
+  async sendChart(boat: number, chart: string, what: "chart" | "unsent"): Promise<string> {
+    const answer = await this.net.ask({ t: "logs", boat, do: what, chart });
+    if (!answer.ok && what === "chart") this.say(boat, 4, refusal("send the chart", answer.reason));
+    return answer.ok ? "" : answer.reason;
+  }
+
   async forgetDepths(): Promise<void> {
     const answer = await this.net.ask({ t: "depths", do: "forget" });
     if (!answer.ok) this.say(null, 4, refusal("forget the depths", answer.reason));

@@ -110,10 +110,14 @@ export class Chart {
   }
 
   setBackgrounds(backgrounds: Background[]): void {
-    for (const layer of this.charts.values()) this.map.removeLayer(layer);
+    const before = this.charts;
     this.charts = new Map(backgrounds.map((each) => [each.name, background(each)]));
+    for (const layer of before.values()) this.map.removeLayer(layer);
     this.extents = new Map(backgrounds.map((each) => [each.name, transformExtent(each.extent, "EPSG:4326", "EPSG:3857")]));
-    for (const layer of this.charts.values()) this.map.addLayer(layer);
+    for (const [name, layer] of this.charts) {
+      layer.setVisible(before.get(name)?.getVisible() ?? true);
+      this.map.addLayer(layer);
+    }
     this.paint();
   }
 
@@ -270,7 +274,7 @@ function lastView(): { center: number[]; zoom: number } {
 function background(chart: Background): BaseLayer {
   const extent = transformExtent(chart.extent, "EPSG:4326", "EPSG:3857");
   const name = encodeURIComponent(chart.name);
-  if (chart.kind === "dangers") return new DangerLayer(chart.name);
+  if (chart.kind === "dangers") return new DangerLayer(`background/${name}?${chart.made}`);
   if (chart.kind === "tiles") {
     const source = new XYZ({ url: `tiles/${name}/{z}/{x}/{y}`, minZoom: chart.minzoom ?? 0, maxZoom: chart.maxzoom ?? 18, wrapX: false });
     return new TileLayer({ source, extent, zIndex: 0 });

@@ -10,8 +10,8 @@ const TAP_PX = 14;
 const STEPS_M = [0, 2, 5, 10]; // from which depth on water has the next blue
 
 export class DangerLayer extends VectorImageLayer<VectorSource> {
-  constructor(name: string) {
-    const source = new VectorSource({ url: `background/${encodeURIComponent(name)}`, format: new GeoJSON({ featureProjection: "EPSG:3857" }), wrapX: false }) as VectorSource;
+  constructor(url: string) {
+    const source = new VectorSource({ url, format: new GeoJSON({ featureProjection: "EPSG:3857" }), wrapX: false }) as VectorSource;
     super({ source, zIndex: 0, style: drawn, imageRatio: 1.5, className: "dangers" }); // a canvas of its own: on a shared one it covers what lies above
   }
 

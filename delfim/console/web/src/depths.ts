@@ -141,6 +141,7 @@ export class Depths {
     };
     if (this.gaps) draw(this.gaps.extent, this.gaps.picture);
     for (const { extent, picture } of this.tiles.values()) draw(extent, picture);
+    pen.resetTransform(); // the layers above draw into it
     return this.canvas;
   }
 

@@ -10,6 +10,7 @@ import { Bridge } from "./bridge";
 import { Camera } from "./camera";
 import type { Pixel } from "./chart";
 import { Chart } from "./chart";
+import { ChartFiles } from "./chartfiles";
 import { Check } from "./check";
 import { Depths } from "./depths";
 import { Corner, card, dryRunCard, whereWords } from "./corner";
@@ -42,7 +43,7 @@ import { Traffic } from "./traffic";
 import { Watch } from "./watch";
 import { WatchLog } from "./watchlog";
 import { WayHome } from "./wayhome";
-import type { Boat, Heard, Mission, Place, Vessel } from "./wire";
+import type { Background, Boat, Heard, Mission, Place, Vessel } from "./wire";
 
 const REACH_PX = 22;
 const REACH_TOUCH_PX = 32;
@@ -70,14 +71,15 @@ const watch = new Watch(state, sound);
 const others = new Others(chart, state, watch);
 const plans = new Plans(chart, state, (mission) => edit(state.planning, mission));
 const survey = new Survey(chart, popup, state, plans, net, messages, edit);
-const files = new PlanFiles(chart, state, survey, messages, edit);
+const chartFiles = new ChartFiles(chart, popup, state, messages, actions);
+const files = new PlanFiles(chart, state, survey, messages, chartFiles, edit);
 const planning = new Planning(popup, state, actions, chart, plans, messages, edit, undo, survey, files);
 const wayHome = new WayHome(chart, state, net);
 popup.closed = () => wayHome.show(null);
 const depths = new Depths(element("depths"), chart, state, survey);
 const adopt = new Adopt(element("adopt"), chart, state, popup, net, messages);
 const timeline = new Timeline(element("timeline"), state);
-const menus = new Menus(popup, state, actions, chart, fleet, plans, planning, () => watchLog.open(), sound, watch, wayHome, () => keyCard.toggle(), adopt, depths, panes, timeline, camera);
+const menus = new Menus(popup, state, actions, chart, fleet, plans, planning, () => watchLog.open(), sound, watch, wayHome, () => keyCard.toggle(), adopt, depths, panes, timeline, camera, chartFiles);
 new Header(element("bar"), state, sound, menus, popup);
 const hints = new Hints(element("hint"), element("nobody"), state, actions.did, popup);
 const aim = new Aim(element("map"), chart, { seen: (place) => text(element("where"), whereWords(place, state)), chosen: press, added: (place) => !state.replaying && planning.add(place) });
@@ -138,8 +140,7 @@ function heard(message: Heard): void {
     case "hello":
       state.hello = message;
       document.title = `Delfim · console ${message.me}`;
-      state.backgrounds = message.backgrounds;
-      chart.setBackgrounds(message.backgrounds);
+      takeCharts(message.backgrounds);
       fleet.forgetWays();
       depths.forget();
       if (!message.boats.length && !moved) chart.findCharts();
@@ -147,6 +148,9 @@ function heard(message: Heard): void {
       state.tell("hello");
       void net.ask({ t: "mission", boat: state.planning, do: "list" });
       return;
+    case "charts":
+      takeCharts(message.backgrounds);
+      return state.tell("theme");
     case "boats":
       return took(message.boats, message.at_s);
     case "vessels":
@@ -212,6 +216,11 @@ function online(now: boolean): void {
   state.online = now;
   element("offline").hidden = now;
   if (!now) drive.release("the console was offline");
+}
+
+function takeCharts(backgrounds: Background[]): void {
+  state.backgrounds = backgrounds;
+  chart.setBackgrounds(backgrounds);
 }
 
 /** The first boat gets the plan that was made before it was heard. */

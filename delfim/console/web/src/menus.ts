@@ -3,6 +3,7 @@ import type { Actions } from "./actions";
 import type { Adopt } from "./adopt";
 import type { Camera } from "./camera";
 import type { Chart, Pixel } from "./chart";
+import type { ChartFiles } from "./chartfiles";
 import type { Depths } from "./depths";
 import type { Fleet } from "./fleet";
 import type { Field } from "./form";
@@ -49,6 +50,7 @@ export class Menus {
     private readonly panes: Panes,
     private readonly timeline: Timeline,
     private readonly camera: Camera,
+    private readonly files: ChartFiles,
   ) {}
 
   boat(boat: Boat, at: Pixel): void {
@@ -170,6 +172,7 @@ export class Menus {
       ...this.adopt.items(boat, at),
       { title: "Before the start…", do: () => this.panes.open(boat, "checks") },
       { title: "Fetch its logs", sub: () => this.logs(boat) },
+      { title: "Send a chart", sub: () => this.files.menu() },
       { title: "Settings…", do: () => this.panes.open(boat, "settings") },
       command("Take control", "take", boat.owner && "this console is in control"),
       { title: "Forget it", note: "off all pages, until it is heard again", refuse: freshness(age_s(this.state, boat)) !== "lost" && "it is heard", do: () => void this.actions.forget(boat.id) },
@@ -207,7 +210,7 @@ export class Menus {
     const charts = this.state.backgrounds.map(
       ({ name }): Item => ({ title: `Chart: ${name}`, tick: this.chart.shown(name), do: () => this.toggle(name) }),
     );
-    if (!charts.length) charts.push({ title: "Charts: none", refuse: `put charts into ${this.state.chartFolder} and start the console again` });
+    if (!charts.length) charts.push({ title: "Charts: none", refuse: `drop a cell (.000) on the page, or put charts into ${this.state.chartFolder}` });
     return [
       { title: "Colours", note: theme, sub: () => this.themes() },
       { title: "Knots", tick: inKnots, do: () => setKnots(!inKnots) },

@@ -1,5 +1,7 @@
 // Plans of other programs: a file that is dropped on the page or chosen becomes the plan, and the plan is saved as one. The gateway reads and writes them.
 import type { Chart } from "./chart";
+import { isChart } from "./chartfiles";
+import type { ChartFiles } from "./chartfiles";
 import type { Messages } from "./messages";
 import { WAYPOINTS_MOST, cornerPlace, retraced, spoken, understood } from "./mission";
 import type { Entry } from "./popup";
@@ -31,13 +33,15 @@ export class PlanFiles {
     private readonly state: State,
     private readonly survey: Survey,
     private readonly messages: Messages,
+    private readonly charts: ChartFiles,
     private readonly edit: (boat: number, mission: Mission) => void,
   ) {
     window.addEventListener("dragover", (event) => event.preventDefault()); // else the browser leaves the page for the file
     window.addEventListener("drop", (event) => {
       event.preventDefault();
-      const file = event.dataTransfer?.files[0];
-      if (file && !this.state.replaying) void this.take(file);
+      const files = [...(event.dataTransfer?.files ?? [])];
+      if (!files[0] || this.state.replaying) return;
+      void (files.some(isChart) ? this.charts.take(files) : this.take(files[0]));
     });
   }
 

@@ -195,6 +195,7 @@ export interface Background {
   extent: [number, number, number, number];
   minzoom?: number;
   maxzoom?: number;
+  made?: number; // of its content: another one is another chart
 }
 
 /** An order that a boat offers: its key of the keyboard, and the numbers that it asks for, whose names end with their units. */
@@ -277,6 +278,7 @@ export interface AboardRow {
 
 export type Heard =
   | { t: "hello"; version: string; me: number; page: number; heard_on?: string[]; adopts?: number | null; charts?: string; backgrounds: Background[]; boats: Boat[]; replay: TimeLine | null }
+  | { t: "charts"; backgrounds: Background[] }
   | { t: "boats"; at_s: number; boats: Boat[] }
   | { t: "vessels"; at_s: number; vessels: Vessel[]; heard_s: number | null }
   | { t: "track"; boat: number; start?: boolean; points: [number, number, number][] }
@@ -319,7 +321,7 @@ export type Said =
   | { t: "depths"; do: "forget" }
   | { t: "adopt"; boat: number; do: "begin" | "afresh" | "berth" | "yes" | "no" | "end" | "close"; radius_m?: number }
   | { t: "itself"; boat: number; do: "settings" | "checks" | "change"; key?: string; value?: AboardRow["value"] }
-  | { t: "logs"; boat: number; do: "state" | "all" | "end" }
+  | { t: "logs"; boat: number; do: "state" | "all" | "end" | "chart" | "unsent"; chart?: string }
   | { t: "forget"; boat: number }
   | { t: "home"; boat: number }
   | { t: "afford"; boat: number }
