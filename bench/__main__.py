@@ -8,13 +8,12 @@ from delfim.base.errors import DelfimError, in_words
 from delfim.commands import Formatter, overrides
 
 PROGRAMS = ("critical-path", "costs", "allocation", "sim", "log", "watchers", "datagrams", "floods", "downloads", "disk")
+APART = ("campaign", "fleet", "soak", "peers")
 
 
 def options() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="python -m bench", description=__doc__, formatter_class=Formatter)
-    parser.add_argument(
-        "what", nargs="?", choices=[*PROGRAMS, "campaign", "fleet", "soak"], help="Without a name, all but these three."
-    )
+    parser.add_argument("what", nargs="?", choices=[*PROGRAMS, *APART], help="Without a name, all but the last four.")
     parser.add_argument("--file", default="etc/delfimx.toml", help="The vehicle's file.")
     overrides(parser)
     parser.add_argument("--output", default="run/bench", metavar="DIRECTORY", help="Write results and pictures here.")
@@ -33,7 +32,7 @@ def options() -> argparse.ArgumentParser:
 
 
 def run(asked: argparse.Namespace) -> int:
-    from bench import allocation, campaign, costs, critical_path, fleet, liblog, lockstep, sides, soak
+    from bench import allocation, campaign, costs, critical_path, fleet, liblog, lockstep, peers, sides, soak
 
     programs = {
         "critical-path": critical_path.run,
@@ -46,13 +45,11 @@ def run(asked: argparse.Namespace) -> int:
         "floods": sides.run_floods,
         "downloads": sides.run_downloads,
         "disk": sides.run_disk,
+        "campaign": campaign.run,
+        "fleet": fleet.run,
+        "soak": soak.run,
+        "peers": peers.run,
     }
-    if asked.what == "soak":
-        return soak.run(asked)
-    if asked.what == "fleet":
-        return fleet.run(asked)
-    if asked.what == "campaign":
-        return campaign.run(asked)
     return max(programs[name](asked) for name in ([asked.what] if asked.what else PROGRAMS))
 
 

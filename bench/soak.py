@@ -80,6 +80,7 @@ class Boat:
         self.place, self.password, self.key = place, secrets.token_hex(8), place / "key"
         self.ports = dict(zip(("httpd", "ftpd", "sshd", "cantcpd"), free_ports(4), strict=True))
         self.bus, self._asked, self._all = f"soak-{os.getpid()}", asked, contextlib.ExitStack()
+        self.started: list[subprocess.Popen[bytes]] = []  # its nodes, and last its supervisor
 
     def __enter__(self) -> "Boat":
         subprocess.run(("ssh-keygen", "-q", "-t", "ed25519", "-N", "", "-f", self.key), check=True)
@@ -89,7 +90,7 @@ class Boat:
             self._all.callback(quiet["stderr"].close)  # type: ignore[attr-defined]
             for command in self._commands():
                 program = [sys.executable, "-m", "delfim", command, self._asked.file, *words]
-                self._suite = self._all.enter_context(running(program, **quiet))
+                self.started.append(self._all.enter_context(running(program, **quiet)))
             with until(lambda: Link(self.place / "command"), "its command socket") as link:
                 self._begin(link)
             for name, port in self.ports.items():
@@ -134,9 +135,9 @@ class Boat:
 
     def samples(self) -> dict[str, Sample]:
         """Of the supervisor, its programs, and all log writers together."""
-        pids = {each["pid"]: name for name, each in self.programs().items()} | {self._suite.pid: "supervisor"}
+        pids = {each["pid"]: name for name, each in self.programs().items()} | {self.started[-1].pid: "supervisor"}
         found: dict[str, Sample] = {}
-        for pid in family(self._suite.pid):
+        for pid in family(self.started[-1].pid):
             name = pids.get(pid, "log writers" if b"delfim.logging.writer" in command_line(pid) else "")
             with contextlib.suppress(OSError):
                 memory = int(Path(f"/proc/{pid}/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
