@@ -39,7 +39,7 @@ def test_where_it_is_not_built_there_is_nothing_beside(tmp_path: Path, monkeypat
 
 
 def test_the_first_order_that_is_wanted_counts_from_a_time_on() -> None:
-    says = "import time; print('0 100'); print('30 200'); print('0 300', flush=True); time.sleep(60)"
+    says = "import signal; print('0 100'); print('30 200'); print('0 300', flush=True); signal.pause()"
     with running([sys.executable, "-c", says], stdout=subprocess.PIPE) as probe:
         orders = peers.Orders(probe)
         assert orders.first(lambda thrust: thrust > 0, 0, 60.0) == 200
