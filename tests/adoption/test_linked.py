@@ -137,6 +137,12 @@ def test_a_motor_that_steers_is_found_over_the_link_too(tmp_path: Path) -> None:
     assert (known.is_proven, known.wiring) == (True, (False, link.hidden.reversed, link.hidden.turned))
 
 
+def test_a_boat_with_four_thrusters_is_refused_before_anything_turns(tmp_path: Path) -> None:
+    nobody: Any = None
+    with pytest.raises(DelfimError, match=r"cannot be adopted: it has 4 thrusters; .*; try each motor by hand"):
+        tried(nobody, ROOT / "etc/boats/float.toml", 60.0, tmp_path)
+
+
 def test_at_the_berth_each_motor_turns_by_itself_for_a_second(file: Path, tmp_path: Path) -> None:
     link = Link(config.load(file, NOISE), SEED)
     assert tried(link, file, 60.0, tmp_path, "berth") == 0

@@ -7,6 +7,8 @@ import pytest
 
 from delfim import config
 from delfim.__main__ import main
+from delfim.adoption.trial import concluding
+from delfim.adoption.twin import gains
 
 ROOT = Path(__file__).parents[2]
 
@@ -19,6 +21,15 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
+@pytest.fixture
+def few_gains(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of the candidates some, in this process: all of them, in one of their own, are tried in tests/adoption/test_linked.py."""
+    monkeypatch.setattr(gains, "SAILED", 3)
+    monkeypatch.setattr(gains, "LOOKS_S", ())
+    monkeypatch.setattr(concluding, "in_child", lambda work, *values, tell: work(*values, tell))
+
+
+@pytest.mark.usefixtures("few_gains")
 def test_a_drawn_boat_is_tried_and_what_was_found_is_told(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["adopt", "heron.toml", "--sim", "6", "--yes"]) == 0
     out = capsys.readouterr().out
