@@ -48,7 +48,7 @@ async def shown(folder: Path, then: Callable[[Page, Boat], Awaitable[None]], pic
             await boat.until(lambda state: (state["energy"]["home_wh"] or 0.0) > 0.0)
             await page.until("delfim.reach(1).startsWith('reach: ')", PATIENCE_S)
             await page.press("Enter")
-            await page.until("delfim.wayHome(1).endsWith(' Wh')", PATIENCE_S)
+            await page.until(r"/^home: [\d.]+ m, .*\d s, [\d.]+ of \d+ Wh$/.test(delfim.wayHome(1))", PATIENCE_S)
             await page.press("Escape")
             await then(page, boat)
             await asked_about(you, boat)

@@ -10,7 +10,7 @@ import msgspec
 
 from delfim.base.modes import Mode
 from delfim.console.boats.othervessels import VesselsTold
-from delfim.console.boats.wayhome import HeardTrack
+from delfim.console.boats.wayhome import HeardTrack, ToldWay
 from delfim.console.link.mavlink import BOAT_NAME, ENERGY, GUARDED, LINE, ORDERED, STATIONS, Offer, mavlink, own_offers
 from delfim.console.link.reception import Reception
 from delfim.console.link.statustext import Words
@@ -75,6 +75,7 @@ class Boat:
         self.links: list[dict[str, Any]] = []  # all of them, for the page
         self.track: deque[tuple[float, float, float]] = deque(maxlen=TRACK_MAX)
         self.heard_track = HeardTrack()
+        self.told_way: ToldWay | None = None  # once somebody asked
         self.rtt_ms: float | None = None
         self.link_was_weak = False
         self.synced_s = -math.inf
@@ -132,7 +133,7 @@ class Boat:
                 self._orders_told,
             ):
                 each.clear()
-            self.heard_track = HeardTrack()
+            self.heard_track, self.told_way = HeardTrack(), None
             self.orders, self.has_told_orders = own_offers(), False
             self.has_told_modes, self.asks, self.reason, self.failsafe, self.warning, self.forced = False, 0, "", "", "", ""
 

@@ -23,11 +23,13 @@ from delfim.console.boats.profiles import Profiles
 from delfim.console.boats.questions import Questions
 from delfim.console.boats.requests import HALTS, LIFE_S, NO_ANSWER, Answer, Requests, entered
 from delfim.console.boats.routes import Address, Ways, address_kind, in_words
+from delfim.console.boats.wayhome import ToldWay
 from delfim.console.link.mavlink import (
     BOAT_NAME,
     BOAT_RUN,
     SYSTEM,
     TROUBLES,
+    WAY_HOME,
     BoatQuestion,
     Codec,
     Key,
@@ -228,11 +230,15 @@ class Fleet:
     def _on_home(self, boat: Boat, message: Any, now_s: float) -> None:
         if boat.number in self._homes:
             self._homes.discard(boat.number)
-            way = boat.heard_track.way_home(message.latitude / 1e7, message.longitude / 1e7)
-            self._tell({"t": "way_home", "boat": boat.number, **way})
+            end = message.latitude / 1e7, message.longitude / 1e7
+            boat.told_way = ToldWay(*end)
+            self._tell({"t": "way_home", "boat": boat.number, **boat.heard_track.way_home(*end)})
 
     def _on_array(self, boat: Boat, message: Any, now_s: float) -> None:
-        self._energies.hear(boat.number, boat.energy)
+        if message.name.rstrip("\0") != WAY_HOME:
+            self._energies.hear(boat.number, boat.energy)
+        elif boat.told_way is not None and (way := boat.told_way.hear(message.array_id, message.data)) is not None:
+            self._tell({"t": "way_home", "boat": boat.number, **way})
 
     def _on_depth(self, boat: Boat, message: Any, now_s: float) -> None:
         told = message.lat / 1e7, message.lng / 1e7, message.distance

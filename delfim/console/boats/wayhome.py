@@ -1,15 +1,38 @@
-"""The way home of a boat, before it is ordered: its track as it was heard here, cut as the boat cuts its own, back to the place
-where the boat says that its way home ends.
+"""The way home of a boat, before it is ordered: as the boat tells it, round what its chart forbids. Until it does, its track as
+it was heard here, cut as the boat cuts its own, back to the place where the boat says that its way home ends.
 """
 
 import math
+from collections.abc import Sequence
 from typing import Any, Final
 
 from delfim.base.geodesy import Origin, from_plane, origin, to_plane
 from delfim.config import HomeTable
+from delfim.console.link.mavlink import wayhome
 from delfim.vehicle.plans.track import Track
 
 NEAR_M: Final = 10.0  # the track was heard from its beginning if it passes the end of the way home as near as this
+
+
+class ToldWay:
+    """The way home as the boat tells it in arrays, and its end, degrees."""
+
+    def __init__(self, latitude_deg: float, longitude_deg: float) -> None:
+        self._end = latitude_deg, longitude_deg
+        self._parts = dict[int, wayhome.WayArray]()
+
+    def hear(self, number: int, numbers: Sequence[float]) -> dict[str, Any] | None:
+        """Takes an array. Returns the way for the page once all are there; without points while the boat knows none."""
+        part = wayhome.read(numbers)
+        if part is None or number >= wayhome.ARRAYS:
+            return None
+        self._parts[number] = part
+        if any(each not in self._parts for each in range(part.arrays)):
+            return None
+        points = (point for each in range(part.arrays) for point in self._parts[each].points)
+        north, east = self._end
+        told = [[round(north + point[0], 7), round(east + point[1], 7)] for point in points]
+        return {"points": told, "whole": True, "speed_mps": part.speed_mps}
 
 
 class HeardTrack:

@@ -12,7 +12,7 @@ from typing import Any, Final
 from delfim.base.clock import Clock, SystemClock
 from delfim.base.errors import ConfigError, FormatError
 from delfim.base.input.keys import new_key, read_key
-from delfim.parts.mavlink.codec import ownorders, plans, questions, wire
+from delfim.parts.mavlink.codec import ownorders, plans, questions, wayhome, wire
 from delfim.parts.mavlink.codec.aisvessel import GUARD, GUARDED, NUMBERS, ORDERED, facts_of, kind_of, number_of, position_of
 from delfim.parts.mavlink.codec.ardupilot import WaterDepth
 from delfim.parts.mavlink.codec.ownorders import Offer, own_offers
@@ -27,6 +27,7 @@ from delfim.parts.mavlink.codec.params import (
     SENSED_VALUES,
     STATIONS,
     TROUBLES,
+    WAY_HOME,
 )
 from delfim.parts.mavlink.codec.plans import FENCE, ITEMS, MISSION, RALLY, Item
 from delfim.parts.mavlink.codec.questions import BoatQuestion, ToldRow
@@ -51,6 +52,7 @@ __all__ = [  # what the console needs of the link's other end, beside what is be
     "SENSED_VALUES",
     "STATIONS",
     "TROUBLES",
+    "WAY_HOME",
     "BoatQuestion",
     "Item",
     "Offer",
@@ -64,6 +66,7 @@ __all__ = [  # what the console needs of the link's other end, beside what is be
     "plans",
     "position_of",
     "questions",
+    "wayhome",
 ]
 
 mavlink: Final = wire.dialect

@@ -281,7 +281,7 @@ def energy(view: TelemetryView) -> Iterator[Message]:
         return
     told = [math.nan if each is None else each for each in (now.left_wh, now.home_wh, now.plan_wh, now.reserve_wh)]
     numbers = [*told, *now.range_m][:ARRAY]
-    yield _array(view, ENERGY, numbers)
+    yield array(view, ENERGY, numbers)
 
 
 def sensed(view: TelemetryView) -> Iterator[Message]:
@@ -290,7 +290,7 @@ def sensed(view: TelemetryView) -> Iterator[Message]:
     said = {each.name: (view.now_s - each.heard_s, *each.value) for each in state.inputs.get(state.source, ()) if each.heard}
     numbers = [value for name, count in SENSED_VALUES.items() for value in said.get(name, (math.nan,) * (1 + count))]
     if said:
-        yield _array(view, SENSED, numbers)
+        yield array(view, SENSED, numbers)
 
 
 def arrays(view: TelemetryView) -> Iterator[Message]:
@@ -311,12 +311,13 @@ def stations(view: TelemetryView) -> Iterator[Message]:
     told = [float(number if ok else -number) for number, ok in state.stations] if state.setpoint.plan is not None else []
     parts = [told[at : at + ARRAY] for at in range(0, len(told), ARRAY)]
     if parts:
-        yield _array(view, STATIONS, parts[view.turn % len(parts)])
+        yield array(view, STATIONS, parts[view.turn % len(parts)])
 
 
-def _array(view: TelemetryView, name: str, numbers: list[float]) -> Message:
+def array(view: TelemetryView, name: str, numbers: list[float], number: int = 0) -> Message:
+    """DEBUG_FLOAT_ARRAY; `number`: which it is of several."""
     filled = numbers + [0.0] * (ARRAY - len(numbers))
-    return dialect.MAVLink_debug_float_array_message(int(view.now_s * 1e6), name.encode(), 0, filled)
+    return dialect.MAVLink_debug_float_array_message(int(view.now_s * 1e6), name.encode(), number, filled)
 
 
 def others(view: TelemetryView) -> Iterator[Message]:

@@ -1,4 +1,4 @@
-// The way that a boat goes home, while its menu is open and while it goes: the track that was heard, back to the end that the boat tells.
+// The way that a boat goes home, while its menu is open and while it goes: as the boat tells it, or the track that was heard, back to the end that the boat tells.
 // And how far its energy takes it.
 import Feature from "ol/Feature";
 import { LineString, Point, Polygon } from "ol/geom";
@@ -8,7 +8,7 @@ import { Circle as Disc, Fill, Stroke, Style, Text } from "ol/style";
 import type { Chart } from "./chart";
 import { point } from "./chart";
 import { position } from "./fleet";
-import { distance_m, metres, towards } from "./geo";
+import { distance_m, duration, metres, towards } from "./geo";
 import type { Net } from "./net";
 import { FACE, cased, inked, palette } from "./palette";
 import type { State } from "./state";
@@ -19,6 +19,7 @@ const AGAIN_MS = 3000; // an answer may be lost
 interface Way {
   points: Place[]; // the end first; what is behind a boat that goes home is dropped
   whole: boolean;
+  speed_mps: number | undefined; // as the boat goes there
 }
 
 export class WayHome {
@@ -44,8 +45,9 @@ export class WayHome {
     this.draw();
   }
 
-  take({ boat, points, whole }: Extract<Heard, { t: "way_home" }>): void {
-    this.ways.set(boat, { points: points.map(([latitude_deg, longitude_deg]) => ({ latitude_deg, longitude_deg })), whole });
+  take({ boat, points, whole, speed_mps }: Extract<Heard, { t: "way_home" }>): void {
+    if (points.length) this.ways.set(boat, { points: points.map(([latitude_deg, longitude_deg]) => ({ latitude_deg, longitude_deg })), whole, speed_mps });
+    else this.ways.delete(boat); // it is asked again
     this.draw();
   }
 
@@ -55,7 +57,8 @@ export class WayHome {
     const here = boat && position(boat);
     if (!here || !way?.points.length) return "";
     const points = [here, ...way.points.toReversed()];
-    const long = metres(points.slice(1).reduce((sum, each, i) => sum + distance_m(points[i]!, each), 0));
+    const far_m = points.slice(1).reduce((sum, each, i) => sum + distance_m(points[i]!, each), 0);
+    const long = metres(far_m) + (way.speed_mps ? `, ${duration(far_m / way.speed_mps)}` : "");
     const energy = boat.energy;
     const takes = energy?.left_wh != null && energy.home_wh != null ? `, ${energy.home_wh.toFixed(0)} of ${energy.left_wh.toFixed(0)} Wh` : "";
     return way.whole ? `home: ${long}${takes}` : `home is further than these ${long}: the track was not heard from its beginning`;

@@ -283,7 +283,7 @@ export type Heard =
   | { t: "vessels"; at_s: number; vessels: Vessel[]; heard_s: number | null }
   | { t: "track"; boat: number; start?: boolean; points: [number, number, number][] }
   | { t: "whole_track"; boat: number; points: [number, number, number][] }
-  | { t: "way_home"; boat: number; points: [number, number][]; whole: boolean }
+  | { t: "way_home"; boat: number; points: [number, number][]; whole: boolean; speed_mps?: number }
   | { t: "graphs"; boat: number; graphs: Graphs }
   | { t: "forgotten"; boat: number }
   | { t: "text"; boat: number | null; severity: number; text: string; at_s: number; alarm?: string }

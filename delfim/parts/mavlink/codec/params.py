@@ -51,6 +51,7 @@ BOAT_NAME: Final = "BOAT_NAME"  # the parameters that are texts; read only
 SAILS_BY: Final = "SAILS_BY"  # the digest of its vehicle's file, as its report has it
 BOAT_RUN: Final = "BOAT_RUN"  # drawn at the start: two addresses with the same value are one boat
 ENERGY: Final = "ENERGY"  # the array of the energy
+WAY_HOME: Final = "WAY_HOME"  # the arrays of the way home (`delfim.parts.mavlink.codec.wayhome`)
 STATIONS: Final = "STATIONS"  # the array of the stations that are done
 SENSED: Final = "SENSED"  # the array of what the sensors behind an estimator said last, in a trial
 SENSED_VALUES: Final = {"heading": 1, "rate": 1, "velocity": 2}  # rad, rad/s, m/s north and east; before each its age, s

@@ -5,10 +5,12 @@ from collections.abc import Callable, Iterable
 from typing import Final
 
 from delfim import __version__
+from delfim.base.geodesy import from_plane
 from delfim.base.modes import PAYLOADS, Mode
-from delfim.parts.mavlink.codec import ownorders
+from delfim.parts.mavlink.codec import ownorders, wayhome
+from delfim.parts.mavlink.codec.params import WAY_HOME
 from delfim.parts.mavlink.codec.wire import Message, dialect
-from delfim.parts.mavlink.telemetry import TelemetryView, shown_mode
+from delfim.parts.mavlink.telemetry import TelemetryView, array, shown_mode
 
 CAPABILITIES: Final = (
     dialect.MAV_PROTOCOL_CAPABILITY_MISSION_INT
@@ -58,12 +60,19 @@ def mode(view: TelemetryView, index: int) -> Iterable[Message]:
 
 
 def home(view: TelemetryView, index: int) -> Iterable[Message]:
-    """HOME_POSITION: where the way home ends."""
-    place = view.boat.helm.home()
-    if place is None:
-        return ()
+    """HOME_POSITION: where the way home ends; then DEBUG_FLOAT_ARRAY WAY_HOME: the way there, as it is now."""
+    helm = view.boat.helm
+    place, origin = helm.home(), helm.state.origin
+    if place is None or origin is None:
+        return
     latitude, longitude = (round(math.degrees(angle) * 1e7) for angle in place)
-    return (dialect.MAVLink_home_position_message(latitude, longitude, 0, 0.0, 0.0, 0.0, [1.0, 0.0, 0.0, 0.0], 0.0, 0.0, 0.0),)
+    yield dialect.MAVLink_home_position_message(latitude, longitude, 0, 0.0, 0.0, 0.0, [1.0, 0.0, 0.0, 0.0], 0.0, 0.0, 0.0)
+    points = list[tuple[float, float]]()
+    if not helm.homeward.why:
+        angles = (from_plane(origin, *point) for point in wayhome.thinned(helm.track.way_home()))
+        points = [(math.degrees(north) - latitude / 1e7, math.degrees(east) - longitude / 1e7) for north, east in angles]
+    for number, told in enumerate(wayhome.arrays(points, helm.settings.control.home.speed_mps)):
+        yield array(view, WAY_HOME, told, number)
 
 
 def time(view: TelemetryView, index: int) -> Iterable[Message]:
