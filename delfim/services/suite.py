@@ -260,7 +260,7 @@ def supervise(
             is_safe = _last_act(settings, supervisor.reason, stop.tell)
             code = 0 if is_safe else 1
             if init:
-                shutdown.leave(supervisor.word)
+                shutdown.leave(supervisor.word, shutdown.words_path(place))
     return code
 
 

@@ -132,6 +132,7 @@ class Image(Table, frozen=True):
     signers: tuple[PublicKey, ...] = ()  # public ed25519 keys, as ssh-keygen writes them; without any, nothing can be installed
     partition: str = ""  # of the slots, mounted only while it is read or written; "" if the directory is always mounted
     directory: str = "/boot"  # where it is mounted
+    slots: tuple[str, ...] = ()  # partitions of slots a and b, where each has its own, as on a Raspberry Pi's card
 
 
 class GuestTable(Table, frozen=True):

@@ -172,3 +172,18 @@ def test_a_request_goes_to_who_listens_and_nowhere_else(tmp_path: Path) -> None:
         assert supervisor.recv(100) == b"reboot test of words"
     with pytest.raises(ConnectionRefusedError):
         request(place, "off", "test")
+
+
+def test_a_restart_has_the_words_that_were_left_for_the_boot_loader(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As reboot(2) of a Raspberry Pi takes them; where the kernel does not know it, the ordinary restart follows."""
+    called: list[tuple[object, ...]] = []
+    monkeypatch.setattr(shutdown, "_libc", lambda name, *words: called.append((name, *words)))
+    words = shutdown.words_path(tmp_path)
+    shutdown.leave("reboot", words)
+    assert [each[0] for each in called] == ["reboot"], "no words, no file"
+    words.write_text("0 tryboot")
+    shutdown.leave("off", words)
+    assert [each[0] for each in called] == ["reboot", "reboot"]
+    shutdown.leave("reboot", words)
+    assert [each[0] for each in called[2:]] == ["syscall", "reboot"]
+    assert called[2][-1] == b"0 tryboot"

@@ -5,6 +5,9 @@ The boot partition holds `a/` and `b/`, each with kernel, initramfs and the sign
 once in its place: the boot loader clears it first and leaves it in `tried`. So whatever a new image does, even if it never
 reaches its first program, the next start is that of the old one. Only `confirm` makes it stay. The caller makes sure that the
 boat is not under way. How to use it: docs/image.md.
+
+A Raspberry Pi's boot loader writes nothing: there the words are in autoboot.txt, each slot is a partition of its own, and
+`begin_trial` strikes out the trial before the restart that tries it.
 """
 
 import contextlib
@@ -21,6 +24,7 @@ import msgspec
 from delfim.base.errors import FormatError, Refused
 from delfim.base.input.untrusted import read_file
 from delfim.base.wholefile import replace_file, sync_directory
+from delfim.services.image import raspberry
 from delfim.services.image.imagefile import (
     MANIFEST,
     MEMBERS,
@@ -37,6 +41,7 @@ SLOTS: Final = ("a", "b")
 ENVIRONMENT_BYTES: Final = 1024  # of GRUB's environment block, always
 ENVIRONMENT_HEAD: Final = "# GRUB Environment Block\n"
 CONFIRMED: Final = "image-confirmed"  # in the run directory, until the next start
+FOUND: Final = "/run/autoboot.txt"
 KEYS: Final = ("slot", "trial", "tried")
 Slot = Literal["a", "b"]
 
@@ -56,9 +61,12 @@ class Environment(msgspec.Struct, frozen=True):
 def boot_partition(table: Image, *, write: bool) -> Iterator["Slots"]:
     """Hold the slots while the partition is mounted and nobody else writes. Raises Refused in words, OSError."""
     directory = Path(table.directory)
-    if table.partition:
-        _mounted("mount", "-o", "rw,noatime" if write else "ro", table.partition, str(directory))
-    try:
+    places = {str(directory): table.partition} if table.partition else {}
+    places |= {str(directory / slot): device for slot, device in zip(SLOTS, table.slots, strict=False)}
+    with contextlib.ExitStack() as mounts:
+        for place, device in places.items():
+            _mounted("mount", "-o", "rw,noatime" if write else "ro", device, place)
+            mounts.callback(_mounted, "umount", place)
         fd = os.open(directory, os.O_RDONLY | os.O_DIRECTORY)
         try:
             fcntl.flock(fd, (fcntl.LOCK_EX if write else fcntl.LOCK_SH) | fcntl.LOCK_NB)
@@ -67,9 +75,6 @@ def boot_partition(table: Image, *, write: bool) -> Iterator["Slots"]:
             raise Refused("another image is being installed at this moment") from None
         finally:
             os.close(fd)
-    finally:
-        if table.partition:
-            _mounted("umount", str(directory))
 
 
 def _mounted(*words: str) -> None:
@@ -83,9 +88,12 @@ class Slots:
 
     def __init__(self, directory: Path) -> None:
         self._directory, self._environment = directory, directory / "grub" / "grubenv"
+        self._autoboot = directory / raspberry.AUTOBOOT  # in its place, on a Raspberry Pi
 
     def environment(self) -> Environment:
         """Read the environment. Raises Refused where there is none, FormatError where it is damaged."""
+        if self._autoboot.exists():
+            return Environment(*raspberry.parse_autoboot(read_file(self._autoboot, PAPER_BYTES)))
         try:
             return parse_environment(read_file(self._environment, PAPER_BYTES))
         except FileNotFoundError:
@@ -145,8 +153,23 @@ class Slots:
             raise Refused(f"slot {running} was overwritten since it was started: restart the computer, then confirm")
         self._write(Environment(running, environment.trial))
 
+    def begin_trial(self) -> str:
+        """Strike out the trial, and return the words for the restart that tries it. Raises Refused where there is nothing to
+        try, or where the boot loader strikes it out itself."""
+        environment = self.environment()
+        if not environment.trial:
+            raise Refused("no image waits for its trial: install one")
+        if not self._autoboot.exists():
+            raise Refused("this computer's boot loader begins the trial by itself: restart it")
+        self._write(Environment(environment.slot, "", environment.trial))
+        return raspberry.TRY
+
     def _write(self, environment: Environment) -> None:
-        replace_file(self._environment, write_environment(environment))
+        if self._autoboot.exists():
+            words = environment.slot, environment.trial, environment.tried
+            write_over(self._autoboot, raspberry.autoboot_txt(*words))
+        else:
+            replace_file(self._environment, write_environment(environment))
 
 
 def parse_environment(text: bytes) -> Environment:
@@ -164,6 +187,13 @@ def parse_environment(text: bytes) -> Environment:
 def write_environment(environment: Environment) -> bytes:
     text = ENVIRONMENT_HEAD + "".join(f"{key}={getattr(environment, key)}\n" for key in KEYS)
     return text.encode().ljust(ENVIRONMENT_BYTES, b"#")
+
+
+def write_over(path: Path, sector: bytes) -> None:
+    """Write a sector over itself, and wait until the card has it: nothing else on it changes, not even where the file lies."""
+    with path.open("r+b", buffering=0) as file:
+        file.write(sector)
+        os.fsync(file.fileno())
 
 
 def _digest_of_disk(path: Path) -> str:
@@ -198,7 +228,10 @@ def present_notice(run_directory: str) -> str:
         command_line = Path("/proc/cmdline").read_text()
     except OSError:
         return ""
-    said = notice(*started(command_line))
+    slot, tried = started(command_line)
+    with contextlib.suppress(OSError, FormatError):  # of a Raspberry Pi, as /init found it
+        tried = raspberry.parse_autoboot(read_file(FOUND, PAPER_BYTES))[2]
+    said = notice(slot, tried)
     return "" if not said or os.path.exists(os.path.join(run_directory, CONFIRMED)) else said
 
 

@@ -22,7 +22,9 @@ ATTEMPT_S: Final = 20.0  # for an attempt, beyond the users' time: a disk that h
 AGAIN_S: Final = 1.0  # between two attempts
 TELL_S: Final = 0.2  # between two frames that say it is safe
 _MS_RDONLY, _MS_REMOUNT = 1, 32  # sys/mount.h
-_POWER_OFF, _RESTART = 0x4321FEDC, 0x01234567  # linux/reboot.h
+_POWER_OFF, _RESTART, _RESTART_WITH_WORDS = 0x4321FEDC, 0x01234567, 0xA1B2C3D4  # linux/reboot.h
+_MAGIC = 0xFEE1DEAD, 672274793
+_REBOOT_CALL: Final = {"aarch64": 142, "x86_64": 169}  # its number; the C library knows no words
 
 Word = Literal["end", "off", "reboot"]  # the programs alone; the computer, for the power to be cut; the same and start again
 
@@ -256,7 +258,16 @@ def last_act(
     return not holders
 
 
-def leave(word: Word) -> None:
-    """Switch the computer off, or start it again. Raises OSError where that is not permitted."""
+def words_path(run_directory: str | Path) -> Path:
+    """The path of the words for the boot loader, where the next restart has some (docs/image.md)."""
+    return Path(run_directory) / "restart-words"
+
+
+def leave(word: Word, words: Path) -> None:
+    """Switch the computer off, or start it again, with the words of that file if it is there. Raises OSError where that is not
+    permitted."""
     log.warning("shutdown: %s", word)
+    if word == "reboot" and (said := _read(words).strip()) and (call := _REBOOT_CALL.get(os.uname().machine)):
+        numbers = (*_MAGIC, _RESTART_WITH_WORDS)
+        _libc("syscall", ctypes.c_long(call), *map(ctypes.c_uint, numbers), said.encode())
     _libc("reboot", ctypes.c_uint(_RESTART if word == "reboot" else _POWER_OFF))
