@@ -410,6 +410,10 @@ def slot(here: Path) -> Said:
     return command("image", VEHICLE, "status", "--set", f'image.directory="{here}"')
 
 
+def slot_of_a_pi(here: Path) -> Said:
+    return command("image", VEHICLE, "status", "--set", f'image.directory="{here / "pi"}"')
+
+
 def casters_password(here: Path) -> Said:
     from delfim.base.input.untrusted import read_credentials
 
@@ -569,6 +573,7 @@ READERS = {
     "MBTiles": Reader("harbour.mbtiles", tiles, (*BINARY, odd_tables, odd_tables, odd_tables)),
     "image": Reader("new.image", image, BINARY),
     "boot environment": Reader("grub/grubenv", slot, (*BINARY, *TEXT)),
+    "words of a Raspberry Pi": Reader("pi/autoboot.txt", slot_of_a_pi, (*BINARY, *TEXT)),
     "manifest of a slot": Reader("a/manifest.json", slot, TEXT),
     "user's ssh key": Reader("user.pub", users_key, TEXT),
     "numbers of DroneCAN devices": Reader("numbers", numbers, TEXT),

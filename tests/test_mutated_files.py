@@ -34,6 +34,7 @@ from delfim.logging.kept.writer import packed
 from delfim.logging.reading import read_log
 from delfim.parts.iridium import orders
 from delfim.parts.mavlink.codec.signing import Kept, Signing, write_stamps
+from delfim.services.image.raspberry import AUTOBOOT, autoboot_txt
 from delfim.simulator.scenarios.scenario import load_scenario
 from delfim.vehicle import console
 from delfim.vehicle.orders.voyage import KeptHead
@@ -270,6 +271,8 @@ def images(folder: Path) -> None:
     for name in ("grub", "a", "b"):
         if (yard.boot / name).exists():
             shutil.copytree(yard.boot / name, folder / name)
+    (folder / "pi").mkdir()
+    (folder / "pi" / AUTOBOOT).write_bytes(autoboot_txt("a", "", "b"))
 
 
 def sounded(folder: Path) -> None:
@@ -363,7 +366,7 @@ SAMPLES = {
         "log of the watch",
         "kept voyage",
     ),
-    images: ("image", "boot environment", "manifest of a slot"),
+    images: ("image", "boot environment", "words of a Raspberry Pi", "manifest of a slot"),
 }
 
 
@@ -471,7 +474,7 @@ READ_BY = {  # function: the readers above that come by it
     "parts/dronecan/numbering.py: known_numbers": {"numbers of DroneCAN devices"},
     "base/input/untrusted.py: read_private": {"password at a caster", "signing key"},
     "services/supervision/supervisorfile.py: last_deadman": {"supervisor's record"},
-    "services/image/slots.py: environment": {"boot environment"},
+    "services/image/slots.py: environment": {"boot environment", "words of a Raspberry Pi"},
     "services/image/slots.py: manifest": {"manifest of a slot"},
     "services/image/imagefile.py: verify": {"image"},
     "services/files/sshd.py: _host_key": {"host key"},
@@ -498,6 +501,8 @@ OTHERS = {  # what the kernel tells, and what is only copied or digested
     *("services/supervision/cgroup.py: exceeded", "services/computer.py: _read", "services/supervision/shutdown.py: _read"),
     *("services/radio/slipd.py: _counters", "services/radio/slipd.py: carrier_source"),
     *("services/image/imagefile.py: _digest", "services/image/slots.py: _digest_of_disk", "services/image/imagefile.py: pack"),
+    *("services/image/card.py: _digest", "services/image/card.py: users", "services/image/card.py: size_of"),
+    "console/terminal/nodes.py: firmware",  # handed to a motor controller as it is
     *(
         "services/image/slots.py: present_notice",
         "services/supervision/children.py: process_state",

@@ -19,7 +19,7 @@ from typing import Final, NamedTuple
 from delfim.base.errors import Refused
 from delfim.services.image import raspberry
 from delfim.services.image.imagefile import MANIFEST, PARTS, SIGNATURE, verify
-from delfim.services.image.raspberry import Board, Fitting
+from delfim.services.image.raspberry import Fitting, PiBoard
 from delfim.services.image.slots import Slots
 
 MIB: Final = 1 << 20
@@ -42,7 +42,7 @@ class Extent(NamedTuple):
 class Fitted(NamedTuple):
     """A boat's computer, and its words for /init."""
 
-    board: Board
+    board: PiBoard
     hat: Fitting
     clock: Fitting
     words: str

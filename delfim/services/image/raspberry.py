@@ -18,7 +18,7 @@ TRY: Final = "0 tryboot"  # of reboot(2): partition 0 is the default one
 _HEAD: Final = "# delfim"
 
 
-class Board(NamedTuple):
+class PiBoard(NamedTuple):
     """A board. `files` of the boot loader must be there, `config` is for it alone, `modules` are loaded by /init."""
 
     title: str
@@ -41,28 +41,28 @@ _USB: Final = "dtoverlay=dwc2,dr_mode=host"
 _SPI: Final = "dtparam=spi=on"
 _CARD: Final = ("fixed", "gpio-regulator", "sdhci-iproc", "bcm2835")
 BOARDS: Final = {
-    "pi3": Board(
+    "pi3": PiBoard(
         "Raspberry Pi 3B, 3B+",
         "pi3",
         (*_OLD, "bcm2710-rpi-3-b.dtb"),
         (_USB,),
         (*_CARD, "spi-bcm2835", "dwc2", "smsc95xx", "smsc", "lan78xx", "microchip", "i2c-bcm2835", "bcm2835_wdt"),
     ),
-    "zero2": Board(
+    "zero2": PiBoard(
         "Raspberry Pi Zero 2 W",
         "pi02",
         (*_OLD, "bcm2710-rpi-zero-2-w.dtb"),
         (_USB,),
         (*_CARD, "spi-bcm2835", "dwc2", "i2c-bcm2835", "bcm2835_wdt"),
     ),
-    "pi4": Board(
+    "pi4": PiBoard(
         "Raspberry Pi 4B, 400",
         "pi4",
         ("start4.elf", "fixup4.dat", "bcm2711-rpi-4-b.dtb"),
         (),
         (*_CARD, "spi-bcm2835", "mdio-bcm-unimac", "broadcom", "genet", "i2c-bcm2835", "bcm2835_wdt"),
     ),
-    "pi5": Board(  # its boot loader is in the board; the UART of the pins is not the console's until it is asked for
+    "pi5": PiBoard(  # its boot loader is in the board; the UART of the pins is not the console's until it is asked for
         "Raspberry Pi 5",
         "pi5",
         ("bcm2712-rpi-5-b.dtb",),
@@ -126,9 +126,9 @@ def config_txt(hat: Fitting, clock: Fitting) -> str:
     return "\n".join([*lines, "[all]", ""])
 
 
-def cmdline_txt(slot: str, board: Board, hat: Fitting, clock: Fitting, words: str) -> str:
+def cmdline_txt(slot: str, board: PiBoard, hat: Fitting, clock: Fitting, words: str) -> str:
     """The kernel's command line in a slot; `words` are the boat's own for /init."""
-    modules = ",".join(dict.fromkeys((*board.modules, *hat.modules, "can-raw", *clock.modules)))
+    modules = ",".join(dict.fromkeys((*board.modules, "vfat", *hat.modules, "can-raw", *clock.modules)))
     own = f"LOG={CARD}{LOG_PARTITION} SLOTS={CARD}1 MODULES={modules} delfim.slot={slot}"
     return f"console=serial0,115200 quiet panic=10 {own} {words}".strip() + "\n"
 
@@ -151,7 +151,7 @@ def parse_autoboot(text: bytes) -> tuple[str, str, str]:
     return found
 
 
-def lacking(names: set[str], board: Board, hat: Fitting, clock: Fitting) -> list[str]:
+def lacking(names: set[str], board: PiBoard, hat: Fitting, clock: Fitting) -> list[str]:
     """What a folder with these files (relative to it) lacks to start this board with hat and clock."""
     lines = (*board.config, *hat.config, *clock.config)
     overlays = [line.removeprefix("dtoverlay=").split(",")[0] for line in lines if line.startswith("dtoverlay=")]
