@@ -80,6 +80,7 @@ DriverAddress = Annotated[int, msgspec.Meta(ge=0, le=255)]
 Sources = Annotated[tuple[SourceName, ...], msgspec.Meta(min_length=1, max_length=len(SOURCES))]
 OTHER_NODES = (0x01, 0x02, 0x10, 0x11, 0x20, 0x21)  # of `messages.Node`
 NODES_PROTOCOL = "DSOR"  # of the boat's own nodes
+ASTERN = 0.05  # of the surge ahead: a boat that pushes less astern cannot go there
 PUSH_MIN = 0.1  # N and N·m: less is nothing
 TAKEN_VEHICLES = (0x40, 0xA0)  # commands to actuators, and reset, have these identifiers
 DsorVehicle = Annotated[int, msgspec.Meta(ge=0, le=0xF0, multiple_of=16)]
@@ -199,6 +200,7 @@ class TrafficGuard(Table, frozen=True):
     person_clear_m: Annotated[float, msgspec.Meta(ge=5.0, le=500.0)] = 30.0  # the same of a swimmer; twice as near, half speed
     on_failure: Literal["warn", "slow", "hold"] = "warn"  # where the guard cannot work: go on, at half speed, or hold
     overruled_s: Annotated[float, msgspec.Meta(ge=10.0, le=3600.0)] = 600.0  # an operator who overrules it does so for so long
+    stopped_s: Annotated[float, msgspec.Meta(ge=10.0, le=86_400.0)] = 600.0  # a longer stop is told: it may be for nothing
 
 
 class TrafficTable(Table, frozen=True):
@@ -1235,7 +1237,18 @@ def load(path: str | Path, overrides: Sequence[str] = ()) -> Vehicle:
     _lines_apart(settings, str(path))
     _buses_apart(settings, str(path))
     Sliced(polygons(settings.fence, str(path))).finish()
+    _goes_astern(settings, str(path))
     return settings
+
+
+def _goes_astern(vehicle: Vehicle, file: str) -> None:
+    """A boat that is to back out of weeds can go astern. Raises ConfigError."""
+    key = "failsafe.stuck.action" if vehicle.failsafe.stuck.action == "unstick" else "control.unstick"
+    if key == "control.unstick" and not stated(vehicle.control.unstick):
+        return
+    surges_n = [[surge_n for surge_n, _, _ in pushes(row)] for row in vehicle.thrusters]
+    if -sum(map(min, surges_n)) < ASTERN * sum(map(max, surges_n)):
+        raise ConfigError(file, key, "the boat cannot go astern: its thrusters push ahead alone")
 
 
 def _buses_apart(vehicle: Vehicle, file: str) -> None:

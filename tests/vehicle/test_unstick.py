@@ -1,10 +1,12 @@
 """Unstick: astern out of weeds by the way it came, bounded in time and place; what comes then; and who cannot."""
 
 import math
+from pathlib import Path
 
 import pytest
 
 from delfim import config
+from delfim.base.errors import ConfigError
 from delfim.base.modes import Mode
 from delfim.simulator.lockstep import Lockstep
 from delfim.vehicle import console
@@ -12,6 +14,7 @@ from delfim.vehicle.control.control import settings_of
 from delfim.vehicle.control.modes import unstick
 from delfim.vehicle.state import Motion, NoLog, Setpoint
 
+ROOT = Path(__file__).parents[2]
 ALL = frozenset({"position", "heading", "velocity"})
 TRACK = ((0.0, 0.0), (0.0, 5.0), (0.0, 10.0), (0.0, 15.0))  # to the east
 AHEAD_ONLY = tuple(
@@ -179,3 +182,12 @@ def test_a_boat_whose_thrusters_push_ahead_alone_cannot() -> None:
     for _ in run.cycles(3.0):
         pass
     assert why in (run.command(console.SetMode("unstick")) or "")
+
+
+@pytest.mark.parametrize("asked", ['failsafe.stuck.action="unstick"', "control.unstick.time_s=30.0"])
+def test_a_file_that_asks_it_of_a_boat_that_only_pushes_ahead_is_refused(asked: str) -> None:
+    told = ((row.name, row.address, row.y_m) for row in AHEAD_ONLY)
+    rows = [f'{{name="{name}",driver="pwm",address={at},thrust_n=[0.0,500.0],y_m={y_m}}}' for name, at, y_m in told]
+    key = asked.partition("=")[0].removesuffix(".time_s")
+    with pytest.raises(ConfigError, match=f"{key}: the boat cannot go astern"):
+        config.load(ROOT / "etc/delfimx.toml", [f"thrusters=[{','.join(rows)}]", asked])

@@ -10,6 +10,8 @@ import math
 from collections.abc import Sequence
 from typing import Final
 
+from msgspec.structs import replace
+
 from delfim import config
 from delfim.base.clock import Clock
 from delfim.base.cooperative import Sliced, Work
@@ -34,9 +36,9 @@ from delfim.vehicle.control.memory import LineOfSight, Memory, Settings
 from delfim.vehicle.control.modes.trial import FAR
 from delfim.vehicle.failsafe.failsafe import Action
 from delfim.vehicle.failsafe.troubles import Trigger
-from delfim.vehicle.helm import setpoints
+from delfim.vehicle.helm import detour, setpoints
 from delfim.vehicle.helm.helm import Helm
-from delfim.vehicle.plans.fence import Fence, crossing
+from delfim.vehicle.plans.fence import Fence, crossing, stopping_m
 from delfim.vehicle.report import TrafficSeen
 from delfim.vehicle.state import Reference, Setpoint, State, StateLog
 from delfim.vehicle.target import NEVER_S, CourseOrder, Target
@@ -49,6 +51,8 @@ SILENT_S: Final = 360.0  # a lost vessel is kept clear of until its last report 
 SLOW: Final = 0.5  # of the speed, where the guard cannot work
 TURN_MIN_RADPS, TURN_MAX_RADPS = 0.05, 0.5
 OVERRULED: Final = "the operator overruled the guard"
+DOUBTED: Final = " (traffic.guard.stopped_s): is it there? Overrule if not"
+LED_ASIDE: Final = "led aside by traffic"
 LEGS: Final = (Mode.PLAY, Mode.GOTO, Mode.HOME)
 
 _new = tuple.__new__  # a fifth of the time of Memory._replace(...): steps are on the critical path
@@ -95,6 +99,7 @@ class Watchkeeper:
         self._swimmer, self._speed_mps = "", 0.0  # near, for which the boat goes slowly; speed that is asked for
         self._passes, self._route = tuple[PassedBy, ...](), RouteAhead((), 0.0)
         self._looked_s = NEVER_S  # `Traffic.at_s` of the present round
+        self._sailed_s = 0.0  # when no order stopped the boat last
         self._round: Sliced[None] | None = None
         self._has_things = False
         self._failing, self._awaits = "", settings.traffic.mmsi > 0
@@ -154,7 +159,7 @@ class Watchkeeper:
                 self._memory, order, self._passes = found
                 if order is None and self._passage is not None:
                     order = self._passage.order(own, self._speed_mps, now_s)
-                order = None if order is None else order._replace(at_s=self._clock.monotonic_s())
+                order = None if order is None else self._doubted(order, now_s)._replace(at_s=self._clock.monotonic_s())
             except (ValueError, ArithmeticError) as error:  # the mission goes on as the vehicle's file says
                 self._memory, failing = keepclear.Memory(), f"the guard failed: {error}"
         if not missing:
@@ -169,6 +174,14 @@ class Watchkeeper:
         state.traffic = state.traffic._replace(order=order, guard=words, unjudged=unjudged)
         is_failing = state.traffic.targets and failing != OVERRULED
         self._act(helm, order, failing if is_failing else "", now_s)
+
+    def _doubted(self, order: CourseOrder, now_s: float) -> CourseOrder:
+        """The order; a stop that lasts for long with the words that it may be for nothing."""
+        was, limit_s = self._state.traffic.order, self._guard.stopped_s
+        if order.speed_mps > 0.0 or was is None or was.speed_mps > 0.0:
+            self._sailed_s = now_s
+        words = f"{order.words}; stopped for more than {limit_s:g} s{DOUBTED}"
+        return order._replace(words=words) if now_s - self._sailed_s > limit_s else order
 
     def _bend(self, boat: Caution, own: Own, things: Sequence[Target], fence: Fence | None, was: Passage | None) -> Work[None]:
         """Lead the route past what stands in the way, and slowly by a swimmer: ships are judged along that."""
@@ -253,12 +266,14 @@ class Watchkeeper:
         return control(mode, memory, self._state.motion, slowed(self._state.setpoint, settings), settings, dt_s)
 
     def _resume(self, helm: Helm) -> None:
-        """Go on, past and clear: the present leg begins anew from here, or, where a zone is in the way from here, goes on as it
-        was, on its line."""
+        """Go on, past and clear: the present leg begins anew from here. Where a zone is in the way from here it goes on as it
+        was, on its line; but goto, which a turn beside a shore would end, looks for a way with room to stop."""
         state, memory, around = self._state, helm.memory, helm.plans.fence
         if state.mode in LEGS and not memory.left_s and (state.mode is not Mode.GOTO or state.setpoint.target is not None):
             north_m, east_m = state.reference.north_m, state.reference.east_m  # of the leg's end
             to = None if north_m is None or east_m is None else (north_m, east_m)
+            if state.mode is Mode.GOTO and around is not None and to is not None and _goes_round(helm, around, to):
+                return
             if around is None or crossing(around, state.motion, to) is None:
                 helm.memory = memory._replace(north_m=state.motion.north_m, east_m=state.motion.east_m)
 
@@ -272,6 +287,7 @@ class Watchkeeper:
             was is None
             or (was.key, was.speed_part) != (order.key, order.speed_part)
             or (abs(wrap(was.course_rad - order.course_rad)) > 0.1 and (self._passage is None or was.words != order.words))
+            or (DOUBTED in order.words) > (DOUBTED in was.words)
         ):
             self._log.note(f"traffic: {order.words}")
 
@@ -289,3 +305,20 @@ class Watchkeeper:
         found, self._alarms = told
         nearness = min((each.nearness for each in found), default=math.nan)
         state.traffic = state.traffic._replace(dangers=found + tuple(map(danger_beside, self._beside())), nearness=nearness)
+
+
+def _goes_round(helm: Helm, around: Fence, to: tuple[float, float]) -> bool:
+    """Whether goto looks for a way from here, as the straight one to the end of its leg leaves no room to stop: it waits
+    meanwhile, and where there is none, with the reason."""
+    state, limits = helm.state, around.limits
+    speed_mps = setpoints.speed(state.setpoint.override_mps, helm.limits.control.speed)
+    wide = around._replace(limits=replace(limits, margin_m=limits.margin_m + stopping_m(limits, speed_mps)))
+    if crossing(wide, state.motion, to) is None:
+        return False
+    setpoint = state.setpoint._replace(via=())
+    found = detour.begun(around, state.motion, setpoint, LED_ASIDE, wide)
+    if found is not None:
+        state.setpoint = setpoint._replace(target=None)
+        helm.enter(Mode.GOTO, f"{LED_ASIDE}: {found.why}: a way round is looked for")
+        helm.detour = found
+    return found is not None

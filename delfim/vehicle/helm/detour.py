@@ -52,13 +52,14 @@ class Detour(NamedTuple):
         return self.setpoint._replace(via=via), f"{self.who}; by {len(via)} points, as {self.why}"
 
 
-def begun(around: Fence | None, motion: Motion, setpoint: Setpoint, who: str) -> Detour | None:
-    """A search for goto. None: the straight way is free, or the target itself is refused."""
+def begun(around: Fence | None, motion: Motion, setpoint: Setpoint, who: str, wide: Fence | None = None) -> Detour | None:
+    """A search for goto. None: the straight way is free, or the target itself is refused. `wide`: the fence with the room that
+    the straight way must have, if more than its margin."""
     to = setpoint.target
     if around is None or to is None or "position" not in motion.has:
         return None
     target = to.north_m, to.east_m
-    why = fence.crossing(around, motion, target)
+    why = fence.crossing(wide or around, motion, target)
     if why is None or too_far(target, motion):
         return None
     open_m, held = _open_m(around, target, to.speed_mps), list[Iterable[object]]()

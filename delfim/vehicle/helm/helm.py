@@ -11,6 +11,7 @@ from delfim.base.cooperative import Sliced
 from delfim.base.errors import Refused
 from delfim.base.modes import Mode
 from delfim.base.parts import OrderRow
+from delfim.config import ASTERN
 from delfim.vehicle import console
 from delfim.vehicle.control.control import Memory, Settings, Stepped, admit, lacking, settings_of
 from delfim.vehicle.control.control import control as step
@@ -36,7 +37,6 @@ from delfim.vehicle.propulsion.propulsion import Propulsion
 from delfim.vehicle.report import Check
 from delfim.vehicle.state import Reference, Setpoint, State, StateLog, Wanted
 
-ASTERN = 0.05  # of the surge ahead: a boat that pushes less astern cannot go there
 Shape = Callable[[Mode, Memory, Stepped, Settings, float], Stepped]  # of a step of the mode, with the memory before it
 
 

@@ -1,21 +1,28 @@
 """The guard beside charted land: what it orders for ships leads into no no-go water, and a boat that has no way says so."""
 
 import math
+from pathlib import Path
 from random import Random
 
 import pytest
 
 from delfim import config
+from delfim.base.geodesy import from_plane
+from delfim.base.modes import Mode
 from delfim.parts.traffic.encounter import Own
 from delfim.parts.traffic.keepclear import Memory, decide
 from delfim.parts.traffic.trialways import RouteAhead
+from delfim.parts.traffic.watchkeeper import LED_ASIDE
+from delfim.simulator.lockstep import Lockstep
+from delfim.vehicle import console
 from delfim.vehicle.plans.clearance import laid
 from delfim.vehicle.plans.clearancefile import read
 from delfim.vehicle.plans.fence import Fence, is_clear
 from delfim.vehicle.plans.zones import charted
+from delfim.vehicle.state import NoLog
 from tests.parts.traffic.encounters import LIMITS, Ship, exactly, moved, place
-from tests.vehicle.charted import Shoal, chart
-from tests.vehicle.test_charted import AT
+from tests.vehicle.charted import Shoal, chart, written
+from tests.vehicle.test_charted import AT, VEHICLE
 
 KEPT_BACK = 20261128  # coasts and ships that nobody has looked at while the guard was made
 BEGIN, GOAL = (-230.0, 0.0), (230.0, 0.0)
@@ -75,3 +82,36 @@ def test_beside_charted_land_the_guard_leads_into_none_and_says_where_there_is_n
     nearest_m, has_arrived, words, _ = sailed(seed)
     assert nearest_m > 0.0
     assert has_arrived or words
+
+
+def led_aside(random: Random, folder: Path) -> Lockstep:
+    """A boat off a gap between two spits, with ships that meet it on its way."""
+    shoals, ships = list[Shoal](), list[str]()
+    for side in (1, -1):
+        north_m, east_m = random.uniform(60.0, 150.0), random.uniform(14.0, 22.0)
+        shoals += [(north_m + random.uniform(0.0, 6.0), side * (east_m + 10.0 * i), 8.0) for i in range(random.randint(3, 8))]
+    for _ in range(random.randint(1, 2)):
+        t_s, mps = random.uniform(50.0, 120.0), random.uniform(0.8, 2.5)
+        course_deg = random.choice((180.0, random.uniform(90.0, 270.0)))
+        north_m = MPS * t_s - mps * t_s * math.cos(math.radians(course_deg))
+        east_m = -mps * t_s * math.sin(math.radians(course_deg))
+        ships.append(f"{{{north_m=},{east_m=},{course_deg=},speed_mps={mps},length_m=12.0}}")
+    overrides = [written(folder, chart(AT, shoals)), 'sensors.names=["sysstat","nmea2000"]']
+    overrides += ['simulation.traffic.heard="perfect"', f"simulation.traffic.vessel=[{','.join(ships)}]"]
+    return Lockstep(config.load(VEHICLE, overrides), 1, lambda clock: NoLog())
+
+
+@pytest.mark.parametrize("seed", [0, 4, 6])
+def test_a_goto_that_ships_led_aside_finds_its_way_through_a_gap_of_the_shore(seed: int, tmp_path: Path) -> None:
+    run = led_aside(Random(f"led aside {seed}"), tmp_path)
+    for _ in run.cycles(10.0):
+        pass
+    latitude_rad, longitude_rad = from_plane(AT, 210.0, 0.0)
+    assert run.command(console.Goto(math.degrees(latitude_rad), math.degrees(longitude_rad))) is None
+    reasons = set[str]()
+    for state in run.cycles(500.0):
+        reasons.add(state.reason)
+        if state.mode is not Mode.GOTO:
+            break
+    assert any(words.startswith(f"{LED_ASIDE}; by ") for words in reasons)
+    assert (run.state.mode, run.state.reason) == (Mode.HOLD, "goto done")

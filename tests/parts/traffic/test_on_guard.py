@@ -368,6 +368,18 @@ def test_a_change_of_the_order_is_a_line_of_the_log(monkeypatch, before, after, 
     assert boat.notes == notes * [f"traffic: {after.words}" if after else "traffic: clear: back to the way"]
 
 
+def test_a_stop_that_lasts_says_that_it_may_be_for_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    boat, stop = Boat(monkeypatch, stopped_s=20.0), EAST._replace(speed_mps=0.0, words="stopped")
+    told = list[str]()
+    for second in range(60):
+        boat.look(MARIA, order=EAST if second == 30 else stop)
+        assert boat.state.traffic.order is not None
+        told.append(boat.state.traffic.order.words)
+    doubted = "stopped; stopped for more than 20 s (traffic.guard.stopped_s): is it there? Overrule if not"
+    assert [second for second, words in enumerate(told) if words == doubted] == [*range(21, 30), *range(52, 60)]
+    assert boat.notes.count(f"traffic: {doubted}") == 2
+
+
 @pytest.mark.parametrize(
     ("mode", "memory", "setpoint", "begins"),
     [
