@@ -169,6 +169,13 @@ def test_a_checksum_of_the_catalogue_is_looked_at(tmp_path: Path) -> None:
     assert read_cell(file, LAYERS).edition == 2
 
 
+@pytest.mark.parametrize(("zone", "asked"), [(4, "500 m"), (6, "nobody knows how much")])
+def test_a_margin_that_is_less_than_the_chart_asks_for_is_told(zone: int, asked: str, tmp_path: Path, capsys) -> None:
+    assert main(["charts", str(harbour(zone=zone).write(tmp_path)), AT, "--draught=0.5", f"--output={tmp_path / 'made'}"]) == 0
+    words = f"margins cut to --margin: about 4 the chart's zone of confidence asks for more: {asked}."
+    assert words in capsys.readouterr().out
+
+
 def test_a_cell_becomes_files_for_the_page_and_for_the_boat(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file, out = harbour().write(tmp_path), tmp_path / "out"
     words = ["charts", str(file), AT, "--draught=0.5", "--air-draught=3", "--open=0-2", "--output", str(out)]

@@ -101,6 +101,7 @@ class ChartDanger(NamedTuple):
     shape: BaseGeometry
     margin_m: float
     band: str = ""  # "0-1.8 m" of an area of water that an operator may open
+    asked_m: float = 0.0  # the margin that the zone of confidence asks for; infinite: it says of none that it is enough
 
     @property
     def why(self) -> str:
@@ -169,7 +170,7 @@ def _dangers(cell: EncCell, shapes: NDArray[numpy.object_], need: Need) -> Itera
             if each.layer == "SOUNDG":  # one that a band tells of is opened with it
                 lies = (bands[at] for at in water.query(where, predicate="intersects"))
                 band = next((name for _, least, name in lies if where.z >= least), "")
-            yield ChartDanger(kind, f"{kind}{more}", source, where, min(margin_m, need.margin_m), band)
+            yield ChartDanger(kind, f"{kind}{more}", source, where, min(margin_m, need.margin_m), band, margin_m)
 
 
 def _bands(cell: EncCell, shapes: NDArray[numpy.object_]) -> list[tuple[BaseGeometry, float, str]]:

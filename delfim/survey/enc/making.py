@@ -61,5 +61,9 @@ def _reasons(chart: Charted, middle: Origin) -> Iterator[str]:
     yield "  dangers: " + (", ".join(f"{count} {kind}" for kind, count in kinds.most_common()) or "none")
     margins = Counter(each.margin_m for each in near)
     yield "  margins: " + ", ".join(f"{margin_m:g} m about {count}" for margin_m, count in sorted(margins.items()))
+    if cut := Counter(each.asked_m for each in near if each.asked_m > each.margin_m):
+        told = (f"{asked_m:g} m" if asked_m < math.inf else "nobody knows how much" for asked_m in sorted(cut))
+        words = f"about {sum(cut.values())} the chart's zone of confidence asks for more: {', '.join(told)}"
+        yield f"  margins cut to --margin: {words}. Go near those by sight and sounder alone"
     if bands := sorted({each.band for each in near if each.band}):
         yield f"  bands that a mission may open, if --open has made them: {', '.join(bands)}"

@@ -20,7 +20,7 @@ from delfim.base.input.untrusted import read_file
 from delfim.survey.enc.records import checked, checksums
 
 PROGRAM: Final = (sys.executable, "-m", "delfim.survey.enc.reading")
-BYTES: Final = 50_000_000  # of a cell with its updates: offices keep them below 5 MB
+BYTES: Final = 10_000_000  # of a cell with its updates: offices keep them below 5 MB, and larger ones take minutes
 CPU_S: Final = 60
 WALL_S: Final = 180.0
 MEMORY_BYTES: Final = 1 << 31  # GDAL maps its libraries, too
