@@ -99,7 +99,7 @@ class Watchkeeper:
         self._swimmer, self._speed_mps = "", 0.0  # near, for which the boat goes slowly; speed that is asked for
         self._passes, self._route = tuple[PassedBy, ...](), RouteAhead((), 0.0)
         self._looked_s = NEVER_S  # `Traffic.at_s` of the present round
-        self._sailed_s = 0.0  # when no order stopped the boat last
+        self._sailed_s, self._is_doubted = math.inf, False  # when no order stopped the boat last; a stop has lasted for long
         self._round: Sliced[None] | None = None
         self._has_things = False
         self._failing, self._awaits = "", settings.traffic.mmsi > 0
@@ -127,6 +127,7 @@ class Watchkeeper:
     def _watch(self, helm: Helm, now_s: float) -> Work[None]:
         self._end_trial(helm)
         yield from self._decide(helm, now_s)
+        self._doubt(now_s)
         yield SLICE  # what follows has a slice of its own
         yield from self._tell(helm, now_s)
         told = yield from making(self._state.traffic, self._state.origin)
@@ -159,7 +160,7 @@ class Watchkeeper:
                 self._memory, order, self._passes = found
                 if order is None and self._passage is not None:
                     order = self._passage.order(own, self._speed_mps, now_s)
-                order = None if order is None else self._doubted(order, now_s)._replace(at_s=self._clock.monotonic_s())
+                order = None if order is None else order._replace(at_s=self._clock.monotonic_s())
             except (ValueError, ArithmeticError) as error:  # the mission goes on as the vehicle's file says
                 self._memory, failing = keepclear.Memory(), f"the guard failed: {error}"
         if not missing:
@@ -175,13 +176,18 @@ class Watchkeeper:
         is_failing = state.traffic.targets and failing != OVERRULED
         self._act(helm, order, failing if is_failing else "", now_s)
 
-    def _doubted(self, order: CourseOrder, now_s: float) -> CourseOrder:
-        """The order; a stop that lasts for long with the words that it may be for nothing."""
-        was, limit_s = self._state.traffic.order, self._guard.stopped_s
-        if order.speed_mps > 0.0 or was is None or was.speed_mps > 0.0:
-            self._sailed_s = now_s
-        words = f"{order.words}; stopped for more than {limit_s:g} s{DOUBTED}"
-        return order._replace(words=words) if now_s - self._sailed_s > limit_s else order
+    def _doubt(self, now_s: float) -> None:
+        """A stop that lasts for long has the words that it may be for nothing."""
+        traffic, limit_s = self._state.traffic, self._guard.stopped_s
+        self._sailed_s = min(self._sailed_s, now_s)
+        if traffic.order is None or traffic.order.speed_mps > 0.0:
+            self._sailed_s, self._is_doubted = now_s, False
+        elif now_s - self._sailed_s > limit_s and DOUBTED not in traffic.order.words:
+            words = f"{traffic.order.words}; stopped for more than {limit_s:g} s{DOUBTED}"
+            self._state.traffic = traffic._replace(order=traffic.order._replace(words=words))
+            if not self._is_doubted:
+                self._is_doubted = True
+                self._log.note(f"traffic: {words}")
 
     def _bend(self, boat: Caution, own: Own, things: Sequence[Target], fence: Fence | None, was: Passage | None) -> Work[None]:
         """Lead the route past what stands in the way, and slowly by a swimmer: ships are judged along that."""
@@ -287,7 +293,6 @@ class Watchkeeper:
             was is None
             or (was.key, was.speed_part) != (order.key, order.speed_part)
             or (abs(wrap(was.course_rad - order.course_rad)) > 0.1 and (self._passage is None or was.words != order.words))
-            or (DOUBTED in order.words) > (DOUBTED in was.words)
         ):
             self._log.note(f"traffic: {order.words}")
 

@@ -376,7 +376,7 @@ def test_a_stop_that_lasts_says_that_it_may_be_for_nothing(monkeypatch: pytest.M
         assert boat.state.traffic.order is not None
         told.append(boat.state.traffic.order.words)
     doubted = "stopped; stopped for more than 20 s (traffic.guard.stopped_s): is it there? Overrule if not"
-    assert [second for second, words in enumerate(told) if words == doubted] == [*range(21, 30), *range(52, 60)]
+    assert [second for second, words in enumerate(told) if words == doubted] == [*range(21, 30), *range(51, 60)]
     assert boat.notes.count(f"traffic: {doubted}") == 2
 
 
