@@ -12,7 +12,7 @@ from delfim.survey.ground import Place, Segment, in_plane
 from delfim.vehicle.plans.mission import Mission, PathPoint, Waypoint
 
 GAP_M: Final = 5.0  # along a line, between two places: more is not sailed
-BEYOND_M: Final = 5.0  # play reaches the end of a line within its radius: the boat sails on along it, so far off at most
+BEYOND_M: Final = 5.0  # just before a line and behind it: so far off at most
 
 
 class LineFigures(NamedTuple):
@@ -28,18 +28,29 @@ class LineFigures(NamedTuple):
 
 def figures(lines: Mapping[int, Segment], track: Iterable[tuple[int, Place]], within_m: float = math.inf) -> list[LineFigures]:
     """The figures of lines by their numbers. `track`: places (east, north in m), each with the line that the boat was on, as
-    the log's field `line` has it; `within_m`: farther off, a line is not sailed."""
-    rows, on = dict[int, list[tuple[float, float]]](), 0
+    the log's field `line` has it; `within_m`: farther off, a line is not sailed.
+
+    Where a line begins and ends the boat knows as well as where it is: what it sailed of the line just before and just behind
+    counts, too."""
+    rows, places = dict[int, list[tuple[float, float]]](), list(track)
+    for number, place in (*places, *_besides(lines, places), *_besides(lines, reversed(places))):
+        if number in lines:
+            rows.setdefault(number, []).append(beside(lines[number], place))
+    return [_of_line(number, math.dist(*segment), rows.get(number, []), within_m) for number, segment in lines.items()]
+
+
+def _besides(lines: Mapping[int, Segment], track: Iterable[tuple[int, Place]]) -> Iterator[tuple[int, Place]]:
+    """Places of no line, with the line that came before them, as far as they lie along it."""
+    on = 0
     for number, place in track:
         on = number or on
-        if on not in lines:
+        if number or on not in lines:
             continue
         along_m, across_m = beside(lines[on], place)
-        if number or (along_m <= math.dist(*lines[on]) and abs(across_m) <= BEYOND_M):
-            rows.setdefault(on, []).append((along_m, across_m))
+        if 0.0 <= along_m <= math.dist(*lines[on]) and abs(across_m) <= BEYOND_M:
+            yield on, place
         else:
             on = 0
-    return [_of_line(number, math.dist(*segment), rows.get(number, []), within_m) for number, segment in lines.items()]
 
 
 def lines_of(mission: Mission) -> tuple[Origin, dict[int, Segment]]:

@@ -36,6 +36,15 @@ def test_play_leaves_a_line_before_its_end_and_the_boat_does_not() -> None:
     assert math.isnan(figures(LINE, [])[0].rms_m)
 
 
+def test_a_line_that_the_boat_believes_to_begin_later_than_it_does_is_sailed_from_its_beginning() -> None:
+    along = [(0 if x < 3 else 7, (float(x), 0.2)) for x in range(-12, 101)]
+    assert figures(LINE, along)[0].sailed == pytest.approx(1.0)
+    aside = [(0, (2.0, float(y))) for y in range(30, 5, -1)]
+    assert figures(LINE, [*aside, *along[14:]])[0].sailed == pytest.approx(0.98)
+    other = [(6, (float(x), 0.2)) for x in range(3)]
+    assert figures(LINE, [*other, *along[15:]])[0].sailed == pytest.approx(0.97)
+
+
 def test_a_boat_says_what_its_turns_and_lines_take() -> None:
     short, long = (
         sailed(vehicle, wanted_of(vehicle, spacing_m=10.0))
