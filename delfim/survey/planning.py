@@ -35,6 +35,8 @@ LENGTHS: Final = 2.5  # of a boat that steers by a rudder or an outboard: its sm
 CROSS: Final = 3.0  # spacings: a cross line is no shorter
 DRAWN_RAD: Final = 0.2  # of an arc, from place to place
 STEPS: Final = 16  # places of an arc, where its chords are no water
+LONGER: Final = 2.0  # times a run-in, before a line that is shorter than one
+SETTLED_M: Final = 10.0  # after a turn: then a boat is on its line, as boats sailed
 STUB_M: Final = 4.0  # of the room for turns, that run-ins and ways may take
 BESIDE_M: Final = 2.0  # beyond what missions keep off, they keep off by so much
 PARTS: Final = 1.0, 0.75, 0.5, 1.0 / 3.0, 0.25, 0.0  # of a run-in, the longest for which there is water
@@ -138,6 +140,12 @@ class SurveyPlan(NamedTuple):
     def time_s(self) -> float:
         """By speed and turns, as the boat takes it within some per cent."""
         return self.way_m / self.wanted.speed_mps + (len(self.lines) - 1) * self.wanted.turn_s
+
+    @property
+    def rough(self) -> int:
+        """So many lines begin with less than a settled boat's run-in, for want of water: beside a hole."""
+        least_m = min(SETTLED_M, self.wanted.run_in_m) - LEG_MIN_M
+        return sum(math.dist(_before(self.ways, line, self.wanted), line[0]) < least_m for line in self.lines)
 
     def covered(self) -> tuple[float, float]:
         """The parts that the lines along cover: of what may be sailed, and of the whole area."""
@@ -281,11 +289,11 @@ def _sailed(
 ) -> tuple[Place, list[PlannedPiece]]:
     """Where the boat begins, and its way: run-in, line, run-out, turn. Where holes lie between the boat and the first line, it
     begins with the way round them."""
-    here = _beyond(ways, lines[0][1], lines[0][0], wanted.run_in_m)
+    here = _before(ways, lines[0], wanted)
     begin, *places = [*_round(ways, come, here), here]
     way = [PlannedPiece(Bend(place), None) for place in places]
     for number, line in enumerate(lines):
-        ahead = _beyond(ways, line[1], line[0], wanted.run_in_m)
+        ahead = _before(ways, line, wanted)
         if number:
             before = lines[number - 1]
             way += [PlannedPiece(each, None) for each in _turned(ways, before, here, ahead, line, wanted.radius_m, open_water)]
@@ -307,6 +315,12 @@ def _round(ways: OpenWater, come: Place | None, begin: Place) -> list[Place]:
     except DelfimError:
         return []
     return [here for here, after in pairwise([*places, begin]) if math.dist(here, after) >= LEG_MIN_M]
+
+
+def _before(ways: OpenWater, line: Segment, wanted: LinesWanted) -> Place:
+    """Where the run-in of a line begins. On a short line the boat has no time to come nearer: it gets a longer one."""
+    longer = LONGER if math.dist(*line) < wanted.run_in_m else 1.0
+    return _beyond(ways, line[1], line[0], longer * wanted.run_in_m)
 
 
 def _beyond(ways: OpenWater, begin: Place, end: Place, far_m: float) -> Place:

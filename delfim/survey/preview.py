@@ -62,6 +62,7 @@ class PreviewTold(NamedTuple):
     time_s: float
     covered: tuple[float, float]  # parts: of what may be sailed, and of the area
     room_m: float
+    rough: int  # lines with a short run-in, beside a hole
     mission: Any  # the tables of its file
     done: Sequence[tuple[Corner, Corner]] = ()  # parts of lines that are done ...
     counts: str = ""  # ... in words
@@ -123,6 +124,7 @@ def _as_told(plan: Any, asked: PreviewAsked, settings: config.Vehicle) -> Previe
         time_s,
         plan.covered(),
         plan.wanted.room_m,
+        plan.rough,
         msgspec.to_builtins(mission),
         energy_wh=energy_wh,
     )
@@ -178,6 +180,7 @@ def _together(each: list[PreviewTold]) -> PreviewTold:
     return first._replace(
         lines=along + crossing,
         across=len(crossing),
+        rough=sum(told.rough for told in each),
         line_m=sum(told.line_m for told in each),
         way_m=sum(told.way_m for told in each),
         time_s=max(told.time_s for told in each),

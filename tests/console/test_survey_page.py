@@ -71,6 +71,7 @@ async def drawn(you: Visit, boat: Boat) -> None:
     await you.chooses("Lines")
     await typed(page, 0, "0")
     assert await said(page, "say a spacing") == "say a spacing, or a swath"
+    assert await page.value("document.querySelector('.popup .main').disabled")
     await page.press("Enter")  # is refused, too
     await typed(page, 1, "10")
     await said(page, "8.0 m apart")

@@ -43,7 +43,9 @@ def test_what_two_boats_have_sounded_counts_together_and_the_rest_begins_at_the_
     known = {"areas": AREAS, "spacing_m": 20.0, "lines": whole["lines"], "across": 0, "at": boat, "heard": heard}
     rest = told(**known)
     assert 3 <= len(rest["lines"]) < len(whole["lines"]) - 5
-    assert rest["line_m"] + sum(math.dist(*map(flat, line)) for line in rest["done"]) > whole["line_m"]
+    assert rest["line_m"] + sum(math.dist(*map(flat, line)) for line in rest["done"]) > whole["line_m"] - 3.0, (
+        "shorter gaps are none"
+    )
     assert rest["covered"][0] > 0.99
     assert "in part" in rest["counts"]
     assert rest["known"] == whole["lines"]

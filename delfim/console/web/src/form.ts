@@ -35,6 +35,7 @@ export class FormView implements Open {
   private readonly inputs: HTMLInputElement[] = [];
   private readonly rows: HTMLElement[] = [];
   private readonly words = make("p.words");
+  private readonly ok: HTMLButtonElement;
   private readonly faults: string[] = []; // of what is typed in each field
   private focus = 0;
   private refused = "";
@@ -48,15 +49,16 @@ export class FormView implements Open {
   ) {
     this.values = fields.map((each) => each.value);
     const button = (words: string, kind: string, act: () => void) => {
-      const made = make(`button.${kind}`, words);
+      const made = make(`button.${kind}`, words) as HTMLButtonElement;
       made.tabIndex = -1;
       made.addEventListener("click", act);
       return made;
     };
+    this.ok = button("OK", "main", () => this.enter());
     box.replaceChildren(
       make("header", make("b", title)),
       ...fields.map((_, i) => this.row(i)),
-      make("footer", this.words, make("div.choice", button("Cancel", "plain", () => done(false)), button("OK", "main", () => this.enter()))),
+      make("footer", this.words, make("div.choice", button("Cancel", "plain", () => done(false)), this.ok)),
     );
     fields.forEach((_, i) => this.tell(i));
     this.say();
@@ -165,5 +167,6 @@ export class FormView implements Open {
     this.refused = typeof said === "string" ? "" : said.refuse;
     text(this.words, typeof said === "string" ? said : said.refuse);
     this.words.classList.toggle("bad", Boolean(this.refused));
+    this.ok.disabled = Boolean(this.refused);
   }
 }

@@ -299,10 +299,11 @@ export class Survey {
     const across = told.across ? `, ${told.across} across` : "";
     const shares = told.shares.map((its, i) => `\n${who[i]?.name}: ${its ? `${its.lines.length} lines, ${duration(its.time_s)}` : "no line is left for it"}`).join("");
     const filled = told.counts && `${told.counts} heard here. What was not heard, because a link was lost, is a gap.\n`;
+    const rough = told.rough ? `\n${told.rough > 1 ? `${told.rough} lines begin` : "A line begins"} at a hole, without room to settle: up to 3 m off at first` : "";
     return (
       `${filled}${told.lines.length} lines${across}, ${metres(told.spacing_m)} apart, ${bearing(told.heading_deg)}\n` +
       `${metres(told.line_m)} of lines, ${metres(told.way_m)} in all, ${duration(told.time_s)}${this.energy(told)}\n` +
-      `covered${filled && ", all together"}: ${free} of what may be sailed${left}${old}${shares}`
+      `covered${filled && ", all together"}: ${free} of what may be sailed${left}${rough}${old}${shares}`
     );
   }
 

@@ -294,7 +294,7 @@ export type Heard =
   | { t: "answer"; seq: number; ok: boolean; reason: string; stage?: string }
   | { t: "mission"; boat: number; where: "here" | "aboard"; mission: Mission }
   | { t: "missions"; names: string[] }
-  | { t: "survey"; boat: number; lines: Line[]; across: number; way: Ring; heading_deg: number; spacing_m: number; line_m: number; way_m: number; time_s: number; covered: [number, number]; room_m: number; mission: Mission; done: Line[]; counts: string; known: Line[]; known_across: number; shares: (Share | null)[]; energy_wh: number | null }
+  | { t: "survey"; boat: number; lines: Line[]; across: number; way: Ring; heading_deg: number; spacing_m: number; line_m: number; way_m: number; time_s: number; covered: [number, number]; room_m: number; rough: number; mission: Mission; done: Line[]; counts: string; known: Line[]; known_across: number; shares: (Share | null)[]; energy_wh: number | null }
   | { t: "adoption"; boat: number | null; is_running: boolean; circle: (Place & { radius_m: number }) | null; steps: TrialStep[]; part: number; lines: string[]; question: string; end: string; file: string; is_written: boolean; report: boolean }
   | { t: "depths"; tile: [row: number, column: number]; extent: [number, number, number, number]; whole?: string; cells?: [cell: number, depth_cm: number][] }
   | { t: "aboard"; boat: number; of: "settings" | "checks" | "change"; rows: AboardRow[] }
