@@ -1,8 +1,10 @@
 """Soundings become a chart, judged by a bed that is known; its files are opened by the programs of others where they are."""
 
 import csv
+import json
 import math
 import sqlite3
+import subprocess
 from contextlib import closing
 from pathlib import Path
 
@@ -24,6 +26,21 @@ from tests.survey.sounded import BEGAN_S, DRAUGHT_M, LATE_S, SPEED_MPS, TRUE_MPS
 AREA_M, SPACING_M = 200.0, 10.0
 ANGLES = "heading [deg]", "roll [deg]", "pitch [deg]"
 READERS = "needs a reader of other programs' files"
+QGIS = Path("/usr/lib/python3/dist-packages/qgis")
+IN_QGIS = """
+import json, sys
+from qgis.core import QgsApplication, QgsRasterLayer, QgsVectorLayer
+app = QgsApplication([], False)
+app.initQgis()
+told = []
+for name in sys.argv[1:]:
+    layer = QgsRasterLayer(name) if name.endswith(".tif") else QgsVectorLayer(name, name, "ogr")
+    assert layer.isValid(), name
+    its = layer.extent()
+    box = [its.xMinimum(), its.yMinimum(), its.xMaximum(), its.yMaximum()]
+    told.append([name, layer.crs().authid(), box, layer.width() if name.endswith(".tif") else layer.featureCount()])
+print(json.dumps(told))
+"""
 
 
 @pytest.fixture(scope="module")
@@ -264,6 +281,35 @@ def test_gdal_opens_the_files(folder: Path, chart: SurveyChart) -> None:
         assert longitude.min() - 1e-6 <= west < east <= longitude.max() + 1e-6
         assert latitude.min() - 1e-6 <= south < north <= latitude.max() + 1e-6
     assert pyogrio.read_info(folder / "csb.geojson")["features"] == chart.its.good.sum()
+
+
+def test_qgis_opens_the_files(folder: Path, chart: SurveyChart) -> None:
+    """Where Debian's package python3-qgis is; it is a gigabyte, so no test asks for it."""
+    if not QGIS.exists():
+        return
+    names = ["depth.tif", "shoalest.tif", "uncertainty.tif"]
+    names += [f"survey.gpkg|layername={layer}" for layer in ("contours", "soundings", "refused")]
+    done = subprocess.run(
+        ["/usr/bin/python3", "-c", IN_QGIS, *names],
+        cwd=folder,
+        env={"QT_QPA_PLATFORM": "offscreen", "PATH": "/usr/bin", "HOME": str(folder), "XDG_RUNTIME_DIR": str(folder)},
+        capture_output=True,
+        timeout=300,
+        check=True,
+    )
+    told = {name: (crs, box, count) for name, crs, box, count in json.loads(done.stdout)}
+    grid = chart.surface
+    east_m, north_m = (count * grid.cell_m for count in grid.whole_m.shape[::-1])
+    for name in names[:3]:
+        crs, box, _ = told[name]
+        assert crs == f"EPSG:{chart.its.epsg}"
+        assert box == pytest.approx([grid.west_m, grid.south_m, grid.west_m + east_m, grid.south_m + north_m], abs=0.01)
+    longitude, latitude = plane(chart.its.epsg, np)[1](chart.its.east_m, chart.its.north_m)
+    crs, (west, south, east, north), count = told[names[4]]
+    assert (crs, count) == ("EPSG:4326", chart.its.good.sum())
+    assert longitude.min() - 1e-6 <= west < east <= longitude.max() + 1e-6
+    assert latitude.min() - 1e-6 <= south < north <= latitude.max() + 1e-6
+    assert told[names[3]][2] == len(chart.contours)
 
 
 def test_crowd_sourced_bathymetry_is_as_its_schema_says(folder: Path) -> None:
