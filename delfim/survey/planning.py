@@ -37,7 +37,11 @@ DRAWN_RAD: Final = 0.2  # of an arc, from place to place
 STEPS: Final = 16  # places of an arc, where its chords are no water
 LONGER: Final = 2.0  # times a run-in, before a line that is shorter than one
 SETTLED_M: Final = 10.0  # after a turn: then a boat is on its line, as boats sailed
+SLOWLY: Final = 0.5  # of the speed, on the way to a line that begins at a hole ...
+SLOW_MOST_M: Final = 30.0  # ... where this way is no longer
 STUB_M: Final = 4.0  # of the room for turns, that run-ins and ways may take
+PASSED_M: Final = 3.0  # so far a boat that steers passes the end of a line before it turns ...
+FASTER: Final = 4.0 / 3.0  # ... with so much of its speed: the skiff's 1.5 m/s became 2.0
 BESIDE_M: Final = 2.0  # beyond what missions keep off, they keep off by so much
 PARTS: Final = 1.0, 0.75, 0.5, 1.0 / 3.0, 0.25, 0.0  # of a run-in, the longest for which there is water
 SIDES: Final = {"": 0, "port": -1, "starboard": 1}
@@ -76,7 +80,7 @@ def wanted_of(settings: config.Vehicle, **asked: Any) -> LinesWanted:
     suits = {
         "speed_mps": control.speed.cruise_mps,
         "run_in_m": max(its.run_in_m or RUN_IN_M, control.path.acceptance_m + ACCEPTED_M),
-        "room_m": _room_m(settings.fence, asked.get("speed_mps") or control.speed.cruise_mps),
+        "room_m": _room_m(settings.fence, asked.get("speed_mps") or control.speed.cruise_mps, is_steered),
         "turn_s": guess_s if its.turn_s is None else its.turn_s,
         "radius_m": LENGTHS * settings.boat.length_m if is_steered else 0.0,
     }
@@ -97,9 +101,11 @@ def wanted_of(settings: config.Vehicle, **asked: Any) -> LinesWanted:
     return wanted._replace(stub_m=stub_m)
 
 
-def _room_m(limits: config.FenceTable, speed_mps: float) -> float:
-    """From holes and the fence: what missions keep and the room for a turn, and what the boat needs to stop before them."""
-    return max(limits.mission_margin_m + TURN_M, _stopped_m(limits, speed_mps))
+def _room_m(limits: config.FenceTable, speed_mps: float, is_steered: bool) -> float:
+    """From holes and the fence: what missions keep and the room for a turn, and what the boat needs to stop before them. One
+    that steers passes the end of a line before it has turned, and the thrust that turns it makes it faster."""
+    stopped_m = _stopped_m(limits, FASTER * speed_mps) + PASSED_M if is_steered else _stopped_m(limits, speed_mps)
+    return max(limits.mission_margin_m + TURN_M, stopped_m)
 
 
 def _stopped_m(limits: config.FenceTable, speed_mps: float) -> int:
@@ -139,13 +145,17 @@ class SurveyPlan(NamedTuple):
     @property
     def time_s(self) -> float:
         """By speed and turns, as the boat takes it within some per cent."""
-        return self.way_m / self.wanted.speed_mps + (len(self.lines) - 1) * self.wanted.turn_s
+        places = stops(self)
+        slow_m = sum(math.dist(places[number - 1][0], places[number][0]) for number in slow_ways(self, places))
+        way_m = self.way_m + slow_m * (1.0 / SLOWLY - 1.0)
+        return way_m / self.wanted.speed_mps + (len(self.lines) - 1) * self.wanted.turn_s
 
     @property
-    def rough(self) -> int:
-        """So many lines begin with less than a settled boat's run-in, for want of water: beside a hole."""
+    def rough(self) -> list[int]:
+        """The lines, from 1, with less of a run-in than a boat needs to settle, for want of water: they begin at a hole."""
         least_m = min(SETTLED_M, self.wanted.run_in_m) - LEG_MIN_M
-        return sum(math.dist(_before(self.ways, line, self.wanted), line[0]) < least_m for line in self.lines)
+        lines = enumerate(self.lines, 1)
+        return [line for line, its in lines if math.dist(_before(self.ways, its, self.wanted), its[0]) < least_m]
 
     def covered(self) -> tuple[float, float]:
         """The parts that the lines along cover: of what may be sailed, and of the whole area."""
@@ -386,6 +396,20 @@ def stops(plan: SurveyPlan) -> list[tuple[Place, int]]:
     return kept
 
 
+def slow_ways(plan: SurveyPlan, places: Sequence[tuple[Place, int]]) -> set[int]:
+    """To which of the stops a boat goes slowly: that which turns on the spot turns closer so, and where a line begins at a hole
+    it has little room to come nearer."""
+    if plan.wanted.radius_m:
+        return set()
+    rough = set(plan.rough)
+    begins = [number for number, (_, line) in enumerate(places) if line in rough]
+    return {
+        number
+        for number in (each for begin in begins for each in range(max(begin - 2, 1), begin))
+        if not places[number][1] and math.dist(places[number - 1][0], places[number][0]) <= SLOW_MOST_M
+    }
+
+
 def _number(line: int | None) -> int:
     return 0 if line is None else line + 1
 
@@ -418,9 +442,10 @@ def mission(plan: SurveyPlan, name: str, actions: LineActions = SILENT) -> Missi
     places = stops(plan)
     if len(places) > ROWS:
         raise DelfimError(f"{len(places)} places, and a mission has {ROWS}: take the area in parts")
+    slow = slow_ways(plan, places)
     waypoints = [
-        Waypoint(latitude_deg=n, longitude_deg=e, speed_mps=speed_mps, line=line)
-        for (n, e), line in ((place(point), line) for point, line in places)
+        Waypoint(latitude_deg=n, longitude_deg=e, speed_mps=SLOWLY * speed_mps if number in slow else speed_mps, line=line)
+        for number, ((n, e), line) in enumerate((place(point), line) for point, line in places)
     ]
     items, path = list(actions.at([line for _, line in places], "after")), list[PathPoint]()
     if plan.wanted.radius_m:

@@ -124,7 +124,7 @@ def _as_told(plan: Any, asked: PreviewAsked, settings: config.Vehicle) -> Previe
         time_s,
         plan.covered(),
         plan.wanted.room_m,
-        plan.rough,
+        len(plan.rough),
         msgspec.to_builtins(mission),
         energy_wh=energy_wh,
     )

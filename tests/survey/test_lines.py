@@ -162,10 +162,17 @@ def test_a_short_line_has_a_longer_run_in_and_lines_that_begin_at_a_hole_are_cou
     for long_m, run_in_m in ((11.0, 24.0), (13.0, 12.0)):
         plan = survey(Ground(AT, MultiPolygon([box(0, 0, 8, long_m)]), MultiPolygon()), heading_deg=0.0)
         assert math.dist(plan.begin, plan.lines[0][0]) == pytest.approx(run_in_m)
-        assert plan.rough == 0
+        assert plan.rough == []
     around = survey(ROUND_AN_ISLAND, heading_deg=0.0)
     at_hole = [line for line in around.lines if Point(line[0]).distance(ISLAND) < around.wanted.room_m + 0.1]
-    assert around.rough == len(at_hole) > 0
+    assert len(around.rough) == len(at_hole) > 0
+    ways = mission(around, "around").waypoint
+    slow = {number for number, row in enumerate(ways) if row.speed_mps == 0.75}
+    assert slow
+    assert all({row.line for row in ways[number + 1 : number + 3]} & {*around.rough} for number in slow)
+    assert not any(ways[number].line for number in slow)
+    arcs = survey(ROUND_AN_ISLAND, heading_deg=0.0, radius_m=6.0)
+    assert all(row.speed_mps == 1.5 for row in mission(arcs, "arcs").path[1:])
 
 
 def test_room_is_kept_from_holes_and_fences_and_the_mission_has_the_holes_as_zones() -> None:
@@ -305,6 +312,12 @@ def test_an_area_of_a_file_is_laid_into_the_plane_about_its_first_corner() -> No
     ground = laid([Shape(ring, [])])
     assert math.degrees(ground.at.latitude_rad) == pytest.approx(38.69)
     assert ground.area.area == pytest.approx(0.5 * 87.0 * 111.0, rel=0.01)
+
+
+def test_a_boat_that_steers_keeps_more_room_from_a_hole_for_it_is_faster_in_a_turn_and_passes_the_end_of_a_line() -> None:
+    skiff = config.load(Path(__file__).parents[2] / "etc/boats/skiff.toml")
+    assert wanted_of(skiff, spacing_m=10.0).room_m == 15.0
+    assert wanted_of(skiff, spacing_m=10.0, room_m=20.0).room_m == 20.0
 
 
 def test_a_fast_boat_keeps_room_to_stop_before_a_hole() -> None:

@@ -186,7 +186,7 @@ def _lines(asked: argparse.Namespace) -> int:
     room = f", which is {100.0 * area:.1f} % of the area: {plan.wanted.room_m:g} m about holes and fences are left"
     print(f"  covered: {100.0 * free:.1f} % of what may be sailed{room if area < free else ''}")
     if plan.rough:
-        lines = f"{plan.rough} lines begin" if plan.rough > 1 else "a line begins"
+        lines = f"{len(plan.rough)} lines begin" if len(plan.rough) > 1 else "a line begins"
         print(f"  {lines} at a hole, without room to settle: up to 3 m off at first")
     print(*missions.drawn(plans, boats, name, asked.picture), sep="\n", end="\n" if asked.picture else "")
     beside = file.with_suffix(".survey.json")
