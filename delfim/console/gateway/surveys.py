@@ -23,10 +23,11 @@ from delfim.console.plans.plan import page_of
 from delfim.console.plans.sent_files import FileReader
 from delfim.vehicle.plans.mission import Mission
 
-LIMIT_S: Final = 20.0  # of one request; a usual one takes a tenth of a second
+LIMIT_S: Final = 20.0  # of one request; a usual one takes a tenth of a second ...
+BEGINS: Final = 3.0  # ... and so many times as long where the process begins, which on a busy machine takes most of it
 NEWER_S: Final = 2.0  # a newer request ends one that has taken so long
 USUAL: Final = Path(__file__).parents[2] / "etc/delfimx.toml"  # the boat, where no file was given
-TOO_LONG: Final = f"no lines within {LIMIT_S:.0f} s: simplify the area, or take a larger spacing"
+TOO_LONG: Final = f"no lines after {LIMIT_S:.0f} s: simplify the area, or take a larger spacing"
 REPLACED: Final = "replaced by a newer form"
 
 Answer = Callable[[bool, str], None]
@@ -44,7 +45,7 @@ class Planner:
         """What it answers to a line; `refused` in words where it does not."""
         child = self._child
         if child is None or child.poll() is not None:
-            nothing = subprocess.DEVNULL
+            nothing, limit_s = subprocess.DEVNULL, BEGINS * limit_s
             child = self._child = subprocess.Popen(self._command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=nothing)
         assert child.stdin is not None
         assert child.stdout is not None
