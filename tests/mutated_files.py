@@ -18,6 +18,7 @@ import traceback
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from random import Random
+from tempfile import TemporaryDirectory
 from types import FrameType
 from typing import NamedTuple
 
@@ -300,6 +301,15 @@ def official_chart(here: Path) -> Said:
     return refused(told)
 
 
+def exchange_set(here: Path) -> Said:
+    from delfim.survey.enc.dropped import unpacked
+
+    with TemporaryDirectory() as place:  # what is in it is laid beside it
+        archive = Path(place) / "set.zip"
+        archive.write_bytes((here / "set.zip").read_bytes())
+        return refused(lambda: unpacked(archive))
+
+
 def dangers(here: Path) -> Said:
     from delfim.console.charts.charts import Charts
 
@@ -531,6 +541,7 @@ READERS = {
     "area, GPX": Reader("dock.gpx", surveyed("dock.gpx"), TEXT),
     "area of a plan": Reader("dock.plan", surveyed("dock.plan"), TEXT),
     "official chart": Reader("XX5TEST1.000", official_chart, (*BINARY, *TEXT)),
+    "exchange set of charts": Reader("set.zip", exchange_set, BINARY),
     "update of an official chart": Reader("XX5TEST1.001", official_chart, (*BINARY, *TEXT)),
     "catalogue of official charts": Reader("CATALOG.031", official_chart, (*BINARY, *TEXT)),
     "dangers for the page": Reader("pelee.geojson", dangers, TEXT),

@@ -7,6 +7,7 @@ import os
 import shutil
 import subprocess
 import sys
+import zipfile
 from pathlib import Path
 
 import asyncssh
@@ -294,6 +295,11 @@ def sounded(folder: Path) -> None:
     )
 
 
+def exchanged(folder: Path) -> None:
+    with zipfile.ZipFile(folder / "set.zip", "w", zipfile.ZIP_DEFLATED) as packed:
+        packed.writestr("ENC_ROOT/XX5TEST1.000", harbour().data())
+
+
 def official(folder: Path) -> None:
     """A cell with an update, and the boat's file of it; the catalogue tells of another cell, so that damage of this one is seen
     by itself."""
@@ -344,6 +350,7 @@ SAMPLES = {
     worlds: ("PNG", "JPEG", "world file"),
     geotiffs: ("GeoTIFF",),
     tiles: ("MBTiles",),
+    exchanged: ("exchange set of charts",),
     official: ("official chart", "update of an official chart", "catalogue of official charts", "field of clearances"),
     sounded: ("soundings as CSV", "depths that the console heard", "tide"),
     ways: tuple(f"way, {kind}" for kind in WAYS),
@@ -495,6 +502,8 @@ OTHERS = {  # what the kernel tells, and what is only copied or digested
         "commands/aboard/image.py: confirm",
         "commands/aboard/image.py: status",
     ),
+    *("console/charts/dropping.py: _keep", "console/gateway/plan_tools.py: renew", "console/gateway/plan_tools.py: work"),
+    "console/logs/fetcher.py: main",  # it sends a file as it is
     *("base/input/untrusted.py: read_file", "base/input/untrusted.py: read_text"),
     *("logging/ashore/fetch.py: _condition", "logging/ashore/fetch.py: _digest", "logging/ashore/fetch.py: _read"),
     *("campaign/store.py: flush", "desk/firstcontact.py: user_of", "parts/dronecan/numbering.py: identity"),
