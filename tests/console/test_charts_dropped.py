@@ -13,13 +13,20 @@ import tempfile
 import zipfile
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
+import aiohttp
 import msgspec
 import pytest
+from aiohttp import web
 
 from delfim import config
 from delfim.__main__ import main as delfim
-from delfim.base.errors import FormatError
+from delfim.base.errors import FormatError, Refused
+from delfim.console.boats.boat import Boat as ConsoleBoat
+from delfim.console.charts.charts import Charts
+from delfim.console.charts.dropping import ChartDrop
+from delfim.console.logs.fetching import LogFetching
 from delfim.services.access.connection_limits import hashed
 from delfim.survey.enc.dangers import Need
 from delfim.survey.enc.dropped import DropJob, made, unpacked
@@ -195,6 +202,78 @@ def test_what_an_archive_inflates_to_is_bounded(tmp_path: Path, monkeypatch: pyt
         packed.writestr("b/A.000", b"b")
     with pytest.raises(FormatError, match=r"A\.000 is in it twice"):
         unpacked(tmp_path / "set.zip")
+
+
+def boats_file(folder: Path, boat: str, more: str) -> Path:
+    file = folder / "boat.toml"
+    text = VEHICLE.read_text().replace('name = "DelfimX"', f'name = "Alfa"\n{boat}', 1)
+    file.write_text(f"{text}\n{more}\n")
+    return file
+
+
+CHART = '[fence]\nchart = "/log/upload/pelee.clearance"'
+
+
+@pytest.mark.parametrize(
+    ("boat", "more", "bytes_", "age_s", "why"),
+    [
+        ("draught_m = 0.5", CHART, 1000, 0.0, ""),
+        ("draught_m = 0.5", CHART, 1000, 60.0, "Alfa is not heard"),
+        ("", CHART, 1000, 0.0, "nobody knows the boat's draught"),
+        ("draught_m = 0.5", "", 1000, 0.0, "its file names no chart"),
+        ("draught_m = 0.5", '[fence]\nchart = "/etc/a.clearance"', 1000, 0.0, "which is not in its folder upload"),
+        ("draught_m = 0.5", CHART, 300_000, 0.0, "its field is 300 kB: the boat takes 250 kB"),
+        ("draught_m = 0.5", CHART, 0, 0.0, "there is no pelee.clearance"),
+    ],
+)
+def test_why_a_chart_cannot_be_sent_is_said(tmp_path: Path, boat: str, more: str, bytes_: int, age_s: float, why: str) -> None:
+    if bytes_:
+        (tmp_path / "pelee.clearance").write_bytes(bytes(bytes_))
+    logs = LogFetching({"Alfa": "ftp://boat/"}, tmp_path, lambda told: None, lambda number: False)
+    its = ConsoleBoat(1, 0.0)
+    its.rename("Alfa")
+    charts = Charts(tmp_path)
+    drop = ChartDrop(charts, boats_file(tmp_path, boat, more), lambda: logs, lambda file, answer: None, lambda told: None)
+    said = drop.unsent(its, "pelee", age_s)
+    assert why in said if why else said == ""
+    its.rename("Bravo")
+    assert drop.unsent(its, "pelee", 0.0) != ""
+    with pytest.raises(Refused, match="no chart has such a name"):
+        drop.ask(its, "chart", "../pelee", 0.0, lambda well, reason: None)
+    charts.close()
+
+
+async def test_files_that_are_no_charts_and_too_many_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("delfim.console.charts.dropping.BYTES", 1_000_000)
+    charts = Charts(tmp_path)
+    drop = ChartDrop(charts, None, lambda: LogFetching({}, tmp_path, print, bool), lambda file, answer: None, lambda told: None)
+    app = web.Application()
+    drop.routes(app)
+    runner = web.AppRunner(app)
+    await runner.setup()
+    try:
+        await web.TCPSite(runner, "127.0.0.1", 0).start()
+        url = f"http://127.0.0.1:{runner.addresses[0][1]}/chart?at=nan,1;x"
+        async with aiohttp.ClientSession() as page:
+
+            async def told(body: Any) -> str:
+                async with page.post(url, data=body) as answer:
+                    assert answer.status == 200
+                    return str((await answer.json())["refused"])
+
+            assert await told(b"hello") == "no files came"
+            assert await told({"file": io.BytesIO(b"a")}) == "no cell (.000), update or exchange set (.zip) is among the files"
+            form = aiohttp.FormData()
+            form.add_field("file", io.BytesIO(bytes(2_000_000)), filename="A.000")
+            assert await told(form) == "up to 100 files, and 1 MB of them"
+            form = aiohttp.FormData()
+            form.add_field("file", io.BytesIO(b"no cell"), filename="A.000")
+            assert (await told(form)).startswith("A.000: ")
+    finally:
+        await runner.cleanup()
+        drop.close()
+        charts.close()
+    assert list(tmp_path.iterdir()) == []
 
 
 def main(folder: Path) -> None:
