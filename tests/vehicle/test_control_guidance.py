@@ -168,6 +168,20 @@ def test_from_far_off_a_path_the_boat_comes_back_at_45_degrees_but_not_past_its_
     assert math.degrees(reference.heading_rad) == pytest.approx(-onto_deg, abs=0.5)
 
 
+@pytest.mark.parametrize(("off_m", "turns"), [(0.5, True), (1.9, True), (2.1, False), (40.0, False)])
+def test_farther_off_an_arc_than_its_radius_the_boat_does_not_turn_with_it(off_m: float, turns: bool) -> None:
+    """A current took a boat off an arc of two metres: it turned on as fast as the arc, round and round, and drifted."""
+    setpoint = Setpoint(plan=Plan("", (), (Arc(0.0, 0.0, 2.0, -math.pi / 2.0, math.pi, 1.0),)))
+    memory = enter(Mode.PATH, HERE, setpoint, SETTINGS)._replace(leg=0)
+    away = HERE._replace(north_m=0.5, east_m=-2.0 - off_m)
+    _, reference, _ = control(Mode.PATH, memory, away, setpoint, SETTINGS, DT_S)
+    assert reference.heading_rad is not None
+    right = away._replace(heading_rad=reference.heading_rad)  # what is asked of it then is the arc's turn alone
+    _, _, wanted = control(Mode.PATH, memory, right, setpoint, SETTINGS, DT_S)
+    assert (wanted.yaw_nm > 300.0) is turns
+    assert turns or abs(wanted.yaw_nm) < 100.0
+
+
 def test_cross_track_is_positive_to_starboard() -> None:
     bearing_rad, cross_m, left_m = along(HERE._replace(north_m=10.0, east_m=3.0), 0.0, 0.0, 100.0, 0.0)
     assert (bearing_rad, cross_m, left_m) == (0.0, 3.0, 90.0)
