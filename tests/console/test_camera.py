@@ -39,6 +39,9 @@ async def test_the_boat_stays_in_sight_until_a_hand_moves_the_map(it: Console) -
     heard = await it.page.value("delfim.points(1)")
     await it.until(f"delfim.points(1) > {heard}")
     assert not await it.page.value(in_sight(where)), "nothing takes the map from the hand"
+    x, y = await it.page.value(f"delfim.pixel({where})")
+    await it.page.mouse((700, 300), (730, 320), (760, 340))
+    await it.until(f"Math.abs(delfim.pixel({where})[0] - {x}) > 20")  # and the hand still moves it
 
 
 async def test_the_boats_course_is_up_for_who_wants_it(it: Console) -> None:

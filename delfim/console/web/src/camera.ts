@@ -21,7 +21,9 @@ export class Camera {
     this.button.title = "keeps the selected boat in sight (F)";
     this.button.addEventListener("click", () => this.follow());
     north.addEventListener("click", () => this.turn());
-    chart.onMoved(() => this.following && this.follow());
+    chart.onMoved(() => {
+      if (this.following) this.follow();
+    });
     state.on(["boats", "selection"], () => this.keep());
     this.point(0);
   }

@@ -165,7 +165,7 @@ export class Chart {
   /** Calls back when a hand moves the map. */
   onMoved(moved: () => void): void {
     this.moved = moved;
-    this.map.on("pointerdrag", moved);
+    this.map.on("pointerdrag", () => void moved()); // an answer of false would keep the drag from the map
   }
 
   /** The direction that is up on the screen. */
