@@ -66,9 +66,10 @@ class Visit:
         return x, y
 
     async def taps_the_sea(self, place: tuple[float, float]) -> None:
-        """As soon as no message covers the place any more."""
+        """As soon as no message covers the place any more, and the menu before has gone, which a tap would only close."""
         x, y = at = await self.pixel(place)
-        await self.page.until(f"document.elementFromPoint({x}, {y}).tagName === 'CANVAS'", PATIENCE_S)
+        is_free = f"document.elementFromPoint({x}, {y}).tagName === 'CANVAS'"
+        await self.page.until(f"document.querySelector('.popup').hidden && {is_free}", PATIENCE_S)
         await self.taps(at)
 
     async def pixel(self, place: tuple[float, float]) -> tuple[float, float]:
