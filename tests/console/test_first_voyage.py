@@ -70,7 +70,11 @@ class Visit:
         x, y = at = await self.pixel(place)
         is_free = f"document.elementFromPoint({x}, {y}).tagName === 'CANVAS'"
         await self.page.until(f"document.querySelector('.popup').hidden && {is_free}", PATIENCE_S)
-        await self.taps(at)
+        for _ in range(5):  # who sees no menu taps again
+            await self.taps(at)
+            with contextlib.suppress(AssertionError):
+                await self.page.until("!document.querySelector('.popup').hidden", 2.0)
+                break
 
     async def pixel(self, place: tuple[float, float]) -> tuple[float, float]:
         x, y = await self.page.value(f"delfim.pixel({place[0]}, {place[1]})")
