@@ -17,7 +17,7 @@ import pytest
 
 from delfim import config
 from delfim.adoption.writing import Key, changed
-from tests.console.test_adopt_page import BOX, Picture, begun, button, nothing, says
+from tests.console.test_adopt_page import BOX, Picture, begun, button, says
 from tests.console.test_first_voyage import DESK, Visit, stop
 from tests.kit.pictures import keeper
 from tests.services.browser import Page, shrink, tab
@@ -184,13 +184,6 @@ def _as_in_the_water(found: config.Vehicle, true: config.Vehicle) -> None:
     assert [(row.address, row.reversed) for row in found.thrusters] == [(row.address, row.reversed) for row in true.thrusters]
     assert found.compass.offset_deg == pytest.approx(OFFSET_DEG, abs=1.0)
     assert found.compass.hard_ahead == pytest.approx(HARD, abs=0.03)
-
-
-@pytest.mark.long
-@pytest.mark.timeout(3600)
-@pytest.mark.parametrize("boat", ["heron"])  # ten minutes in real time; the skiff takes fifteen, and is for the pictures
-def test_a_boat_is_adopted_by_the_page_alone_interrupted_and_gone_on_with(tmp_path: Path, boat: str) -> None:
-    asyncio.run(adopted(tmp_path, boat, nothing))
 
 
 def main(folder: Path) -> None:
