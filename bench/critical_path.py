@@ -133,13 +133,19 @@ def build(place: Path) -> dict[str, Path]:
         if not source.exists():
             raise DelfimError(f"{source} is missing: the benchmark runs from a checkout of the sources")
         command = ["cc", "-O2", "-std=gnu11", "-Wall", "-Wextra", "-Werror", "-o", str(programs[name]), str(source), "-lm"]
-        try:
-            subprocess.run(command, check=True, capture_output=True, text=True)
-        except FileNotFoundError:
-            raise DelfimError("the benchmark needs a C compiler (cc)") from None
-        except subprocess.CalledProcessError as error:
-            raise DelfimError(f"{source} does not compile:\n{error.stderr}") from None
+        compiled(command)
     return programs
+
+
+def compiled(command: Sequence[str]) -> None:
+    """Runs a compiler. Raises DelfimError where there is none, or with what it says."""
+    try:
+        subprocess.run(command, check=True, capture_output=True, text=True)
+    except FileNotFoundError:
+        raise DelfimError(f"the benchmark needs a compiler ({command[0]})") from None
+    except subprocess.CalledProcessError as error:
+        source = next(word for word in command if word.startswith(str(SOURCES)))
+        raise DelfimError(f"{source} does not compile:\n{error.stderr}") from None
 
 
 def _measure_rate(

@@ -21,7 +21,7 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Final, NamedTuple, Protocol
 
-from bench.critical_path import SOURCES, command_line, cpu_ns, family, free_ports, running, until
+from bench.critical_path import SOURCES, command_line, compiled, cpu_ns, family, free_ports, running, until
 from bench.onlooker import Onlooker
 from bench.report import percentile
 from bench.soak import Boat
@@ -137,12 +137,12 @@ def moos(place: Path) -> Iterator[Peer]:
     absent = [each for each in ("pAntler", *PROGRAMS) if not shutil.which(each)]
     if absent:
         raise DelfimError(f"MOOS-IvP lacks {', '.join(absent)} in PATH")
-    probe = compiled(Path(found).resolve().parents[1], place)
+    probe = probed(Path(found).resolve().parents[1], place)
     for label in RATES_HZ:
         yield Moos(label, probe, place)
 
 
-def compiled(root: Path, place: Path) -> Path:
+def probed(root: Path, place: Path) -> Path:
     """The probe, with the library of that checkout. Raises DelfimError."""
     library = next(root.rglob("libMOOS.a"), None)
     sources = root / "MOOS/MOOSCore/Core/libMOOS"
@@ -152,23 +152,8 @@ def compiled(root: Path, place: Path) -> Path:
         )
     headers = [f"-I{each}" for each in sources.resolve().rglob("include") if each.is_dir()]
     probe = place / "moosprobe"
-    command = [
-        "c++",
-        "-O2",
-        "-std=c++14",
-        *headers,
-        "-o",
-        str(probe),
-        str(SOURCES / "moosprobe.cpp"),
-        str(library),
-        "-lpthread",
-    ]
-    try:
-        subprocess.run(command, check=True, capture_output=True, text=True)
-    except FileNotFoundError:
-        raise DelfimError("the benchmark needs a C++ compiler (c++)") from None
-    except subprocess.CalledProcessError as error:
-        raise DelfimError(f"moosprobe.cpp does not compile:\n{error.stderr}") from None
+    words = ["-O2", "-std=c++14", *headers, "-o", str(probe), str(SOURCES / "moosprobe.cpp"), str(library), "-lpthread"]
+    compiled(["c++", *words])
     return probe
 
 

@@ -100,8 +100,9 @@ def step(
     speed_mps = piece.speed_mps if setpoint.override_mps is None else setpoint.override_mps
     if stops:
         speed_mps = min(speed_mps, max(math.sqrt(settings.control.speed.ramp_mps2 * max(left_m, 0.0)), CREEP_MPS))
-    is_on_arc = isinstance(piece, Arc) and abs(cross_m) <= piece.radius_m  # far off it the boat comes back straight
-    turn_radps = math.copysign(speed_mps / piece.radius_m, piece.turn_rad) if isinstance(piece, Arc) and is_on_arc else 0.0
+    turn_radps = 0.0
+    if isinstance(piece, Arc) and abs(cross_m) <= piece.radius_m:  # farther off it the boat comes back straight
+        turn_radps = math.copysign(speed_mps / piece.radius_m, piece.turn_rad)
     integrals, wanted = steer(memory.integrals, motion, heading_rad, speed_mps, settings, dt_s, turn_radps)
     north_m, east_m = end_of(piece)
     reference = Reference(wrap(heading_rad), speed_mps, cross_m, max(left_m, 0.0), north_m, east_m, piece_of(memory.leg))
