@@ -8,7 +8,7 @@ from collections import deque
 from typing import Any, Final
 
 from delfim import config
-from delfim.simulator.model import Model, Push, hull_of
+from delfim.simulator.model import Hull, Model, Push, hull_of
 from delfim.simulator.propulsor import curve_of
 from delfim.simulator.tables import SimulatedHull, Simulation
 
@@ -98,6 +98,26 @@ class MeasuredModel(Model):
                 force = left * force[0], left * force[1], left * force[2]
             kept.append((y, force, bollard, less))
         return kept
+
+
+def measured(hull: Hull) -> SimulatedHull:
+    """The numbers of the simulator's own hull, as [simulation.hull] has them: the same way."""
+    ahead_kg, aside_kg = hull.mass_kg + hull.added_surge_kg, hull.mass_kg + hull.added_sway_kg
+    return SimulatedHull(
+        mass_kg=ahead_kg,
+        mass_aside_kg=aside_kg,
+        mass_turning_kg=aside_kg,
+        inertia_kgm2=hull.inertia_kgm2 + hull.added_yaw_kgm2,
+        surge_n_per_mps=hull.surge_n_per_mps,
+        surge_n_per_mps2=hull.surge_n_per_mps2,
+        sway_n_per_mps=hull.sway_n_per_mps,
+        sway_n_per_mps2=hull.sway_n_per_mps2,
+        sway_ahead_n_per_mps2=hull.lift_kg_per_m,
+        yaw_nm_per_radps=hull.yaw_nm_per_radps,
+        yaw_nm_per_radps2=hull.yaw_nm_per_radps2,
+        yaw_ahead_nm_s_per_m=hull.lift_kg_per_m * hull.lift_m**2,
+        munk_nm_per_mps2=aside_kg - ahead_kg - hull.lift_kg_per_m * hull.lift_m,
+    )
 
 
 def model_of(settings: config.Vehicle, seed: int) -> Model:

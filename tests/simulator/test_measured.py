@@ -8,7 +8,7 @@ import pytest
 
 from delfim import config
 from delfim.simulator.lockstep import Lockstep
-from delfim.simulator.measured import MeasuredModel, model_of
+from delfim.simulator.measured import MeasuredModel, measured, model_of
 from delfim.simulator.model import Model, hull_of
 from delfim.simulator.tables import Sea, SimulatedHull, Simulation
 from delfim.vehicle import console
@@ -27,22 +27,8 @@ def test_the_measured_hull_moves_as_its_numbers_say() -> None:
     """Those of the simulator's own hull without its lift give the same way."""
     told = blueboat()
     hull = hull_of(told)._replace(lift_kg_per_m=0.0)
-    ahead_kg, aside_kg = hull.mass_kg + hull.added_surge_kg, hull.mass_kg + hull.added_sway_kg
-    measured = SimulatedHull(
-        mass_kg=ahead_kg,
-        mass_aside_kg=aside_kg,
-        mass_turning_kg=aside_kg,
-        inertia_kgm2=hull.inertia_kgm2 + hull.added_yaw_kgm2,
-        surge_n_per_mps=hull.surge_n_per_mps,
-        surge_n_per_mps2=hull.surge_n_per_mps2,
-        sway_n_per_mps=hull.sway_n_per_mps,
-        sway_n_per_mps2=hull.sway_n_per_mps2,
-        yaw_nm_per_radps=hull.yaw_nm_per_radps,
-        yaw_nm_per_radps2=hull.yaw_nm_per_radps2,
-        munk_nm_per_mps2=aside_kg - ahead_kg,
-    )
     rest = SEA, 1, 0.67, -0.16, 0.3, told.thrusters
-    one, other = Model(hull, *rest), MeasuredModel(told, measured, *rest)
+    one, other = Model(hull, *rest), MeasuredModel(told, measured(hull), *rest)
     for seconds, parts in ((8.0, (0.6, 0.9)), (5.0, (-0.4, 0.5)), (5.0, (0.0, 0.0))):
         for model in (one, other):
             for name, part in zip(("starboard", "port"), parts, strict=True):

@@ -15,7 +15,8 @@ from delfim.adoption.twin.twintrack import apart
 from delfim.adoption.twin.twinvoyage import FACTOR, NEAR_DEG, TwinVoyage, mission_text, sailed, twin_of
 from delfim.base.modes import Mode
 from delfim.simulator.lockstep import Lockstep, uncollected
-from delfim.simulator.tables import SimulatedHull, Simulation
+from delfim.simulator.measured import measured
+from delfim.simulator.tables import Simulation
 from delfim.vehicle import console
 from delfim.vehicle.state import NoLog
 
@@ -91,22 +92,7 @@ def least_s(settings: config.Vehicle, true: Hidden, seed: int) -> float:
 def of_truth(was: config.Vehicle, adopted: config.Vehicle, true: Hidden) -> config.Vehicle:
     """The file as the same choice of gains makes it of the true hull."""
     its, replace = true.hull, msgspec.structs.replace
-    m11, m22 = its.mass_kg + its.added_surge_kg, its.mass_kg + its.added_sway_kg
-    hull = SimulatedHull(
-        mass_kg=m11,
-        mass_aside_kg=m22,
-        mass_turning_kg=m22,
-        inertia_kgm2=its.inertia_kgm2 + its.added_yaw_kgm2,
-        surge_n_per_mps=its.surge_n_per_mps,
-        surge_n_per_mps2=its.surge_n_per_mps2,
-        sway_n_per_mps=its.sway_n_per_mps,
-        sway_n_per_mps2=its.sway_n_per_mps2,
-        sway_ahead_n_per_mps2=its.lift_kg_per_m,
-        yaw_nm_per_radps=its.yaw_nm_per_radps,
-        yaw_nm_per_radps2=its.yaw_nm_per_radps2,
-        yaw_ahead_nm_s_per_m=its.lift_kg_per_m * its.lift_m**2,
-        munk_nm_per_mps2=m22 - m11 - its.lift_kg_per_m * its.lift_m,
-    )
+    hull = measured(its)
     rows = tuple(
         replace(
             row, thrust_n=motor.thrust_n, curve=(), dead=motor.dead, power=motor.power, delay_s=true.delay_s, lag_s=its.motor_s
@@ -115,7 +101,7 @@ def of_truth(was: config.Vehicle, adopted: config.Vehicle, true: Hidden) -> conf
     )
     boat = replace(
         adopted.boat,
-        mass_kg=m11 / 1.05,
+        mass_kg=hull.mass_kg / 1.05,
         drag_n_per_mps=its.surge_n_per_mps,
         drag_n_per_mps2=its.surge_n_per_mps2,
         inertia_kgm2=hull.inertia_kgm2,
