@@ -66,15 +66,19 @@ class Visit:
         return x, y
 
     async def taps_the_sea(self, place: tuple[float, float]) -> None:
-        """As soon as no message covers the place any more, and the menu before has gone, which a tap would only close."""
-        x, y = at = await self.pixel(place)
-        is_free = f"document.elementFromPoint({x}, {y}).tagName === 'CANVAS'"
-        await self.page.until(f"document.querySelector('.popup').hidden && {is_free}", PATIENCE_S)
-        for _ in range(5):  # who sees no menu taps again
-            await self.taps(at)
+        """Until its menu is there: who sees none taps again."""
+        for _ in range(5):
+            await self.marks(place)
             with contextlib.suppress(AssertionError):
                 await self.page.until("!document.querySelector('.popup').hidden", 2.0)
                 break
+
+    async def marks(self, place: tuple[float, float]) -> None:
+        """One tap, as soon as no message covers the place any more and the menu before has gone, which a tap would only close."""
+        x, y = at = await self.pixel(place)
+        is_free = f"document.elementFromPoint({x}, {y}).tagName === 'CANVAS'"
+        await self.page.until(f"document.querySelector('.popup').hidden && {is_free}", PATIENCE_S)
+        await self.taps(at)
 
     async def pixel(self, place: tuple[float, float]) -> tuple[float, float]:
         x, y = await self.page.value(f"delfim.pixel({place[0]}, {place[1]})")

@@ -38,6 +38,7 @@ export class Traffic {
     this.table.addEventListener("pointerup", (event) => this.choose(event));
     state.on(["vessels"], () => this.draw());
     state.on(["boats"], () => this.drawOrders());
+    this.tell();
     setInterval(() => this.tell(), 500);
   }
 
