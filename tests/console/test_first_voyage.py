@@ -74,7 +74,7 @@ class Visit:
                 break
 
     async def marks(self, place: tuple[float, float]) -> None:
-        """One tap, as soon as no message covers the place any more and the menu before has gone, which a tap would only close."""
+        """One tap, as soon as no message covers the place and the menu before has gone, which a tap would only close."""
         x, y = at = await self.pixel(place)
         is_free = f"document.elementFromPoint({x}, {y}).tagName === 'CANVAS'"
         await self.page.until(f"document.querySelector('.popup').hidden && {is_free}", PATIENCE_S)
