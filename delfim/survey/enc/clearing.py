@@ -20,6 +20,8 @@ from delfim.vehicle.plans.clearancefile import packed
 NEAR_M, FAR_M = 4.0, 10.0  # cells about the middle, and beyond
 KNOTS: Final = 1024  # a side of a grid: 4 km and 10 km
 SEEN_M: Final = float(METRES[-1])  # farther dangers are not looked for
+DEEP_M: Final = -float(METRES[0])  # nor how far it is out of a danger from deeper in it
+BLOCK: Final = 16  # knots a side that are judged by one of them
 _METRES = numpy.array(METRES)
 
 
@@ -91,22 +93,36 @@ def overstated_m(cell_m: float, margin_m: float) -> float:
 
 
 def clearances(dangers: Sequence[Growing], grid: GridHead) -> Array:
-    """(rows, columns) at the knots of a grid: the distance from the nearest danger beyond its margin, m; negative in it."""
+    """(rows, columns) at the knots of a grid: the distance from the nearest danger beyond its margin, m; negative in it. Beyond
+    what a code can say it is only as far."""
     east = grid.west_m + grid.cell_m * numpy.arange(grid.columns, dtype=numpy.float64)
     north = grid.south_m + grid.cell_m * numpy.arange(grid.rows, dtype=numpy.float64)
-    x, y = (each.ravel() for each in numpy.meshgrid(east, north))
-    knots = shapely.points(x, y)
-    found = numpy.full(len(knots), SEEN_M)
+    found = numpy.full((grid.rows, grid.columns), SEEN_M)
     for margin_m, shapes in dangers:
-        sides = _sides(shapes)
-        away = numpy.full(len(knots), SEEN_M + margin_m)
-        (at, _), far = shapely.STRtree(sides).query_nearest(
-            knots, max_distance=SEEN_M + margin_m, return_distance=True, all_matches=False
-        )
-        away[at] = far
-        away[_inside(shapes, east, north)] *= -1.0
+        seen_m = SEEN_M + margin_m
+        tree, inside = shapely.STRtree(_sides(shapes)), _inside(shapes, east, north)
+        away = numpy.full(found.shape, seen_m)
+        rows, columns = numpy.nonzero(_looked_at(tree, east, north, grid.cell_m, numpy.where(inside, DEEP_M, seen_m)))
+        knots = shapely.points(east[columns], north[rows])
+        (at, _), far = tree.query_nearest(knots, max_distance=seen_m, return_distance=True, all_matches=False)
+        away[rows[at], columns[at]] = far
+        away[inside] *= -1.0
         numpy.minimum(found, away - margin_m, out=found)
-    return found.reshape(grid.rows, grid.columns)
+    return found
+
+
+def _looked_at(tree: shapely.STRtree, east: Array, north: Array, cell_m: float, as_far_m: Array) -> NDArray[numpy.bool_]:
+    """Which knots may be as near to a side as that: one of each block is asked, and the others lie within the block's width."""
+    middle = BLOCK // 2
+    x, y = numpy.meshgrid(east[middle::BLOCK], north[middle::BLOCK])
+    within_m = cell_m * BLOCK / math.sqrt(2.0)
+    most_m = float(as_far_m.max()) + within_m
+    near = numpy.full(x.size, math.inf)
+    (at, _), far = tree.query_nearest(
+        shapely.points(x.ravel(), y.ravel()), max_distance=most_m, return_distance=True, all_matches=False
+    )
+    near[at] = far
+    return near.reshape(x.shape).repeat(BLOCK, axis=0).repeat(BLOCK, axis=1) <= as_far_m + within_m
 
 
 def _sides(shapes: Sequence[BaseGeometry]) -> NDArray[numpy.object_]:
@@ -123,7 +139,7 @@ def _sides(shapes: Sequence[BaseGeometry]) -> NDArray[numpy.object_]:
 
 
 def _inside(shapes: Sequence[BaseGeometry], east: Array, north: Array) -> NDArray[numpy.bool_]:
-    """Which knots lie in one of the shapes."""
+    """(rows, columns): which knots lie in one of the shapes."""
     found = numpy.zeros((len(north), len(east)), dtype=bool)
     for shape in shapes:
         if shape.area == 0.0:
@@ -137,7 +153,7 @@ def _inside(shapes: Sequence[BaseGeometry], east: Array, north: Array) -> NDArra
             shapely.prepare(sound)
             x, y = numpy.meshgrid(east[columns], north[rows])
             part |= shapely.contains_xy(sound, x, y)
-    return found.ravel()
+    return found
 
 
 def coded(clear_m: Array) -> bytes:

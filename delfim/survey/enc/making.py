@@ -32,7 +32,9 @@ def make(
     if share > 0.999:
         raise DelfimError(f"{', '.join(chart.names)}: no water is free about {at[0]:g}, {at[1]:g}: say another place by --at")
     if picture is not None:
-        nogo.draw(chart, middle, forbidden, picture)
+        from delfim.survey.enc.drawing import draw  # it loads Matplotlib, for half a second
+
+        draw(chart, middle, forbidden, picture)
     replace_file(output.with_name(f"{output.name}.geojson"), text.encode())
     replace_file(output.with_name(f"{output.name}.clearance"), data)
     yield f"{', '.join(chart.names)}: {nogo.NOT_FOR}"
