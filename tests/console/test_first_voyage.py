@@ -66,15 +66,7 @@ class Visit:
         return x, y
 
     async def taps_the_sea(self, place: tuple[float, float]) -> None:
-        """Until its menu is there: who sees none taps again."""
-        for _ in range(5):
-            await self.marks(place)
-            with contextlib.suppress(AssertionError):
-                await self.page.until("!document.querySelector('.popup').hidden", 2.0)
-                break
-
-    async def marks(self, place: tuple[float, float]) -> None:
-        """One tap, as soon as no message covers the place and the menu before has gone, which a tap would only close."""
+        """As soon as the menu before has gone, which a tap would only close, and nothing but words covers the place."""
         x, y = at = await self.pixel(place)
         is_free = f"document.elementFromPoint({x}, {y}).tagName === 'CANVAS'"
         await self.page.until(f"document.querySelector('.popup').hidden && {is_free}", PATIENCE_S)

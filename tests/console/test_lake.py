@@ -60,7 +60,7 @@ async def rung(you: Visit, corners: tuple[tuple[float, float], ...], title: str)
     await you.chooses("Survey")
     await you.chooses(title)
     for each in (*places, places[0]):
-        await you.marks(each)
+        await you.taps_the_sea(each)
 
 
 async def planned(you: Visit) -> None:

@@ -423,6 +423,17 @@ async def test_the_finger_that_opened_a_menu_chooses_nothing_when_it_is_lifted(p
     assert [m for m in gateway.said if m["t"] == "command"] == []
 
 
+async def test_a_tap_on_the_sea_under_a_message_opens_its_menu(page: Page, gateway: Standin) -> None:
+    gateway.refusals["play"] = "no mission aboard"
+    await page.press("y")
+    await shown(page, gateway, "document.querySelector('.message') !== null")
+    x, y = await page.value("(r => [r.x + r.width / 2, r.y + r.height / 2])(document.querySelector('.message').getBoundingClientRect())")
+    await page.call("Emulation.setTouchEmulationEnabled", enabled=True, maxTouchPoints=1)
+    await page.touch("Start", (x, y))
+    await page.touch("End")
+    await shown(page, gateway, "!document.querySelector('.popup').hidden")
+
+
 async def test_the_second_click_of_two_in_a_row_chooses_nothing(page: Page, gateway: Standin) -> None:
     await page.value(
         "document.querySelector('.chip').click();"

@@ -1,4 +1,5 @@
 // Messages of the boats and the gateway: on the screen for a while, with a sound when it matters. The gateway keeps them (watchlog.ts).
+// They let every click and tap through: one that comes or moves under a finger must not take a tap on the sea.
 import { make, text } from "./dom";
 import type { Sound } from "./sound";
 import type { State } from "./state";
@@ -48,7 +49,6 @@ export class Messages {
     const name = boat?.name ?? (id === null ? null : `boat ${id}`); // its name is not known yet
     const line = make("p.message", boat ? dot : null, name && make("b", name), words);
     line.dataset["severity"] = severityWord(severity);
-    line.addEventListener("click", () => line.remove());
     this.parent.append(line);
     while (this.parent.children.length > SHOWN_MOST) this.parent.firstElementChild!.remove();
     setTimeout(() => line.remove(), severity <= 3 ? GRAVE_MS : SHOWN_MS);
