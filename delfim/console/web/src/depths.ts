@@ -120,14 +120,7 @@ export class Depths {
   }
 
   private render(frame: FrameState): HTMLElement {
-    const [width, height] = frame.size as [number, number];
-    const ratio = frame.pixelRatio;
-    if (this.canvas.width !== Math.round(width * ratio) || this.canvas.height !== Math.round(height * ratio)) {
-      [this.canvas.width, this.canvas.height] = [Math.round(width * ratio), Math.round(height * ratio)];
-    }
-    const pen = this.canvas.getContext("2d")!;
-    pen.resetTransform();
-    pen.clearRect(0, 0, this.canvas.width, this.canvas.height);
+    const [[width, height], ratio, pen] = [frame.size as [number, number], frame.pixelRatio, fitted(this.canvas, frame)];
     pen.imageSmoothingEnabled = false;
     const draw = ([west, south, east, north]: Extent, picture: HTMLCanvasElement) => {
       const at = (latitude_deg: number, longitude_deg: number) => apply(frame.coordinateToPixelTransform, point({ latitude_deg, longitude_deg })) as [number, number];
@@ -231,7 +224,18 @@ const TABLE: [number, number, number][] = Array.from({ length: 256 }, (_, i) => 
   return from.map((each, k) => Math.round(each + (to[k]! - each) * (at % 1))) as [number, number, number];
 });
 
-function coloured(part: number): [number, number, number] {
+/** An empty canvas as large as the map, and its pen. */
+export function fitted(canvas: HTMLCanvasElement, { size, pixelRatio }: FrameState): CanvasRenderingContext2D {
+  const [width, height] = size!.map((each) => Math.round(each * pixelRatio)) as [number, number];
+  if (canvas.width !== width || canvas.height !== height) [canvas.width, canvas.height] = [width, height];
+  const pen = canvas.getContext("2d")!;
+  pen.resetTransform();
+  pen.clearRect(0, 0, width, height);
+  return pen;
+}
+
+/** A colour of the ramp, of a part from 0 to 1. */
+export function coloured(part: number): [number, number, number] {
   return TABLE[Math.max(0, Math.min(255, Math.round(part * 255)))]!;
 }
 

@@ -22,9 +22,9 @@ export class GraphStrip {
     });
   }
 
-  /** The graphs of one boat. */
-  draw(graphs: Graphs, range: TimeLine): void {
-    const rank = (name: string) => (FIRST.includes(name) ? FIRST.indexOf(name) : FIRST.length);
+  /** The graphs of one boat; `chosen` comes first. */
+  draw(graphs: Graphs, range: TimeLine, chosen = ""): void {
+    const rank = (name: string) => (name === chosen ? -1 : FIRST.includes(name) ? FIRST.indexOf(name) : FIRST.length);
     const names = Object.keys(graphs).sort((a, b) => rank(a) - rank(b) || a.localeCompare(b));
     this.shown = names.slice(0, SHOWN_MOST).map((name) => ({ name, points: graphs[name]!, words: make("figcaption") }));
     this.root.replaceChildren(...this.shown.map(({ points, words }) => make("figure", plotted(points, range) as unknown as Node, words)), this.now);

@@ -40,6 +40,7 @@ import { Survey, surveyed } from "./survey";
 import { Strips } from "./strip";
 import { Timeline } from "./timeline";
 import { Traffic } from "./traffic";
+import { ValueTrack } from "./valuetrack";
 import { Watch } from "./watch";
 import { WatchLog } from "./watchlog";
 import { WayHome } from "./wayhome";
@@ -78,8 +79,9 @@ const wayHome = new WayHome(chart, state, net);
 popup.closed = () => wayHome.show(null);
 const depths = new Depths(element("depths"), chart, state, survey);
 const adopt = new Adopt(element("adopt"), chart, state, popup, net, messages);
-const timeline = new Timeline(element("timeline"), state);
-const menus = new Menus(popup, state, actions, chart, fleet, plans, planning, () => watchLog.open(), sound, watch, wayHome, () => keyCard.toggle(), adopt, depths, panes, timeline, camera, chartFiles);
+const values = new ValueTrack(element("values"), chart, state);
+const timeline = new Timeline(element("timeline"), state, values);
+const menus = new Menus(popup, state, actions, chart, fleet, plans, planning, () => watchLog.open(), sound, watch, wayHome, () => keyCard.toggle(), adopt, depths, panes, timeline, camera, chartFiles, values);
 new Header(element("bar"), state, sound, menus, popup);
 const hints = new Hints(element("hint"), element("nobody"), state, actions.did, popup);
 const aim = new Aim(element("map"), chart, { seen: (place) => text(element("where"), whereWords(place, state)), chosen: press, added: (place) => !state.replaying && planning.add(place) });
@@ -382,6 +384,7 @@ Object.assign(window, {
     why: (latitude_deg: number, longitude_deg: number) => chart.why({ latitude_deg, longitude_deg }),
     stations: () => plans.stations,
     depths: () => depths.counts,
+    values: () => values.counts,
     areas: () => surveyed(state.plan(state.planning).mission).length,
     survey: () => survey.lines,
     loadArea: (name: string, words: string) => survey.load(new File([words], name)),

@@ -25,6 +25,7 @@ import { inKnots, setKnots } from "./units";
 import { ZONES_M } from "./watch";
 import type { Watch } from "./watch";
 import type { WayHome } from "./wayhome";
+import type { ValueTrack } from "./valuetrack";
 import type { Boat, Mode, Order, Place } from "./wire";
 
 const ELSEWHERE: ReadonlySet<Mode> = new Set(["hold", "course", "trial"]); // modes with an entry of their own, and that of `delfim adopt`
@@ -51,6 +52,7 @@ export class Menus {
     private readonly timeline: Timeline,
     private readonly camera: Camera,
     private readonly files: ChartFiles,
+    private readonly values: ValueTrack,
   ) {}
 
   boat(boat: Boat, at: Pixel): void {
@@ -217,6 +219,7 @@ export class Menus {
       { title: "Sound", tick: this.sound.on, do: () => this.sound.toggle() },
       { title: "Guard zone", note: this.watch.zone_m ? `${this.watch.zone_m} m around each boat, on this page` : "none on this page", sub: () => this.zones() },
       { title: "Depths", note: "as the boats tell them, by colour", tick: this.depths.visible, do: () => this.depths.toggle() },
+      { title: "Colour of the tracks", note: this.values.name || "the boat’s", sub: () => this.values.items() },
       { title: "Forget the depths", note: "on all pages: another survey of the same water begins", refuse: this.depths.counts[0] ? undefined : "none were heard", do: () => void this.actions.forgetDepths() },
       ...charts,
       "line",

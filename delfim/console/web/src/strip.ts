@@ -1,6 +1,4 @@
 // A narrow strip for each boat: mode, thrust, battery, trouble, port and starboard rpm, the age of the data, the link.
-import uPlot from "uplot";
-import "uplot/dist/uPlot.min.css";
 import type { Actions } from "./actions";
 import { attribute, make, text } from "./dom";
 import type { Drive } from "./drive";
@@ -10,16 +8,15 @@ import type { Screen } from "./keys";
 import { bars, linkWords, linksWords, weakWords } from "./link";
 import { measuredWords } from "./measured";
 import { OrderRow } from "./orders";
-import { over, palette } from "./palette";
+import { over } from "./palette";
 import { UNNAMED } from "./mission";
 import { isSailing } from "./planning";
+import { RpmGraph } from "./rpmgraph";
 import type { State } from "./state";
 import { age_s, ageWords, freshness, trouble } from "./state";
 import { speedWords } from "./units";
 import type { Boat } from "./wire";
 
-const SPAN_S = 60;
-const POINTS_MOST = 700;
 const CONFIRM_LATE_MS = 3000;
 const FULL_AT_MOST = 3; // boats; with more of them only the selected one is shown in full
 
@@ -94,7 +91,7 @@ class Chip {
   private readonly badge = make("span.badge");
   private readonly changes = make("button.changes", "Send changes");
   private readonly groups = GROUPS.map((name) => make("i", make("span", name)));
-  private readonly graphs: [Graph, Graph] = [new Graph("port"), new Graph("starboard")];
+  private readonly graphs: [RpmGraph, RpmGraph] = [new RpmGraph("port"), new RpmGraph("starboard")];
   private readonly figures = new Figures();
   private readonly orders: OrderRow;
   private readonly fold = make("button.fold", "");
@@ -238,79 +235,6 @@ class Chip {
     this.badge.hidden = !words;
     this.changes.hidden = !(planned && compared === "differs" && isSailing(boat) && !progress && !state.replaying);
   }
-}
-
-/** One thruster's speed over the last minute, with a gap where it is unknown. */
-class Graph {
-  readonly root = make("figure.graph");
-  private readonly value = make("figcaption");
-  private readonly plot: uPlot;
-  private readonly times: number[] = [];
-  private readonly values: (number | null)[] = [];
-  private most = 500;
-  private least = -75;
-  highest = 0;
-  lowest = 0;
-
-  constructor(private readonly side: "port" | "starboard") {
-    this.root.classList.add(side);
-    const options: uPlot.Options = {
-      width: 100,
-      height: 44,
-      legend: { show: false },
-      cursor: { show: false },
-      padding: [3, 0, 2, 0],
-      scales: { x: { time: false }, y: { range: () => [this.least, this.most] } },
-      axes: [{ show: false }, { show: false }],
-      series: [{}, { width: 1.6, stroke: () => palette.ink, fill: () => `${palette.soft}33`, spanGaps: false, points: { show: false } }],
-      hooks: { drawClear: [(plot) => zeroLine(plot)] },
-    };
-    this.plot = new uPlot(options, [[], []], this.root);
-    this.root.append(this.value);
-    new ResizeObserver(([entry]) => {
-      const { width, height } = entry!.contentRect;
-      if (width > 10 && height > 10) this.plot.setSize({ width, height });
-    }).observe(this.root);
-  }
-
-  push(at_s: number, rpm: number | null): void {
-    if (this.times.length && at_s <= this.times.at(-1)!) {
-      if (at_s > this.times.at(-1)! - 1) return;
-      this.times.length = this.values.length = 0; // a replay went back
-    }
-    this.times.push(at_s);
-    this.values.push(rpm);
-    const old = this.times.findIndex((each) => each >= at_s - SPAN_S);
-    const drop = Math.max(old, this.times.length - POINTS_MOST, 0);
-    this.times.splice(0, drop);
-    this.values.splice(0, drop);
-    this.highest = Math.max(0, ...this.values.map((each) => each ?? 0));
-    this.lowest = Math.min(0, ...this.values.map((each) => each ?? 0));
-    text(this.value, `${this.side === "port" ? "P" : "S"} ${rpm === null ? "–" : Math.round(rpm)}`);
-    this.root.classList.toggle("unknown", rpm === null);
-  }
-
-  draw(at_s: number, least: number, most: number): void {
-    [this.least, this.most] = [least, most];
-    this.plot.setData([this.times, this.values], false);
-    this.plot.setScale("x", { min: at_s - SPAN_S, max: at_s });
-  }
-
-  repaint(): void {
-    this.plot.redraw();
-  }
-}
-
-function zeroLine(plot: uPlot): void {
-  const y = Math.round(plot.valToPos(0, "y", true)) + 0.5;
-  plot.ctx.save();
-  plot.ctx.strokeStyle = palette.soft;
-  plot.ctx.lineWidth = 1;
-  plot.ctx.beginPath();
-  plot.ctx.moveTo(plot.bbox.left, y);
-  plot.ctx.lineTo(plot.bbox.left + plot.bbox.width, y);
-  plot.ctx.stroke();
-  plot.ctx.restore();
 }
 
 /** Its name, which may be cut off, and the rest. */

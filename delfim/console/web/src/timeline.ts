@@ -1,9 +1,10 @@
-// The last ten minutes of the selected boat: speed, depth and the loss of its link, with a mark at each change of mode and at each message.
+// The last ten minutes of the selected boat: speed, what it measures, and the loss of its link, with a mark at each change of mode and at each message.
 import { make } from "./dom";
 import { GraphStrip } from "./graphs";
 import { severityWord } from "./messages";
 import type { State } from "./state";
 import { age_s, freshness } from "./state";
+import type { ValueTrack } from "./valuetrack";
 import type { Boat, Graphs } from "./wire";
 
 const SPAN_S = 600;
@@ -28,6 +29,7 @@ export class Timeline {
   constructor(
     private readonly box: HTMLElement,
     private readonly state: State,
+    private readonly values: ValueTrack,
   ) {
     box.append(this.strip.root, this.marks);
     state.on(["boats"], () => this.take());
@@ -68,13 +70,10 @@ export class Timeline {
     its.mode = boat.mode ?? its.mode;
     if (at_s < its.last_s + EVERY_S || freshness(age_s(this.state, boat)) === "lost") return;
     its.last_s = at_s;
-    const depth = boat.measured?.["depth_m"];
-    const values = { speed_mps: boat.speed_mps, depth_m: depth && depth.age_s < 2 * EVERY_S ? depth.value : null, "link lost_pct": boat.link.loss_pct };
-    for (const [name, value] of Object.entries(values)) {
-      const points = (its.graphs[name] ??= []);
-      if (value !== null) points.push([at_s, value]);
-      while (points.length && points[0]![0] < at_s - SPAN_S) points.shift();
-    }
+    const young = Object.entries(boat.measured ?? {}).map(([name, { value, age_s }]) => [name, age_s < 2 * EVERY_S ? value : null] as const);
+    const values = { speed_mps: boat.speed_mps, "link lost_pct": boat.link.loss_pct, ...Object.fromEntries(young) };
+    for (const [name, value] of Object.entries(values) as [string, number | null][]) if (value !== null) (its.graphs[name] ??= []).push([at_s, value]);
+    for (const points of Object.values(its.graphs)) while (points.length && points[0]![0] < at_s - SPAN_S) points.shift();
     while (its.marks.length && its.marks[0]!.at_s < at_s - SPAN_S) its.marks.shift();
   }
 
@@ -86,7 +85,7 @@ export class Timeline {
     document.documentElement.classList.toggle("timed", !this.box.hidden);
     if (this.box.hidden || !its) return;
     const range = { from_s: at_s - SPAN_S, to_s: at_s };
-    this.strip.draw(Object.fromEntries(Object.entries(its.graphs).filter(([, points]) => points.length)), range);
+    this.strip.draw(Object.fromEntries(Object.entries(its.graphs).filter(([, points]) => points.length)), range, this.values.name);
     this.strip.tell(at_s, range);
     this.marks.replaceChildren(
       ...its.marks.map((each) => {
