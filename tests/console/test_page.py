@@ -427,7 +427,8 @@ async def test_a_tap_on_the_sea_under_a_message_opens_its_menu(page: Page, gatew
     gateway.refusals["play"] = "no mission aboard"
     await page.press("y")
     await shown(page, gateway, "document.querySelector('.message') !== null")
-    x, y = await page.value("(r => [r.x + r.width / 2, r.y + r.height / 2])(document.querySelector('.message').getBoundingClientRect())")
+    box = "document.querySelector('.message').getBoundingClientRect()"
+    x, y = await page.value(f"(r => [r.x + r.width / 2, r.y + r.height / 2])({box})")
     await page.call("Emulation.setTouchEmulationEnabled", enabled=True, maxTouchPoints=1)
     await page.touch("Start", (x, y))
     await page.touch("End")

@@ -26,7 +26,8 @@ async def track(page: Page) -> tuple[int, ...]:
     """The brightness of the screen along the track: at its beginning, near its end, beyond."""
     await page.value("new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
     with Image.open(io.BytesIO(await page.picture())) as screen:
-        places = [await page.value("delfim.pixel(%r, %r)" % place(north_m, -20.0)) for north_m in (-56.0, 20.0, 55.0)]
+        spots = [place(north_m, -20.0) for north_m in (-56.0, 20.0, 55.0)]
+        places = [await page.value(f"delfim.pixel({latitude_deg}, {longitude_deg})") for latitude_deg, longitude_deg in spots]
         scale = screen.width / await page.value("innerWidth")
         return tuple(sum(screen.convert("RGB").getpixel((int(x * scale), int(y * scale)))) for x, y in places)
 
