@@ -48,6 +48,7 @@ class FakeBoat:
         self.refused = 0
         self.heartbeats = 0
         self.name, self.run, self.asked_name = "", "", 0
+        self.size = ""
         self.modes: list[tuple[int, bytes]] = []  # numbers and names that it tells; none: it knows no such question
         self.asked_modes = 0
         self.offers = ownorders.own_offers()
@@ -103,7 +104,7 @@ class FakeBoat:
             self.say(mavlink.MAVLink_param_value_message(m.param_id.encode(), self.profile, 9, 1, 0))
         elif kind == "PARAM_EXT_REQUEST_READ":
             self.asked_name += m.param_id == "BOAT_NAME"
-            value = {"BOAT_NAME": self.name, "BOAT_RUN": self.run}[m.param_id]
+            value = {"BOAT_NAME": self.name, "BOAT_RUN": self.run, "BOAT_SIZE": self.size}[m.param_id]
             if value:
                 self.say(mavlink.MAVLink_param_ext_value_message(m.param_id.encode(), value.encode(), 11, 2, 0))
         elif kind == "TIMESYNC":

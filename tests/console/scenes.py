@@ -80,10 +80,14 @@ def chart() -> bytes:
     return picture.getvalue()
 
 
+SIZE_OF_A_BOAT = {"length_m": 4.5, "beam_m": 2.45, "rpm_max": 1200.0}
+
+
 def two_boats() -> list[Message]:
     delfim = boat(1, "Delfim", "#f4f6f7", north_m=-90, east_m=120, heading_deg=285.0, course_deg=285.0)
     delfim["link"].update(profile="radio", rtt_ms=184.0, loss_pct=1.4)
     delfimx = boat(2, "DelfimX", "#56b4e9", north_m=-40, east_m=-170, heading_deg=0.0, course_deg=0.0)
+    delfim["size"] = delfimx["size"] = SIZE_OF_A_BOAT
     return [delfim, delfimx]
 
 
@@ -415,6 +419,26 @@ async def traffic(page: Page, picture: Picture) -> None:
         await picture("traffic-night")
 
 
+async def near(page: Page, picture: Picture) -> None:
+    """A quay's length of water: hulls to scale, courses of one time."""
+    async with at_work().serving() as gateway:
+        await begun(page, gateway)
+        at = {"north_m": -52, "east_m": -158, "course_deg": 70.0, "heading_deg": 68.0, "speed_mps": 0.4}
+        gateway.vessels, gateway.reported_s = [vessel("LINDA", **at, length_m=11.0, beam_m=3.6)], 3.0
+        await gateway.look()
+        await gateway.frame()
+        await show(page, -60, -185, -25, -140)
+        await gateway.frame()
+        await caught_up(page, gateway)
+        await picture("near")
+        await page.value("document.querySelector('#bar .colours').click()")
+        await choose(page, "Night")
+        await gateway.look()
+        await gateway.frame()
+        await caught_up(page, gateway)
+        await picture("near-night")
+
+
 async def traffic_on_a_phone(page: Page, picture: Picture) -> None:
     async with at_work().serving() as gateway:
         day = await begun(page, gateway, width=390, height=780)
@@ -425,7 +449,7 @@ async def traffic_on_a_phone(page: Page, picture: Picture) -> None:
 
 
 async def main(folder: Path, only: list[str]) -> None:
-    for scene in (work, traffic, traffic_on_a_phone, plan, replayed, many, themes, phone):
+    for scene in (work, near, traffic, traffic_on_a_phone, plan, replayed, many, themes, phone):
         if only and scene.__name__ not in only:
             continue
         with tempfile.TemporaryDirectory(prefix="page-", ignore_cleanup_errors=True) as place_of_browser:

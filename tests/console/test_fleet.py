@@ -255,11 +255,19 @@ def test_an_order_that_was_lost_does_not_undo_a_later_one(later: str) -> None:
 
 def test_the_orders_of_the_menu_are_those_that_the_boat_offers() -> None:
     sea = Sea(1, loss=0.3)
-    sea.run(1.0)
     sea.boats[1].offers = [ownorders.Offer("dance", title="Dance", keys=(NumberKey("steps_m", 0.0, 9.0, 3.0),))]
     sea.run(60.0, until=lambda: 1 in sea.fleet.boats and sea.fleet.boats[1].has_told_orders)
     (offered,) = sea.shown(1)["orders"]
     assert (offered["command"], offered["title"], offered["keys"]) == ("dance", "Dance", (("steps_m", 0.0, 9.0, 3.0),))
+
+
+def test_a_boat_tells_how_large_it_is_and_another_boat_of_its_number_is_not_as_large() -> None:
+    sea = Sea(1, loss=0.3)
+    sea.boats[1].name, sea.boats[1].size = "Alfa", "4.5 2.45 1200"
+    sea.run(60.0, until=lambda: 1 in sea.fleet.boats and sea.shown(1)["size"] is not None)
+    assert sea.shown(1)["size"] == {"length_m": 4.5, "beam_m": 2.45, "rpm_max": 1200.0}
+    sea.fleet.boats[1].rename("Bravo")
+    assert sea.shown(1)["size"] is None
 
 
 def test_thrust_follows_the_page_and_ends_when_the_page_does(sea: Sea) -> None:

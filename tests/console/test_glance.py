@@ -25,6 +25,27 @@ async def look(gateway: Standin, size: tuple[int, int], *, touch: bool = False) 
         assert page.complaints == []
 
 
+async def test_a_hull_is_to_scale_where_that_is_more_than_its_symbol() -> None:
+    async with look(
+        Standin([boat(1, "Delfim", "#f4f6f7") | {"size": {"length_m": 4.5, "beam_m": 2.45, "rpm_max": 1200.0}}]), DESK
+    ) as (
+        page,
+        gateway,
+    ):
+        for half_m in (200.0, 10.0):
+            await show(page, -half_m, -half_m, half_m, half_m)
+            await gateway.frame()
+            ends = [
+                f"delfim.pixel({latitude_deg}, {longitude_deg})[1]"
+                for latitude_deg, longitude_deg in (place(-2.25, 0), place(2.25, 0))
+            ]
+            length_px = await page.value(f"{ends[0]} - {ends[1]}")
+            assert await page.value("delfim.long(1)") == pytest.approx(length_px if half_m < 100.0 else 0.0, rel=0.01)
+        gateway.boat(1)["heading_deg"] = None
+        await gateway.frame()
+        await shown(page, gateway, "delfim.long(1) === 0")
+
+
 @pytest.mark.parametrize("size", [DESK, PHONE], ids=["desk", "phone"])
 async def test_a_weak_link_is_amber_with_its_cause_and_with_what_it_means_for_a_stop(size: tuple[int, int]) -> None:
     async with look(Standin(two()), size) as (page, gateway):

@@ -11,7 +11,19 @@ import msgspec
 from delfim.base.modes import Mode
 from delfim.console.boats.othervessels import VesselsTold
 from delfim.console.boats.wayhome import HeardTrack, ToldWay
-from delfim.console.link.mavlink import BOAT_NAME, ENERGY, GUARDED, LINE, ORDERED, STATIONS, Offer, mavlink, own_offers
+from delfim.console.link.mavlink import (
+    BOAT_NAME,
+    BOAT_SIZE,
+    ENERGY,
+    GUARDED,
+    LINE,
+    ORDERED,
+    STATIONS,
+    Offer,
+    boatsize,
+    mavlink,
+    own_offers,
+)
 from delfim.console.link.reception import Reception
 from delfim.console.link.statustext import Words
 from delfim.vehicle.plans.mission import ROWS
@@ -83,6 +95,7 @@ class Boat:
         self.before = ""  # the name that it had until now, as another boat
         self.is_named = False  # it has told its name since it was silent last
         self.profile = ""  # until it has told it
+        self.size: boatsize.BoatSize | None = None  # the same
         self.asks = 0  # requests for its name, its modes and its profile
         self.checksum: int | None = None  # of the plans aboard, as the boat sends it
         self.read: int | None = None  # the same, when they were read
@@ -133,7 +146,7 @@ class Boat:
                 self._orders_told,
             ):
                 each.clear()
-            self.heard_track, self.told_way = HeardTrack(), None
+            self.heard_track, self.told_way, self.size = HeardTrack(), None, None
             self.orders, self.has_told_orders = own_offers(), False
             self.has_told_modes, self.asks, self.reason, self.failsafe, self.warning, self.forced = False, 0, "", "", "", ""
 
@@ -202,6 +215,7 @@ class Boat:
             "id": self.number,
             "name": self.name,
             "colour": self.colour,
+            "size": self.size and self.size._asdict(),
             **{key: v.get(key) for key in _PLAIN},
             "mode": self.mode or None,
             "modes": list(self.modes.values()),
@@ -417,6 +431,8 @@ def _energy(boat: Boat, m: Any) -> None:
 def _text(boat: Boat, m: Any) -> None:
     if m.param_id == BOAT_NAME:
         boat.rename(m.param_value)
+    elif m.param_id == BOAT_SIZE:
+        boat.size = boatsize.heard(m.param_value)
 
 
 def _available(boat: Boat, m: Any) -> None:

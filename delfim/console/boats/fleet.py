@@ -27,6 +27,7 @@ from delfim.console.boats.wayhome import ToldWay
 from delfim.console.link.mavlink import (
     BOAT_NAME,
     BOAT_RUN,
+    BOAT_SIZE,
     SYSTEM,
     TROUBLES,
     WAY_HOME,
@@ -289,7 +290,7 @@ class Fleet:
         boat.twins = twins
 
     def _ask_once(self, boat: Boat) -> None:
-        """Asks for name, profile, modes and orders until they are known, up to ASKS times."""
+        """Asks for name, size, profile, modes and orders until they are known, up to ASKS times."""
         boat.asks += 1
         if boat.asks > ASKS:
             return
@@ -297,6 +298,8 @@ class Fleet:
             self._profiles.ask(boat.number)
         if not boat.is_named:
             self.ask_text(boat.number, BOAT_NAME)
+        if boat.size is None:
+            self.ask_text(boat.number, BOAT_SIZE)
         modes = mavlink.MAVLINK_MSG_ID_AVAILABLE_MODES, boat.has_told_modes
         for listed, is_known in (modes, (ownorders.EXTENSION, boat.has_told_orders)):
             if not is_known:

@@ -12,13 +12,14 @@ from typing import Any, Final
 from delfim.base.clock import Clock, SystemClock
 from delfim.base.errors import ConfigError, FormatError
 from delfim.base.input.keys import new_key, read_key
-from delfim.parts.mavlink.codec import ownorders, plans, questions, wayhome, wire
+from delfim.parts.mavlink.codec import boatsize, ownorders, plans, questions, wayhome, wire
 from delfim.parts.mavlink.codec.aisvessel import GUARD, GUARDED, NUMBERS, ORDERED, facts_of, kind_of, number_of, position_of
 from delfim.parts.mavlink.codec.ardupilot import WaterDepth
 from delfim.parts.mavlink.codec.ownorders import Offer, own_offers
 from delfim.parts.mavlink.codec.params import (
     BOAT_NAME,
     BOAT_RUN,
+    BOAT_SIZE,
     ENERGY,
     LINE,
     PARAMS,
@@ -36,6 +37,7 @@ from delfim.parts.mavlink.codec.signing import FrameVerdict, Signing, read_stamp
 __all__ = [  # what the console needs of the link's other end, beside what is below
     "BOAT_NAME",
     "BOAT_RUN",
+    "BOAT_SIZE",
     "ENERGY",
     "FENCE",
     "GUARD",
@@ -58,6 +60,7 @@ __all__ = [  # what the console needs of the link's other end, beside what is be
     "Offer",
     "ToldRow",
     "WaterDepth",
+    "boatsize",
     "facts_of",
     "kind_of",
     "number_of",

@@ -14,7 +14,7 @@ from delfim import config
 from delfim.base.errors import FormatError
 from delfim.base.modes import PAYLOADS
 from delfim.console.boats.boat import Boat, Measured
-from delfim.console.link.mavlink import mavlink
+from delfim.console.link.mavlink import boatsize, mavlink
 from delfim.console.plans.plan import item_of
 from delfim.console.tapes.loggedmissions import logged_missions
 from delfim.console.tapes.tape import GRAPHED, LAST_S, Graphs, Missions, Text, Track, between, sample
@@ -53,7 +53,7 @@ class States:
         self._rows: list[LogRow] = []
         self.texts: list[Text] = []
         self._vessels: list[tuple[float, list[dict[str, Any]]]] = []  # when, and the other vessels
-        self._number = _number(files, number)
+        self._number, self._size = _number(files, number), _size(files)
         track: Track = []
         for file in in_order(files):
             self._read(file)
@@ -87,6 +87,7 @@ class States:
             row = self._rows[at]
             boat = boats.setdefault(self._number, Boat(self._number, row.at_s))
             boat.name, boat.heard_s, boat.armed = self.name or boat.name, row.at_s, row.armed
+            boat.size = self._size
             boat.link, boat.ready = "log", True  # it tells of no link, and of nothing that keeps the boat from starting
             if row.helmsman:
                 boat.modes[row.mode] = f"payload {row.helmsman}"
@@ -195,6 +196,17 @@ def _number(files: Sequence[Path], number: int) -> int:
         with contextlib.suppress(KeyError, TypeError, ValueError):
             return int(told["settings"]["boat"]["id"])
     return number
+
+
+def _size(files: Sequence[Path]) -> boatsize.BoatSize | None:
+    """By the settings in the logs' sidecars."""
+    for told in (told for file in files for told in _events(file)):
+        with contextlib.suppress(KeyError, TypeError, ValueError, AttributeError):
+            settings = told["settings"]
+            rpm = (settings.get(row["driver"], {}).get("rpm_max", row["rpm_max"]) for row in settings["thrusters"])
+            boat = settings["boat"]
+            return boatsize.heard(f"{boat['length_m']} {boat['beam_m']} {max(rpm, default=0.0)}")
+    return None
 
 
 def _sides(file: Path) -> Sides:

@@ -9,7 +9,7 @@ from collections.abc import Callable
 from typing import Final
 
 from delfim.parts.mavlink import telemetry
-from delfim.parts.mavlink.codec import params
+from delfim.parts.mavlink.codec import boatsize, params
 from delfim.parts.mavlink.codec.signing import Signing
 from delfim.parts.mavlink.codec.wire import GUEST, Address, Message, Speaker, dialect
 from delfim.parts.mavlink.events import News
@@ -171,7 +171,12 @@ class Consoles:
     def texts(self) -> dict[str, str]:
         """The parameters that are texts."""
         helm = self.boat.helm
-        return {params.BOAT_NAME: helm.settings.boat.name, params.BOAT_RUN: self._run, params.SAILS_BY: helm.sails_by}
+        return {
+            params.BOAT_NAME: helm.settings.boat.name,
+            params.BOAT_RUN: self._run,
+            params.SAILS_BY: helm.sails_by,
+            params.BOAT_SIZE: boatsize.told(helm.settings),
+        }
 
     def view(self) -> TelemetryView:
         return TelemetryView(

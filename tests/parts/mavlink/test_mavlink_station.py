@@ -567,7 +567,8 @@ def test_each_run_of_a_boat_has_a_name_of_its_own_and_tells_it_to_all(sea):
     texts = {m.param_id: m.param_value for m in sea.console.say("param_ext_request_list", 1, 1)}
     again = newest(sea.console.say("param_ext_request_read", 1, 1, b"BOAT_RUN", -1), "PARAM_EXT_VALUE").param_value
     helm = sea.boat.vehicle.helm
-    assert texts == {"BOAT_NAME": helm.settings.boat.name, "BOAT_RUN": again, "SAILS_BY": helm.sails_by}
+    told = {"BOAT_NAME": helm.settings.boat.name, "SAILS_BY": helm.sails_by, "BOAT_SIZE": "4.5 2.45 1200"}
+    assert texts == told | {"BOAT_RUN": again}
     another = Station(sea.boat.vehicle, lambda command, who: None, lambda data, to: None, None)
     assert again != another.consoles.texts()["BOAT_RUN"]
 

@@ -10,9 +10,11 @@ import { keptAboard } from "./aboard";
 import type { Chart, Pixel } from "./chart";
 import { point } from "./chart";
 import { distance_m, towards } from "./geo";
+import { type Hull, drawn, hull, long_px, outlined } from "./hull";
 import { FACE, cased, inked, onPlate, over, palette, theme } from "./palette";
 import type { State } from "./state";
 import { age_s, ageWords, freshness } from "./state";
+import { ahead_min } from "./units";
 import type { Boat, Place } from "./wire";
 
 const CHUNK = 500;
@@ -21,8 +23,7 @@ const EVERY_S = 1;
 const GAP_S = 15; // where nothing was heard for so long no track is drawn
 const JUMP_MPS = 15; // nor where a boat would have been faster, beyond ...
 const JUMP_M = 20; // ... so far: another boat, or another fix
-const AHEAD_S = 60;
-const TICKS = [0.25, 0.5, 0.75, 1]; // of the course: each 15 s
+const AHEAD_S = 60; // of a heading that it steers for
 const RAD = Math.PI / 180;
 const LETTER_PX = 8;
 const LINE_PX = 18;
@@ -51,6 +52,7 @@ interface Shown {
   icon: Icon | null;
   tick: RegularShape | null;
   name: Text | null;
+  hull: Hull | null; // to scale, where its size and heading are known
   side: (typeof SIDES)[number];
   label: string;
   look: string;
@@ -135,6 +137,11 @@ export class Fleet {
     this.wholes.clear();
   }
 
+  /** How long its hull is drawn to scale, in pixels; 0: it is a symbol. */
+  long(id: number): number {
+    return long_px(this.shown.get(id)?.hull, this.chart.map.getView().getResolution()!);
+  }
+
   /** How many points of a boat's track are kept. */
   points(id: number): number {
     const shown = this.shown.get(id);
@@ -209,13 +216,14 @@ export class Fleet {
     const lost = freshness(age_s(this.state, boat)) === "lost";
     this.dress(shown, boat, lost);
     const here = place && point(place);
+    shown.hull = place && boat.heading_deg !== null && boat.size?.length_m ? hull(place, boat.heading_deg, boat.size) : null;
     put(shown.symbol, here && new Point(here));
     put(shown.ring, here && boat.id === this.state.selected ? new Point(here) : null);
     put(shown.tail, here && shown.points.length ? new LineString([...shown.points, here]) : null);
     shown.icon?.setRotation((boat.heading_deg ?? boat.course_deg ?? 0) * RAD);
     shown.tick?.setRotation((boat.course_deg ?? 0) * RAD);
     const course = !lost && place && boat.course_deg !== null && boat.speed_mps !== null && boat.speed_mps > 0.1;
-    put(shown.course, course ? new LineString([here!, point(towards(place, boat.course_deg!, boat.speed_mps! * AHEAD_S))]) : null);
+    put(shown.course, course ? new LineString([here!, point(towards(place, boat.course_deg!, boat.speed_mps! * 60 * ahead_min))]) : null);
     put(shown.reference, !lost && here ? reference(boat, place!, here) : null);
     const { ghost } = boat;
     put(shown.ghost, ghost ? (circular([ghost.longitude_deg, ghost.latitude_deg], ghost.radius_m, 48).transform("EPSG:4326", "EPSG:3857") as Polygon) : null);
@@ -252,6 +260,7 @@ export class Fleet {
       icon: null,
       tick: null,
       name: null,
+      hull: null,
       side: SIDES[0],
       label: "",
       look: "",
@@ -283,7 +292,9 @@ export class Fleet {
     });
     const number = new Text({ text: String(boat.id), font: `700 11px ${FACE}`, offsetY: 1, fill: new Fill({ color: lost ? inked(boat.colour) : over(boat.colour) }) });
     const zIndex = chosen ? 9 : 8;
-    shown.symbol.setStyle([new Style({ image: shown.icon, text: shown.name, zIndex }), new Style({ text: number, zIndex })]);
+    const [ink, fill] = lost ? [inked(boat.colour), palette.sea] : [palette.hull, boat.colour];
+    const styles = [new Style({ image: shown.icon, text: shown.name, zIndex }), new Style({ text: number, zIndex })];
+    shown.symbol.setStyle(drawn(() => shown.hull, styles, outlined(fill, ink, zIndex)));
     shown.ring.setStyle(new Style({ image: new Disc({ radius: 23, stroke: new Stroke({ color: palette.accent, width: 2 }) }), zIndex: 7 }));
     shown.course.setStyle([...cased(inked(boat.colour), 1.6), new Style({ image: shown.tick, geometry: ticks })]);
     shown.reference.setStyle(isPlace ? [...steering(), target()] : steering());
@@ -379,10 +390,10 @@ function put<G extends Point | LineString | Polygon | Circle>(feature: Feature<G
 
 const symbols = new Map<string, HTMLCanvasElement>();
 
-/** Where a minute's course has its ticks. */
+/** Where a course has its ticks: at each minute. */
 function ticks(feature: FeatureLike): MultiPoint | undefined {
   const course = feature.getGeometry() as LineString | undefined;
-  return course && new MultiPoint(TICKS.map((part) => course.getCoordinateAt(part)));
+  return course && new MultiPoint(Array.from({ length: ahead_min }, (_, i) => course.getCoordinateAt((i + 1) / ahead_min)));
 }
 
 /** A hull from above with its bow, twice as large as it is shown, and a line ahead where the heading is known; hollow when the link is lost. */

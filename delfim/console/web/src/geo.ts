@@ -33,6 +33,12 @@ export function towards(from: Place, bearing_deg: number, distance_m: number): P
   return moved(from, { north_m: Math.cos(bearing_deg * RAD) * distance_m, east_m: Math.sin(bearing_deg * RAD) * distance_m });
 }
 
+/** So far ahead and to starboard of a place, as one sees it there on this heading. */
+export function beside(from: Place, heading_deg: number, ahead_m: number, right_m: number): Place {
+  const [north, east] = [Math.cos(heading_deg * RAD), Math.sin(heading_deg * RAD)];
+  return moved(from, { north_m: ahead_m * north - right_m * east, east_m: ahead_m * east + right_m * north });
+}
+
 export function distance_m(from: Place, to: Place): number {
   const { north_m, east_m } = step(from, to);
   return Math.hypot(north_m, east_m);

@@ -377,6 +377,7 @@ Object.assign(window, {
     ways: () => fleet.wayPoints,
     points: (boat: number) => fleet.points(boat),
     pieces: (boat: number) => fleet.pieces(boat),
+    long: (boat: number) => fleet.long(boat),
     frames: ofLastSecond,
     numbers: () => plans.numbers,
     lines: () => plans.progress,

@@ -21,7 +21,7 @@ import { surveyed } from "./survey";
 import { age_s, freshness } from "./state";
 import type { State } from "./state";
 import type { Timeline } from "./timeline";
-import { inKnots, setKnots } from "./units";
+import { AHEAD_MIN, ahead_min, inKnots, setAhead, setKnots } from "./units";
 import { ZONES_M } from "./watch";
 import type { Watch } from "./watch";
 import type { WayHome } from "./wayhome";
@@ -218,6 +218,7 @@ export class Menus {
       { title: "Knots", tick: inKnots, do: () => setKnots(!inKnots) },
       { title: "Sound", tick: this.sound.on, do: () => this.sound.toggle() },
       { title: "Guard zone", note: this.watch.zone_m ? `${this.watch.zone_m} m around each boat, on this page` : "none on this page", sub: () => this.zones() },
+      { title: "Courses", note: `of boats and vessels, ${ahead_min} min ahead`, sub: () => this.aheads() },
       { title: "Depths", note: "as the boats tell them, by colour", tick: this.depths.visible, do: () => this.depths.toggle() },
       { title: "Colour of the tracks", note: this.values.name || "the boat’s", sub: () => this.values.items() },
       { title: "Forget the depths", note: "on all pages: another survey of the same water begins", refuse: this.depths.counts[0] ? undefined : "none were heard", do: () => void this.actions.forgetDepths() },
@@ -246,6 +247,18 @@ export class Menus {
   /** A vessel nearer than this is marked and heard on this page; the boat's own limits are in its file. */
   private zones(): Entry[] {
     return ZONES_M.map((m): Item => ({ title: m ? `${m} m` : "None", tick: this.watch.zone_m === m, do: () => this.watch.setZone(m) }));
+  }
+
+  private aheads(): Entry[] {
+    const item = (each: number): Item => ({
+      title: `${each} min`,
+      tick: ahead_min === each,
+      do: () => {
+        setAhead(each);
+        this.state.tell("theme");
+      },
+    });
+    return AHEAD_MIN.map(item);
   }
 
   private toggle(chart: string): void {

@@ -9,16 +9,16 @@ import { Fill, Icon, Stroke, Style, Text } from "ol/style";
 import type { Chart, Pixel } from "./chart";
 import { point } from "./chart";
 import { position } from "./fleet";
-import { moved, towards } from "./geo";
+import { beside, towards } from "./geo";
+import { drawn, hull, outlined } from "./hull";
 import { FACE, cased, onPlate, palette, theme } from "./palette";
 import type { State } from "./state";
-import { speedWords } from "./units";
+import { ahead_min, speedWords } from "./units";
 import { worst } from "./watch";
 import type { Watch } from "./watch";
 import type { Vessel } from "./wire";
 
 const RAD = Math.PI / 180;
-const AHEAD_S = 180; // of a course vector, as far as a boat looks ahead
 const HEADING_PX = 26;
 const NAMES_FROM_ZOOM = 12;
 const NAMED = 40; // those that are met first; two hundred names take long to draw and cannot be read
@@ -74,14 +74,14 @@ export class Others {
     const grave = this.watch.gravity(vessel);
     const ink = grave === "none" ? palette.ink : palette.bad;
     const made: Feature[] = [];
-    const add = (shape: Geometry, style: Style | Style[]) => {
+    const add = (shape: Geometry, style: Style | Style[] | ReturnType<typeof drawn>) => {
       const feature = new Feature(shape);
       feature.setStyle(style);
       made.push(feature);
     };
     if (grave !== "none" && !vessel.lost) add(new Polygon([domain(vessel)]), inQuestion(grave === "danger"));
     if (!vessel.lost && vessel.course_deg !== null && vessel.speed_mps > 0.1) {
-      const ahead = point(towards(vessel, vessel.course_deg, vessel.speed_mps * AHEAD_S));
+      const ahead = point(towards(vessel, vessel.course_deg, vessel.speed_mps * 60 * ahead_min));
       add(new LineString([here, ahead]), grave === "none" ? new Style({ stroke: new Stroke({ color: ink, width: 1.2, lineDash: [8, 5] }) }) : cased(ink, 2.2, [8, 5]));
     }
     if (vessel.lost) add(circular([vessel.longitude_deg, vessel.latitude_deg], vessel.margin_m, 48).transform("EPSG:4326", "EPSG:3857"), cased(ink, 1.2, [6, 5]));
@@ -92,7 +92,8 @@ export class Others {
     });
     const far = grave === "none" && this.zoom < NAMES_FROM_ZOOM;
     if (grave === "danger" || vessel.kind === "distress" || (named && !far)) style.setText(label(vessel, grave !== "none", this.chart.charted));
-    add(new Point(here), style);
+    const near = vessel.size_known && vessel.heading_deg !== null && !isThing(vessel) ? hull(vessel, vessel.heading_deg, vessel) : null;
+    add(new Point(here), near ? drawn(() => near, [style], outlined(vessel.lost ? "transparent" : palette.handle, ink, style.getZIndex()!, vessel.lost ? [8, 6] : undefined)) : style);
     return made;
   }
 
@@ -137,11 +138,8 @@ export class Others {
 /** The ellipse that nobody should be in, along the vessel's course. */
 function domain(vessel: Vessel): number[][] {
   const [ahead_m, abeam_m] = vessel.domain_m;
-  const course = (vessel.course_deg ?? vessel.heading_deg ?? 0) * RAD;
-  return Array.from({ length: 49 }, (_, i) => {
-    const [ahead, abeam] = [ahead_m * Math.cos((i * Math.PI) / 24), abeam_m * Math.sin((i * Math.PI) / 24)];
-    return point(moved(vessel, { north_m: ahead * Math.cos(course) - abeam * Math.sin(course), east_m: ahead * Math.sin(course) + abeam * Math.cos(course) }));
-  });
+  const course = vessel.course_deg ?? vessel.heading_deg ?? 0;
+  return Array.from({ length: 49 }, (_, i) => point(beside(vessel, course, ahead_m * Math.cos((i * Math.PI) / 24), abeam_m * Math.sin((i * Math.PI) / 24))));
 }
 
 const inQuestion = (isDanger: boolean): Style =>

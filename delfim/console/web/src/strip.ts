@@ -171,7 +171,7 @@ class Chip {
     if (fresh) {
       const live = freshness(age_s(state, boat, "rpm")) !== "lost";
       this.graphs.forEach((graph, i) => graph.push(state.at_s, live ? boat.rpm[i as 0 | 1] : null));
-      const most = Math.max(500, ...this.graphs.map((graph) => 1.45 * graph.highest));
+      const most = 1.45 * Math.max(boat.size?.rpm_max || 345, ...this.graphs.map((graph) => graph.highest));
       const least = Math.min(-0.15 * most, ...this.graphs.map((graph) => 1.1 * graph.lowest));
       this.graphs.forEach((graph) => graph.draw(state.at_s, least, most)); // one scale: their zeros are on one line
     }

@@ -1,6 +1,7 @@
-// Speeds for people: metres a second, or knots where the operator has chosen them in this browser.
+// Speeds for people: metres a second, or knots where the operator has chosen them in this browser; and how far ahead all courses are drawn.
 
 const KEPT = "delfim.knots";
+const AHEAD_KEPT = "delfim.ahead";
 const KNOT_MPS = 1852 / 3600;
 
 export let inKnots = localStorage.getItem(KEPT) === "on";
@@ -8,6 +9,15 @@ export let inKnots = localStorage.getItem(KEPT) === "on";
 export function setKnots(on: boolean): void {
   inKnots = on;
   localStorage.setItem(KEPT, on ? "on" : "off");
+}
+
+export const AHEAD_MIN = [1, 3, 6, 12];
+export let ahead_min = Number(localStorage.getItem(AHEAD_KEPT) ?? 3);
+
+/** One time for boats and vessels: where two courses end, both are at that time. */
+export function setAhead(minutes: number): void {
+  ahead_min = minutes;
+  localStorage.setItem(AHEAD_KEPT, String(minutes));
 }
 
 export const speedUnit = (): string => (inKnots ? "kn" : "m/s");

@@ -82,10 +82,18 @@ export interface Energy {
   range_m: number[]; // how far it gets, by direction, from north clockwise; []: not known
 }
 
+/** Over all, and the revolutions a minute of its motors at full command; 0: not known. */
+export interface Size {
+  length_m: number;
+  beam_m: number;
+  rpm_max: number;
+}
+
 export interface Boat {
   id: number;
   name: string;
   colour: string;
+  size?: Size | null; // null: it does not tell
   latitude_deg: number | null;
   longitude_deg: number | null;
   heading_deg: number | null;

@@ -49,6 +49,7 @@ PARAMS: Final = (
 )
 BOAT_NAME: Final = "BOAT_NAME"  # the parameters that are texts; read only
 SAILS_BY: Final = "SAILS_BY"  # the digest of its vehicle's file, as its report has it
+BOAT_SIZE: Final = "BOAT_SIZE"  # length and beam, m, and revolutions a minute at full command, 0: not known
 BOAT_RUN: Final = "BOAT_RUN"  # drawn at the start: two addresses with the same value are one boat
 ENERGY: Final = "ENERGY"  # the array of the energy
 WAY_HOME: Final = "WAY_HOME"  # the arrays of the way home (`delfim.parts.mavlink.codec.wayhome`)
