@@ -112,6 +112,7 @@ pictures: $(READY) ## draw the documentation's pictures again
 	PYTHONSAFEPATH= $(BIN)/python -m tests.console.test_gaps_page docs/pictures
 	PYTHONSAFEPATH= $(BIN)/python -m tests.console.test_divided_page docs/pictures
 	PYTHONSAFEPATH= $(BIN)/python -m tests.console.test_stations_page docs/pictures
+	PYTHONSAFEPATH= $(BIN)/python -m tests.console.test_glance docs/pictures
 	PYTHONSAFEPATH= $(BIN)/python -m tests.console.test_alerts_page docs/pictures
 	PYTHONSAFEPATH= $(BIN)/python -m tests.console.test_bridge_page docs/pictures
 	PYTHONSAFEPATH= $(BIN)/python -m tests.console.test_panes docs/pictures

@@ -487,7 +487,7 @@ def log_of_watch(here: Path) -> Said:
 
 
 def page_token(here: Path) -> Said:
-    from delfim.console.gateway.admission import kept_token
+    from delfim.console.pages.admission import kept_token
 
     return [kept_token(here / "token")]
 

@@ -441,7 +441,7 @@ READ_BY = {  # function: the readers above that come by it
     "console/terminal/bus.py: logged": {"candump", "candump, deflated"},
     "console/terminal/framefilter.py: decoder": {"CAN database"},
     "console/charts/charts.py: _add_tiles": {"MBTiles"},
-    "console/gateway/admission.py: kept_token": {"page's token"},
+    "console/pages/admission.py: kept_token": {"page's token"},
     "console/watch/operators.py: read_operators": {"operators of a console"},
     "console/watch/alertsfile.py: read_alerts": {"alerts of a console"},
     "console/gateway/watchlog.py: kept_lines": {"log of the watch"},

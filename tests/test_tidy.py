@@ -289,6 +289,7 @@ READ = {  # parts whose tables others read, with the reason; a row that goes doe
     "commands/description/check.py: nmea2000",  # what the boat sends
     "commands/description/commission.py: fleet",  # what is carried to a boat
     "commands/description/commission.py: ros",
+    "console/tabletd.py: mavlink",  # aboard its key is the boat's
     "commands/simulation/sim.py: mavlink",  # the console beside a simulated boat
     "desk/listen.py: nmea0183",  # a line on a desk is opened as the boat opens it
     "parts/fleet/exposure.py: mavlink",

@@ -64,12 +64,13 @@ class Runtime:
         self,
         settings: config.Vehicle,
         clock: Clock,
+        file: str = "",
         *,
         beat_fd: int = -1,
         alone: bool = False,
         new_loop: Callable[[], asyncio.AbstractEventLoop] | None = None,
     ) -> None:
-        self.config, self.clock = settings, clock
+        self.config, self.clock, self.file = settings, clock, file  # the vehicle's
         self.status: dict[str, ServiceStatus] = {}
         self.board: dict[str, Callable[[], dict[str, object]]] = {}  # JSON-ready figures of services, by their names
         limits = settings.runtime

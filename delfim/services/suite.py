@@ -27,7 +27,7 @@ from delfim.services.can.buses import bring_up
 from delfim.services.supervision import cgroup, shutdown
 from delfim.services.supervision.children import STACKS_SIGNAL, Supervised
 from delfim.services.supervision.privileges import real_time
-from delfim.services.tables import Ftpd, Logd, PowerdTable, Slipd, Sshd, Timed
+from delfim.services.tables import Ftpd, Logd, PowerdTable, Slipd, Sshd, Tablet, Timed
 from delfim.simulator.tables import Simulation
 
 SHUTDOWN_LOOK_S = 0.1
@@ -104,6 +104,12 @@ SERVICES = (
         when=lambda settings: any(settings.facts("joins")),
     ),
     Service("httpd", "delfim.services.page.httpd:serve", late=True),
+    Service(
+        "tabletd",
+        "delfim.console.tabletd:serve",
+        place="process",
+        when=lambda settings: settings.of(Tablet).listen,
+    ),
     Service("ftpd", "delfim.services.files.ftpd:serve", place="process", when=lambda settings: settings.of(Ftpd).users),
     Service(
         "sshd",
@@ -192,7 +198,7 @@ def run(file: str, overrides: Sequence[str], *, service: str | None, beat_fd: in
     starts = [row.loading() if row.late and not alone else row.loaded() for row in wanted]  # the loop has no time to do it
     loaded = [runtime.LoadedService(row.name, start, row.budget_s) for row, start in zip(wanted, starts, strict=True)]
     new_loop = (new_event_loop if wanted[0].uvloop else asyncio.new_event_loop) if alone else None
-    return runtime.Runtime(settings, SystemClock(), beat_fd=beat_fd, alone=alone, new_loop=new_loop).main(loaded)
+    return runtime.Runtime(settings, SystemClock(), file, beat_fd=beat_fd, alone=alone, new_loop=new_loop).main(loaded)
 
 
 def outlet(file: str, overrides: Sequence[str], *, beat_fd: int) -> int:

@@ -1,16 +1,18 @@
 """The keys of the daemons of this room in a vehicle's file."""
 
 from ipaddress import IPv4Address, ip_network
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import msgspec
 
 from delfim.base.ranges import (
+    PORT,
     BatteryVoltage,
     Baud,
     DeviceName,
     Endpoint,
     Fraction,
+    Listen,
     MountPoint,
     Name,
     Network,
@@ -24,6 +26,7 @@ Password = Annotated[  # hashed; a log shows a hash that no password has
     text("scrypt:[A-Za-z0-9+/=]+:[A-Za-z0-9+/=]+", "the output of `delfim password`", shown="scrypt:hidden:hidden"),
 ]
 PublicKey = Annotated[str, text(r"ssh-ed25519 [A-Za-z0-9+/]+=*( [^\n]*)?\n?", "ssh-ed25519 KEY, as in a .pub file")]
+PageAddress = Annotated[str, text(rf"(([^ :]+|\[[0-9A-Fa-f:.]+\]):{PORT})?", "ADDRESS:PORT, [IPv6]:PORT, or empty")]
 Carrier = Annotated[str, text("(none|dcd|file:/[^ ]+)", "none, dcd, or file:/PATH")]
 
 
@@ -64,6 +67,27 @@ class Httpd(Table, frozen=True):
     connections_per_address: Annotated[int, msgspec.Meta(ge=1, le=1000)] = 8  # so that one visitor cannot keep the others out
     scan_s: Annotated[float, msgspec.Meta(ge=5.0, le=3600.0)] = 5.0  # between two samples of the computer and its processes
     console: str = ""  # address of the operator's console, for a link to it, such as "http://127.0.0.1:8765/"; "" for none
+
+
+class Tablet(Table, frozen=True):
+    """The console's page, served by the boat itself: a tablet alone operates it (docs/tablet.md)."""
+
+    listen: PageAddress = ""  # address and port; "": no page
+    boats: Listen = "127.0.0.1:14561"  # the boat's frames come here: an address of this computer, one of mavlink.peers too
+    directory: str = "/log/.tablet"  # the console's token, operators, missions and charts; no service gives it out
+    certificate: str = ""  # PEM file with certificate and key: the page needs TLS (https); "": everything goes in the clear
+    silent_s: Annotated[float, msgspec.Meta(ge=1.0, le=60.0)] = 3.0  # without a word of a page: to the boat nobody is there
+
+    def __post_init__(self) -> None:
+        if not is_loopback(self.boats):
+            raise ValueError("boats: an address of this computer, as 127.0.0.1:14561")
+
+    def settled(self, vehicle: Any) -> "Tablet":
+        if self.listen and not vehicle.mavlink.enabled:
+            raise ValueError("tablet.listen: the page speaks to the boat by mavlink, and mavlink.enabled is false")
+        if self.listen and self.boats not in vehicle.mavlink.peers:
+            raise ValueError(f'tablet.listen: the boat must tell its frames there: add "{self.boats}" to mavlink.peers')
+        return self
 
 
 class PowerdTable(Table, frozen=True):

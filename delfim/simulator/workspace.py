@@ -228,10 +228,12 @@ def _corrected(vehicle: config.Vehicle) -> tuple[str, ...]:
 
 
 def _shared(vehicle: config.Vehicle, named: Collection[str]) -> Iterator[str]:
-    """The overrides for the fleet's broker and a ROS 2 elsewhere: their listeners would take the simulated boat for the real
-    one of its name."""
+    """The overrides for the fleet's broker, the boat's own page and a ROS 2 elsewhere: whoever looks there would take the
+    simulated boat for the real one of its name."""
     if "fleet.broker" not in named:
         yield from ("fleet.broker", "fleet.credentials", "fleet.authorities")
+    if "tablet.listen" not in named:
+        yield "tablet.listen"
     if not _is_here(vehicle.table("ros").router.replace("/", ":", 1)):
         yield "ros.router"
 

@@ -12,9 +12,11 @@ import pytest
 from delfim import config
 from delfim.__main__ import main
 from delfim.base.input.keys import read_key
+from delfim.console.pages.admission import kept_token
 from delfim.services.access.connection_limits import matches
 from delfim.services.access.exposure import Entrance, doors
 from delfim.services.suite import services
+from delfim.services.tables import Tablet
 from delfim.services.vehiclefile import changed
 
 ROOT = Path(__file__).parents[2]
@@ -155,6 +157,23 @@ def test_a_boat_without_a_radio(tmp_path: Path) -> None:
     assert commission(tmp_path / "out", *WORDS, "--radio", "", "--console", "10.77.0.1") == 0
     vehicle = config.load(tmp_path / "out/boat/boat.toml")
     assert (vehicle.slipd.device, vehicle.mavlink.peers) == ("", ("10.77.0.1:14550",))
+
+
+def test_a_boat_that_serves_the_page_gets_its_token_and_certificate(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = tmp_path / "boat.toml"
+    file.write_text('[boat]\nname = "Otter"\n[tablet]\nlisten = "127.0.0.1:8765"\n[mavlink]\npeers = ["127.0.0.1:14561"]\n')
+    made = tmp_path / "out"
+    assert main(["commission", str(file), *WORDS, "--console", "10.77.0.1", "--output", str(made)]) == 0
+    told = capsys.readouterr().out
+    assert re.search(rf"tablet: https://[\d.]+:8765/ with the token of {made}/shore/tablet.token", told), told
+    settings = config.load(made / "boat/boat.toml")
+    its = settings.of(Tablet)
+    assert (its.listen, its.certificate, its.directory) == ("0.0.0.0:8765", "/log/.boat/ftpd.pem", "/log/.boat/tablet")
+    assert its.boats in settings.mavlink.peers
+    token = (made / "shore/tablet.token").read_text()
+    assert (made / "boat/tablet/token").read_text() == token
+    assert kept_token(made / "boat/tablet/token") == token.strip()
+    assert main(["check", "--sea", str(made / "boat/boat.toml")]) == 0
 
 
 @pytest.mark.parametrize(

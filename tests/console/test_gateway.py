@@ -24,9 +24,9 @@ from delfim.base.clock import Clock, ManualClock, SystemClock, WakefulClock
 from delfim.base.errors import ConfigError
 from delfim.console.boats.boat import MEASURED_MAX, Boat
 from delfim.console.gateway import browser
-from delfim.console.gateway.admission import kept_token, own_number
 from delfim.console.gateway.gateway import PAGES_MAX, Gateway
 from delfim.console.gateway.serving import serve
+from delfim.console.pages.admission import kept_token, own_number
 from delfim.console.tapes.replay import open_tapes
 from delfim.parts.mavlink.codec import ardupilot, wire
 from tests.console.fakeboat import FakeBoat

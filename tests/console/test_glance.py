@@ -1,7 +1,9 @@
 """What an operator sees of the boats at a glance, in a real browser against a stand-in gateway: on a desk, on a phone."""
 
+import asyncio
 import contextlib
 import json
+import sys
 from collections.abc import AsyncIterator
 from pathlib import Path
 
@@ -10,7 +12,7 @@ import pytest
 from tests.console.scenes import at_work, choose, opened, show, survey, waypoints
 from tests.console.standin import Message, Standin, boat, place, reference
 from tests.kit.page import shown, text_of, two
-from tests.services.browser import Page, tab
+from tests.services.browser import Page, shrink, tab
 
 DESK, PHONE, LANDSCAPE = (1440, 860), (390, 844), (844, 390)
 
@@ -233,3 +235,42 @@ async def test_f6_reaches_the_buttons_that_have_no_key() -> None:
         assert await page.value("document.getElementById('hint').hidden")
         await page.press("Enter")
         await page.until("document.querySelector('.item') !== null")
+
+
+LAPPED = """(parts => {
+  const seen = parts.flatMap((part) => [...document.querySelectorAll(part)].filter((each) => each.getClientRects().length))
+    .map((each) => [each.id || each.className, each.getBoundingClientRect(), each]);
+  const under = (box) => document.elementFromPoint(box.left + 20, box.bottom - 6)?.closest('.chip');
+  const cut = seen.filter(([, box, each]) => each.matches('.chip') && under(box) !== each);
+  const lapped = seen.flatMap(([one, a], at) => seen.slice(at + 1).filter(([, b]) =>
+    Math.min(a.right, b.right) - Math.max(a.left, b.left) > 1 && Math.min(a.bottom, b.bottom) - Math.max(a.top, b.top) > 1)
+    .map(([other]) => one + ' and ' + other));
+  return [...lapped, ...cut.map(([one]) => one + ' is cut')];
+})(['#bar', '.chip', '#stop', '#stop-all', '#scale', '#hint', '#traffic', '#base'])"""
+
+
+@pytest.mark.parametrize("size", [(390, 844), (844, 390), (375, 667), (667, 375)], ids=str)
+async def test_nothing_lies_on_anything_on_a_phone_with_three_boats_however_it_is_held(size: tuple[int, int]) -> None:
+    async with look(Standin(three()), size, touch=True) as (page, gateway):
+        await page.press("Tab")
+        await shown(page, gateway, "document.querySelector('.selected [data-boat], .selected') !== null")
+        await page.until("!document.getElementById('hint').hidden")
+        assert await page.value(LAPPED) == []
+
+
+async def draw(folder: Path) -> None:
+    for name, size in (("upright", (390, 844)), ("lying", (844, 390))):
+        async with look(Standin(three()), size, touch=True) as (page, gateway):
+            await page.press("Tab")
+            await shown(page, gateway, "document.querySelector('.selected') !== null")
+            (folder / f"console-three-{name}.png").write_bytes(await page.picture())
+
+
+def main(folder: Path) -> None:
+    """Draw the pictures of the documents."""
+    asyncio.run(draw(folder))
+    shrink(folder.glob("console-three-*.png"))
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]))

@@ -12,6 +12,7 @@ from delfim.services.access.connection_limits import hashed
 from delfim.services.access.exposure import SERVICES, doors, unheard
 
 KEY, LAN = "/etc/delfim/key", "192.168.5.10:80"
+TABLET, TOLD = {"listen": "0.0.0.0:8765"}, {"peers": ["127.0.0.1:14561"]}
 # A service and values of the vehicle's file; below, its doors: place | reach | who | may | what keeps the boat from the sea.
 DOORS = """
 vehicle
@@ -57,6 +58,14 @@ httpd
     127.0.0.1:8080 | here | every program of this computer | read the boat's page and its logs
 httpd  httpd.listen="192.168.5.10:80"
     192.168.5.10:80 | anyone | anyone who reaches this address | read the boat's page and its logs
+tabletd  mavlink.peers=["127.0.0.1:14561"]  tablet.listen="0.0.0.0:8765"  tablet.certificate="/etc/cert"
+    0.0.0.0:8765 | known | holders of the token or of an operator's key in /log/.tablet, over TLS | watch and command the
+        boat
+tabletd  mavlink.peers=["127.0.0.1:14561"]  tablet.listen="0.0.0.0:8765"
+    0.0.0.0:8765 | known | holders of the token or of an operator's key in /log/.tablet, in the clear | watch and command
+        the boat | tabletd: whoever hears the token commands the boat; name a certificate (tablet.certificate)
+tabletd  mavlink.peers=["127.0.0.1:14561"]  tablet.listen="127.0.0.1:8765"
+    127.0.0.1:8765 | here | holders of the token or of an operator's key in /log/.tablet | watch and command the boat
 slipd  slipd.device="/dev/radio"
     /dev/radio, 10.0.0.1 | anyone | anyone with such a radio on its frequency | reach the doors of this list
 canip
@@ -138,9 +147,8 @@ def test_a_door(row: str) -> None:
 
 def test_doors_of_anyone_come_first_and_services_that_do_not_run_have_none() -> None:
     program = {"command": ["/bin/true"], "may": ["hold", "goto"]}
-    settings = boat(
-        httpd={"listen": LAN}, guest={"enabled": True}, payload={"uphill": program, "mute": {"command": ["/bin/true"]}}
-    )
+    programs = {"uphill": program, "mute": {"command": ["/bin/true"]}}
+    settings = boat(httpd={"listen": LAN}, guest={"enabled": True}, tablet=TABLET, mavlink=TOLD, payload=programs)
     running = {*SERVICES, "rosd", "fleetd", "payload"}
     rows = [(each.service, each.reach) for each in doors(settings, running)]
     assert [reach for _, reach in rows] == sorted((reach for _, reach in rows), key=("anyone", "known", "here").index)

@@ -20,7 +20,7 @@ from delfim.parts.fleet.table import FleetTable
 from delfim.parts.ros.table import RosTable
 from delfim.services.access import commissioned
 from delfim.services.access.commissioned import BOAT
-from delfim.services.tables import GuestTable, Slipd, Sshd
+from delfim.services.tables import GuestTable, Slipd, Sshd, Tablet
 from delfim.simulator.tables import Simulation
 
 FILE: Final = "etc/delfimx-sea.toml"
@@ -169,8 +169,9 @@ def _addresses(answers: Mapping[str, str], network: IPv4Interface, settings: con
     own, console = str(network.network), answers["console"]
     radio = {"slipd.device": answers["radio"], "slipd.address": answers["radio-address"], "slipd.peer": console}
     found: dict[str, Any] = radio if answers["radio"] else {"slipd.device": ""} if settings.of(Slipd).device else {}
-    fleet = settings.of(FleetTable)
-    found |= {"mavlink.peers": [f"{console}:14550", *([fleet.listen] if fleet.broker else [])]}
+    fleet, tablet = settings.of(FleetTable), settings.of(Tablet)
+    here = [fleet.listen] * bool(fleet.broker) + [tablet.boats] * bool(tablet.listen)
+    found |= {"mavlink.peers": [f"{console}:14550", *here]}
     if settings.of(GuestTable).enabled:
         found |= {"guest.networks": [*(["127.0.0.0/8"] if settings.of(RosTable).commands else []), own]}
     if commissioned.bus(settings):
@@ -182,6 +183,7 @@ def _opened(settings: config.Vehicle) -> dict[str, Any]:
     """The listeners for which commands are printed, on every address of the boat where the file has its own computer's alone.
     The ports stay the file's: Debian has an sshd of its own on port 22."""
     names = ["mavlink", "httpd", "ftpd", "sshd", *(["guest"] if settings.of(GuestTable).enabled else [])]
+    names += ["tablet"] if settings.of(Tablet).listen else []
     places = {f"{name}.listen": getattr(settings, name).listen for name in names}
     found: dict[str, Any] = {key: _everywhere(place) for key, place in places.items()}
     if commissioned.bus(settings):
@@ -211,7 +213,7 @@ class Secrets(NamedTuple):
 def _secrets(answers: Mapping[str, str], crew: Mapping[str, str], console_key: str, file: config.Vehicle) -> Secrets:
     """Make the secrets; `file` shows which ports and guest the boat has."""
     import datetime
-    from secrets import token_hex
+    from secrets import token_hex, token_urlsafe
 
     from delfim.services.access import credentials
     from delfim.services.access.connection_limits import hashed
@@ -238,6 +240,9 @@ def _secrets(answers: Mapping[str, str], crew: Mapping[str, str], console_key: s
     if file.of(GuestTable).enabled:
         files["boat/guest.key"] = files["guest/guest.key"] = f"{token_hex(32)}\n"
         settings["guest.key"] = f"{BOAT}/guest.key"
+    if file.of(Tablet).listen:
+        files["boat/tablet/token"] = files["shore/tablet.token"] = f"{token_urlsafe(12)}\n"
+        settings |= {"tablet.directory": f"{BOAT}/tablet", "tablet.certificate": f"{BOAT}/ftpd.pem"}
     for user, public in crew.items():
         password = credentials.password()
         files[f"shore/{user}.password"] = f"{password}\n"

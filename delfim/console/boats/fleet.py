@@ -72,6 +72,7 @@ class Fleet:
         self.record: Callable[[bytes], None] = lambda frame: None  # every valid frame received, and every frame sent
         self.heard: Callable[[Boat, Any, float], None] = lambda boat, message, now_s: None  # each message, once it is taken
         self.troubles: Callable[[int, int], None] = lambda number, bits: None  # that a boat tells
+        self.attended: Callable[[], bool] = lambda: True  # else no heartbeat: to a boat nobody is at this console
         self.sounded: Callable[[int, float, float, float], None] = lambda *told: None  # each depth: boat, place, degrees, and m
         self._clock, self._transmit, self._tell, self._key = clock, transmit, tell, key
         self._boats_max, self._peers_max = (BOATS_MAX, PEERS_MAX) if key is None else (SIGNED_MAX, 2 * SIGNED_MAX)
@@ -258,7 +259,7 @@ class Fleet:
             self._slept_s, self._deaf_until_s = now_s - self._ticked_s, now_s + DEAF_S
             self.release_all("the console's computer slept")
         self._ticked_s = now_s
-        if now_s - self._beat_s >= HEARTBEAT_S:
+        if now_s - self._beat_s >= HEARTBEAT_S and self.attended():
             self._beat_s = now_s
             for number in self.boats:
                 words = mavlink.MAV_TYPE_GCS, mavlink.MAV_AUTOPILOT_INVALID, 0, 0, mavlink.MAV_STATE_ACTIVE

@@ -7,7 +7,6 @@ import asyncio
 import json
 import math
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import Any, Final
@@ -25,7 +24,6 @@ from delfim.console.charts.charts import Charts
 from delfim.console.charts.dropping import ChartDrop
 from delfim.console.gateway import foxglove, page_messages
 from delfim.console.gateway.aboard import AboardDesk
-from delfim.console.gateway.admission import OPERATOR, Admission, own_number
 from delfim.console.gateway.adopting import Adoption
 from delfim.console.gateway.bridging import BridgeDesk
 from delfim.console.gateway.onwatch import WatchKeeper
@@ -36,6 +34,8 @@ from delfim.console.link.mavlink import Key
 from delfim.console.link.radio import radio
 from delfim.console.link.session import Session
 from delfim.console.link.udp import Udp
+from delfim.console.pages.admission import Admission, own_number
+from delfim.console.pages.page import Page, encoded
 from delfim.console.tapes.replay import TapePlayer
 from delfim.console.tapes.tape import Tape
 from delfim.console.watch.alerts import WARNING
@@ -48,46 +48,10 @@ SHOWN: Final = 32  # ... this many boats; for more of them less often, so that a
 DEPTH_TICKS: Final = 20  # once a second
 VESSEL_TICKS: Final = 20  # once a second
 CHUNK: Final = 500  # points of a track in one message
-BACKLOG_BYTES: Final = 1 << 20  # a page that is so far behind misses older states
 PAGES_MAX: Final = 8
-QUEUE_MAX: Final = 1000  # messages to one of them
+PING_S: Final = 5.0  # a page that answers none within half of this is gone
 MESSAGE_BYTES: Final = 1 << 20
 Answer = Callable[[bool, str], None]
-
-
-def encoded(message: Any) -> str:
-    """JSON, with null for numbers that are not finite: browsers take no others."""
-    return msgspec.json.encode(message).decode()
-
-
-class Page:
-    """One browser. Messages beyond BACKLOG_BYTES are left out, but for answers."""
-
-    def __init__(self, link: web.WebSocketResponse, request: web.Request, number: int) -> None:
-        self._link, self._request, self.number = link, request, number
-        self.operator = request.get(OPERATOR)
-        self.queue: asyncio.Queue[str | None] = asyncio.Queue(maxsize=QUEUE_MAX + 1)  # None: the end
-
-    @property
-    def who(self) -> str:
-        return self.operator.name if self.operator else f"page {self.number} at {self._request.remote}"
-
-    def tell(self, message: dict[str, Any]) -> None:
-        transport = self._request.transport
-        behind = transport is None or transport.get_write_buffer_size() > BACKLOG_BYTES
-        if self.queue.qsize() >= QUEUE_MAX or (behind and message["t"] in ("boats", "vessels", "progress")):
-            return
-        self.queue.put_nowait(encoded(message))
-
-    def end(self) -> None:
-        self.queue.put_nowait(None)
-
-    async def write(self) -> None:
-        """Sends until the connection ends."""
-        with suppress(ConnectionError):
-            while (text := await self.queue.get()) is not None:
-                await self._link.send_str(text)
-        await self._link.close()
 
 
 class Gateway:
@@ -104,6 +68,7 @@ class Gateway:
         charts: Path | None = None,
         radios: Sequence[str] = (),
         sessions: Path | None = None,
+        frames: bool = True,
         tapes: Sequence[Tape] = (),
         number: int | None = None,
         trials: Path = Path("adopt"),
@@ -111,12 +76,13 @@ class Gateway:
     ) -> None:
         self.udp = Udp(self._receive)
         self.radios = {each.device: each for each in (radio(words, self._receive) for words in radios)}
-        self.session = Session(sessions, clock) if sessions is not None and not tapes else None
+        self.session = Session(sessions, clock, frames) if sessions is not None and not tapes else None
         self.soundings = SoundingFiles(sessions, clock) if self.session is not None and sessions is not None else None
         self.charts = Charts(charts)
         admission = Admission(token, operators)
         self.token, self.me = admission.token, number or own_number(admission.token)
         self._clock, self._pages = clock, set[Page]()
+        self.ping_s = PING_S
         self.viewers: list[Callable[[dict[str, Any]], None]] = []  # other programs that hear what pages hear
         self.fleet: Fleet | TapePlayer
         self.watch = WatchKeeper(self._broadcast, self._utc_s, self._name, sessions if self.session is not None else None)
@@ -220,6 +186,17 @@ class Gateway:
         if (self._pages or self.viewers) and self._ticks % self._vessel_ticks() == 0:
             self.tell(self._vessels())
 
+    def attended_only(self, silent_s: float) -> None:
+        """Boats hear of this console only while somebody is at a page, or was within `silent_s`."""
+        self.ping_s = silent_s / 1.5  # the answer has half of it
+        if isinstance(self.fleet, Fleet):
+            self.fleet.attended = lambda: bool(self._pages)
+
+    def report(self) -> dict[str, object]:
+        """What a boat's page tells of it, JSON-ready."""
+        troubles = {name: reason for name, reason in self._complaints.items() if reason}
+        return {"troubles": troubles, "counts": {"pages": len(self._pages), "boats": len(self.fleet.boats)}}
+
     def _keep(self) -> None:
         """Writes the log of the watch beside the frames."""
         if self.session is not None and self.session.file is not None:
@@ -285,7 +262,7 @@ class Gateway:
     async def _socket(self, request: web.Request) -> web.WebSocketResponse:
         if len(self._pages) >= PAGES_MAX:
             raise web.HTTPServiceUnavailable(text="too many pages are open: close one\n")
-        link = web.WebSocketResponse(heartbeat=5.0, max_msg_size=MESSAGE_BYTES)
+        link = web.WebSocketResponse(heartbeat=self.ping_s, max_msg_size=MESSAGE_BYTES)
         await link.prepare(request)
         self._opened += 1
         page = Page(link, request, self._opened)

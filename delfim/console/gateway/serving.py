@@ -5,6 +5,7 @@ import asyncio
 import errno
 import logging
 import signal
+import ssl
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
@@ -19,12 +20,12 @@ from aiohttp.http_exceptions import HttpProcessingError
 from delfim.base.clock import WakefulClock
 from delfim.base.errors import ConfigError
 from delfim.base.eventloop import new_event_loop
-from delfim.console.gateway.admission import bracketed, kept_token
 from delfim.console.gateway.browser import show
 from delfim.console.gateway.foxglove import FoxgloveView
 from delfim.console.gateway.gateway import Gateway
 from delfim.console.link.mavlink import Key
 from delfim.console.logs.fetching import sources_of
+from delfim.console.pages.admission import bracketed, kept_token
 from delfim.console.tapes.replay import open_tapes
 from delfim.console.watch.operators import OperatorsFile
 from delfim.parts.fleet.broker import UP, BrokerLine, BrokerPlace
@@ -33,12 +34,20 @@ TICK_S: Final = 0.05
 BROKER_FRAMES: Final = 1024  # that wait for the broker: some for each boat of a fleet
 
 
-async def serve(gateway: Gateway, boats: tuple[str, int] | None, page: tuple[str, int], ready: Callable[[str], None]) -> None:
-    """Serves until cancelled; without `boats` no UDP socket is opened. Raises ConfigError for an unavailable address."""
+async def serve(
+    gateway: Gateway,
+    boats: tuple[str, int] | None,
+    page: tuple[str, int],
+    ready: Callable[[str], None],
+    tls: ssl.SSLContext | None = None,
+    end_s: float = 1.0,
+) -> None:
+    """Serves until cancelled; without `boats` no UDP socket is opened. Open pages have `end_s` to end. Raises ConfigError for
+    an unavailable address."""
     loop = asyncio.get_running_loop()
     visits = logging.getLogger(f"{__name__}.visits")
     visits.addFilter(_is_news)
-    runner = web.AppRunner(gateway.app, access_log=None, logger=visits, shutdown_timeout=1.0)
+    runner = web.AppRunner(gateway.app, access_log=None, logger=visits, shutdown_timeout=end_s)
     transport: asyncio.DatagramTransport | None = None
     try:
         if boats is not None:
@@ -47,12 +56,12 @@ async def serve(gateway: Gateway, boats: tuple[str, int] | None, page: tuple[str
             gateway.heard_on.insert(0, f"{boats[0]}:{boats[1]}")
         await runner.setup()
         with _refused("--page", page):
-            await web.TCPSite(runner, *page).start()
+            await web.TCPSite(runner, *page, ssl_context=tls).start()
         for each in gateway.radios.values():
             each.start()
         port = runner.addresses[0][1]
         key = "KEY" if gateway.bridge.operators.closed else gateway.token
-        ready(f"http://{bracketed(ip_address(page[0]))}:{port}/?token={key}")
+        ready(f"http{'s' if tls else ''}://{bracketed(ip_address(page[0]))}:{port}/?token={key}")
         async with asyncio.TaskGroup() as group:
             if gateway.broker is not None:
                 group.create_task(gateway.broker.follow())

@@ -83,16 +83,16 @@ STAMPS_S: Final = 10.0  # between two writings of the time stamps
 class Key:
     """A signing key in a file of 64 hexadecimal digits, and beside it the time stamps of its last signatures, which
     never go back, not even over a restart, and the link number: drawn once, it tells a boat that this console is one on all of
-    its links, and another one of its number is not. Raises ConfigError.
+    its links, and another one of its number is not. `stamps`: where these are kept instead. Raises ConfigError.
     """
 
-    def __init__(self, file: Path, clock: Clock | None = None) -> None:
+    def __init__(self, file: Path, clock: Clock | None = None, stamps: Path | None = None) -> None:
         try:
             self.secret = read_key(file)
         except ConfigError as error:
             raise ConfigError(str(file), "key", f"{error.reason}; make one with: delfim console --keygen {file}") from None
         self._clock = clock or SystemClock()
-        self._file = file.with_suffix(".stamps")
+        self._file = stamps or file.with_suffix(".stamps")
         self._signing = Signing(self.secret, self._clock, read_stamps(self._file), STREAMS)
         self._signing.link = self._signing.link or secrets.randbelow(255) + 1
         self._due_s = self._clock.monotonic_s()

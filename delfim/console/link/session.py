@@ -15,18 +15,22 @@ PENDING_BYTES: Final = 1 << 20  # frames beyond that, as when the disk is full, 
 
 
 class Session:
-    """The file of this session, begun with the first frame. `reason` says why nothing is written, or is empty."""
+    """The file of this session, begun with the first frame. `reason` says why nothing is written, or is empty. Without
+    `frames` none is kept: the boat's own log has them, and the file's name is that of the watch's log alone."""
 
-    def __init__(self, folder: Path, clock: Clock) -> None:
+    def __init__(self, folder: Path, clock: Clock, frames: bool = True) -> None:
         self.dropped, self.reason = 0, ""
         utc = time.gmtime(clock.time_ns() // 1_000_000_000)
         self._stem, self._clock = folder / time.strftime("%Y%m%d-%H%M%S", utc), clock
-        self.file: Path | None = None
+        self.file: Path | None = None if frames else self._stem
+        self._frames = frames
         self._pending = bytearray()
         self._due_s = 0.0
 
     def put(self, frame: bytes) -> None:
         """Takes a frame that was received or sent."""
+        if not self._frames:
+            return
         if len(self._pending) + len(frame) > PENDING_BYTES:
             self.dropped += 1
             return

@@ -11,7 +11,7 @@ from typing import Final
 from delfim import config
 from delfim.base.ranges import address, is_loopback
 from delfim.canproxy.tables import Cantcpd
-from delfim.services.tables import Ftpd, GuestTable, Httpd, Slipd, Sshd
+from delfim.services.tables import Ftpd, GuestTable, Httpd, Slipd, Sshd, Tablet
 
 BOAT: Final = "/log/.boat"  # aboard; names with a dot in front are given out by no service
 
@@ -80,6 +80,8 @@ def _commands(shore: Path, settings: config.Vehicle, own: str, user: str, runnin
     if "httpd" in running and not is_loopback(listen := settings.of(Httpd).listen):
         port = address(listen)[1]
         yield f"browser: http://{boat}{'' if port == 80 else f':{port}'}/"
+    if "tabletd" in running and not is_loopback(listen := settings.of(Tablet).listen):
+        yield f"tablet: https://{boat}:{address(listen)[1]}/ with the token of {shore}/tablet.token (docs/tablet.md)"
 
 
 def _port(option: str, listen: str, usual: int) -> str:

@@ -12,7 +12,7 @@ from delfim import config
 from delfim.base import parts
 from delfim.base.ranges import is_loopback
 from delfim.canproxy.tables import Canip, Cantcpd
-from delfim.services.tables import Ftpd, GuestTable, Httpd, Slipd, Sshd
+from delfim.services.tables import Ftpd, GuestTable, Httpd, Slipd, Sshd, Tablet
 from delfim.simulator.tables import Simulation
 
 EVERY: Final = "every program of this computer"
@@ -84,6 +84,15 @@ def _httpd(settings: config.Vehicle) -> Iterator[Entrance]:
     yield _open("httpd", settings.of(Httpd).listen, "read the boat's page and its logs")
 
 
+def _tabletd(settings: config.Vehicle) -> Iterator[Entrance]:
+    table = settings.of(Tablet)
+    in_clear = not table.certificate and not is_loopback(table.listen)
+    fault = "tabletd: whoever hears the token commands the boat; name a certificate (tablet.certificate)" if in_clear else ""
+    who, is_here = f"holders of the token or of an operator's key in {table.directory}", is_loopback(table.listen)
+    how = "" if is_here else ", in the clear" if in_clear else ", over TLS"
+    yield Entrance("tabletd", table.listen, "here" if is_here else "known", f"{who}{how}", "watch and command the boat", fault)
+
+
 def _slipd(settings: config.Vehicle) -> Iterator[Entrance]:
     table = settings.of(Slipd)
     place = f"{table.device}, {table.address}"
@@ -115,6 +124,7 @@ def _sshd(settings: config.Vehicle) -> Iterator[Entrance]:
 
 SERVICES = {
     "httpd": _httpd,
+    "tabletd": _tabletd,
     "cantcpd": _cantcpd,
     "slipd": _slipd,
     "canip": _canip,

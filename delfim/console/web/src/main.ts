@@ -348,7 +348,7 @@ function pad(): void {
   const { offsetWidth, offsetHeight } = element("strips");
   const [bar, top] = [element("replay").offsetHeight, element("bar").offsetHeight];
   document.documentElement.style.setProperty("--bar", `${bar}px`);
-  chart.setPadding(innerWidth <= 700 ? [offsetHeight + top + 20, 30, bar || 130, 30] : [40 + top, 110, 60 + bar, offsetWidth + 30]);
+  chart.setPadding(innerWidth <= 700 && innerHeight > 480 ? [offsetHeight + top + 20, 30, bar || 130, 30] : [40 + top, 110, 60 + bar, offsetWidth + 30]);
 }
 
 /** For tests and for the curious. `frames`: how often the map was drawn in the last second. */

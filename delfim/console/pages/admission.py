@@ -27,12 +27,18 @@ CLOSED: Final = """<!doctype html>
 :root { color-scheme: light dark; }
 body { font: 17px/1.5 system-ui, sans-serif; max-width: 34em; margin: 18vh auto; padding: 0 1.2em; }
 code { font-size: 15px; }
+form { display: flex; gap: .6em; }
+input, button { font: inherit; padding: .5em .8em; min-width: 0; }
+input { flex: 1; }
 </style>
 <h1>This console is locked</h1>
 <p>The address needs the console's token, and this one has none or another one.</p>
-<p>Open the address that <code>delfim console</code> printed when it started: it ends with <code>?token=…</code>.
-On the console's computer the token is also in the file <code>~/.local/state/delfim/console.token</code>, unless
-<code>--token</code> names another. Where operators have keys of their own, it ends with the key of one.</p>
+<form><input name="token" aria-label="token or key" placeholder="token or key" autocomplete="off" autocapitalize="off" required>
+<button>Open</button></form>
+<p>It is in the address that <code>delfim console</code> printed when it started, which ends with <code>?token=…</code>.
+On the console's computer it is also in the file <code>~/.local/state/delfim/console.token</code>, unless
+<code>--token</code> names another; on a boat that serves this page in the file <code>token</code> of
+<code>tablet.directory</code>. Where operators have keys of their own, it is the key of one.</p>
 </html>
 """
 OPERATOR: Final = web.RequestKey("operator", ConsoleOperator)
@@ -53,8 +59,9 @@ class Admission:
         could point it here."""
         host, (own, port) = request.headers.get("Host", ""), _end(request)
         if own.is_loopback and host.lower() not in {f"{name}:{port}" for name in (bracketed(own), *LOOPBACK)}:
-            raise web.HTTPForbidden(text=f"this console is at http://{bracketed(own)}:{port}/\n")
-        if request.headers.get("Origin", f"http://{host}") != f"http://{host}" or not host:
+            raise web.HTTPForbidden(text=f"this console is at {request.scheme}://{bracketed(own)}:{port}/\n")
+        site = f"{request.scheme}://{host}"
+        if request.headers.get("Origin", site) != site or not host:
             raise web.HTTPForbidden(text="pages of another site may not use this console\n")
         cookie = f"delfim-{port}"  # a browser keeps cookies by host, and several consoles may be on one
         given = request.query.get("token") or request.cookies.get(cookie) or ""
@@ -68,7 +75,8 @@ class Admission:
             request[OPERATOR] = operator
         response: web.StreamResponse = await handler(request)
         if "token" in request.query and not response.prepared:
-            response.set_cookie(cookie, given, httponly=True, samesite="Lax")  # the boat's page has a link to here
+            # Lax: the boat's page has a link to here
+            response.set_cookie(cookie, given, secure=request.secure, httponly=True, samesite="Lax")
         return response
 
 
