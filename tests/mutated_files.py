@@ -442,6 +442,12 @@ def by_satellite(here: Path) -> Said:
     return command("iridium", "read", str(here / "message.sbd"))
 
 
+def kept_pictures(here: Path) -> Said:
+    from delfim.parts.camera.kept import PicturesByTime
+
+    return refused(lambda: PicturesByTime([here / "bow.pictures"]).at(1 << 62))
+
+
 def stamps(here: Path) -> Said:
     from delfim.parts.mavlink.codec.signing import read_stamps
 
@@ -594,6 +600,7 @@ READERS = {
     "signing key": Reader("key", key, TEXT),
     "password at a caster": Reader("ntrip", casters_password, TEXT),
     "stamps": Reader("stamps", stamps, TEXT),
+    "kept pictures": Reader("bow.pictures", kept_pictures, BINARY),
     "message by satellite": Reader("message.sbd", by_satellite, BINARY),
     "host key": Reader("host_key", host_key, TEXT),
     "certificate": Reader("boat.pem", certificate, TEXT),

@@ -33,6 +33,8 @@ from delfim.logging import nodelog
 from delfim.logging.chain import Chain
 from delfim.logging.kept.writer import packed
 from delfim.logging.reading import read_log
+from delfim.parts.camera.jpegblocks import jpeg_of
+from delfim.parts.camera.kept import record_of
 from delfim.parts.iridium import orders
 from delfim.parts.mavlink.codec.signing import Kept, Signing, write_stamps
 from delfim.services.image.raspberry import AUTOBOOT, autoboot_txt
@@ -230,6 +232,7 @@ def keys(folder: Path) -> None:
     (folder / "ntrip").write_text("ana:secret\n")
     (folder / "address").write_text("35\n")
     signing = Signing(bytes(32), ManualClock(time_ns=1_800_000_000_000_000_000))
+    (folder / "bow.pictures").write_bytes(b"".join(record_of(1000 * at, jpeg_of(16, 16, [at] * 4)) for at in range(3)))
     (folder / "message.sbd").write_bytes(orders.sealed(orders.WORDS["home"], 3, 7, signing))
     write_stamps(folder / "stamps", Kept(7, 5, [((255, 190, 1), 123_456_789), ((250, 190, 2), 99)]))
     (folder / "host_key").write_bytes(asyncssh.generate_private_key("ssh-ed25519").export_private_key("openssh"))
@@ -364,6 +367,7 @@ SAMPLES = {
         "password at a caster",
         "stamps",
         "message by satellite",
+        "kept pictures",
         "host key",
         "certificate",
         "supervisor's record",
@@ -491,6 +495,8 @@ READ_BY = {  # function: the readers above that come by it
     "services/suite.py: _outcome": {"supervisor's record"},
     "parts/mavlink/codec/signing.py: read_stamps": {"stamps"},
     "commands/operation/iridium.py: _read": {"message by satellite"},
+    "parts/camera/kept.py: _records": {"kept pictures"},
+    "parts/camera/kept.py: at": {"kept pictures"},
 }
 OTHERS = {  # what the kernel tells, and what is only copied or digested
     "adoption/record.py: digest_of",

@@ -226,6 +226,12 @@ OWN: Final = {  # in the order in which sources are listed
             exposure="delfim.parts.payload.exposure:entrances",
         ),
         Part(
+            "camera",
+            "delfim.parts.camera.table:Cameras",
+            after="payload",
+            exposure="delfim.parts.camera.exposure:entrances",
+        ),
+        Part(
             "mavlink_front_seat",
             "delfim.parts.frontseats.table:MavlinkFrontSeat",
             after="heron",

@@ -151,6 +151,13 @@ SERVICES = (
     Service(
         "rosd", "delfim.parts.ros.rosd:serve", place="process", uvloop=False, when=lambda settings: settings.table("ros").router
     ),
+    Service(
+        "camerad",
+        "delfim.parts.camera.camerad:serve",
+        place="process",
+        uvloop=False,
+        when=lambda settings: settings.table("camera"),
+    ),
     Service("vehicle", "delfim.services.vehicle:serve"),
 )
 

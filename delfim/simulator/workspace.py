@@ -138,7 +138,7 @@ def settings_of(
         **_instruments(vehicle, its),
         **_of_parts(vehicle, place, loop),
         **_beside(vehicle, its),
-        **{key: "" for key in (*RADIOS, *HANDS, *_corrected(vehicle), *_shared(vehicle, named)) if key not in named},
+        **{key: text for key, text in (_cameras(vehicle) | _without(vehicle, named)).items() if key not in named},
         "guest.listen": free("guest.listen", vehicle.table("guest").listen),
         "mavlink.listen": free("mavlink.listen", vehicle.table("mavlink").listen, udp=True),
         "httpd.listen": page,
@@ -181,6 +181,17 @@ def _lookouts(vehicle: config.Vehicle, place: Path) -> dict[str, str]:
     """The programs of simulated look-outs: each copies out what its pipe brings."""
     rows = vehicle.of(Simulation).things.lookout
     return {f"payload.{row.payload}.command": f'["/bin/cat", "{place}/lookout-{row.payload}"]' for row in rows}
+
+
+def _cameras(vehicle: config.Vehicle) -> dict[str, str]:
+    """Each camera is played."""
+    sources = {"source": "test", "credentials": ""}
+    return {f"camera.{name}.{key}": text for name in vehicle.table("camera") for key, text in sources.items()}
+
+
+def _without(vehicle: config.Vehicle, named: Collection[str]) -> dict[str, str]:
+    """What a simulated boat does not have."""
+    return dict.fromkeys((*RADIOS, *HANDS, *_corrected(vehicle), *_shared(vehicle, named)), "")
 
 
 def _on_buses(vehicle: config.Vehicle) -> list[str]:

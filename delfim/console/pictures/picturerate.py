@@ -1,0 +1,59 @@
+"""The rate that pictures may have: what the link to a boat leaves. No socket and no clock.
+
+The delay tells: as soon as data waits in a queue somewhere, the rate falls, long before orders and state are late. A radio that
+loses some datagrams and delays none is not slowed down by that; one that loses many is.
+"""
+
+import math
+from collections import deque
+from typing import Final
+
+START_BPS: Final = 20_000.0
+LEAST_BPS: Final = 8_000.0
+MOST_BPS: Final = 2_000_000.0
+ASK_S: Final = 0.5  # between two asks: the rate changes with each
+RISE: Final = 1.25
+FALL: Final = 0.7
+QUEUED_S: Final = 0.04  # longer than the least round trip, and a queue is there
+LOSS_MAX: Final = 0.15
+BASE_S: Final = 60.0  # the least round trip of so long counts: a route may change
+SHARE: Final = 0.5  # of a rate must be used for it to rise: else nothing is known of a higher one
+
+
+class PictureRate:
+    """Of one boat. `loss` is a part of 1."""
+
+    def __init__(self) -> None:
+        self.bps, self.loss = START_BPS, 0.0
+        self._bases = deque[tuple[float, float]]()  # when, and the least round trip of that ask
+        self._least_s, self._bits, self._first, self._last, self._count = math.inf, 0, -1, -1, 0
+
+    def answered(self, round_s: float) -> None:
+        """The answer to an ask came so late."""
+        self._least_s = min(self._least_s, round_s)
+
+    def came(self, number: int, size: int, round_s: float) -> None:
+        """A datagram came, of `size` bytes with all headers; its number tells of losses before it."""
+        self.answered(round_s)
+        self._bits += 8 * size
+        self._count += 1
+        self._first = number if self._first < 0 else min(self._first, number)
+        self._last = max(self._last, number)
+
+    def next(self, now_s: float, hold: bool) -> int:
+        """The rate of the next ask, due each ASK_S. `hold`: an order is under way, or the link is weak: as little as can be."""
+        sent = self._last - self._first + 1 if self._first >= 0 else 0
+        if sent:
+            self.loss += 0.3 * (max(1.0 - self._count / sent, 0.0) - self.loss)
+        if self._least_s < math.inf:
+            self._bases.append((now_s, self._least_s))
+        while self._bases and self._bases[0][0] < now_s - BASE_S:
+            self._bases.popleft()
+        base_s = min((each for _, each in self._bases), default=math.inf)
+        is_queued = self._least_s < math.inf and self._least_s - base_s > QUEUED_S
+        if is_queued or self.loss > LOSS_MAX or (self._least_s == math.inf and self._bases):
+            self.bps = max(FALL * self.bps, LEAST_BPS)
+        elif self._bits >= SHARE * self.bps * ASK_S:
+            self.bps = min(RISE * self.bps, MOST_BPS)
+        self._least_s, self._bits, self._first, self._last, self._count = math.inf, 0, -1, -1, 0
+        return round(LEAST_BPS if hold else self.bps)

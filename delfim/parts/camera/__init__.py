@@ -1,0 +1,1 @@
+"""Cameras: pictures that take what the link leaves, and are kept aboard."""
