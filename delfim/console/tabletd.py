@@ -56,13 +56,13 @@ async def serve(runtime: Runtime) -> None:
     try:
         gateway = tablet_gateway(settings, runtime.file)
         with runtime.publishing("tabletd", gateway.report):
-            tls = _tls(table.certificate)
+            tls = tls_of(table.certificate)
             await serve_pages(gateway, address(table.boats), address(table.listen), lambda url: None, tls, END_S)
     except ConfigError as error:
         raise PermanentFailure(f"tablet: {error}") from None
 
 
-def _tls(certificate: str) -> ssl.SSLContext | None:
+def tls_of(certificate: str) -> ssl.SSLContext | None:
     """Load the certificate. Raises PermanentFailure if the file is missing or not a certificate with its key."""
     if not certificate:
         return None

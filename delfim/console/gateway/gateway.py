@@ -35,6 +35,7 @@ from delfim.console.link.radio import radio
 from delfim.console.link.session import Session
 from delfim.console.link.udp import Udp
 from delfim.console.pages.admission import Admission, own_number
+from delfim.console.pages.installable import built, manifest_route
 from delfim.console.pages.page import Page, encoded
 from delfim.console.tapes.replay import TapePlayer
 from delfim.console.tapes.tape import Tape
@@ -82,7 +83,7 @@ class Gateway:
         admission = Admission(token, operators)
         self.token, self.me = admission.token, number or own_number(admission.token)
         self._clock, self._pages = clock, set[Page]()
-        self.ping_s = PING_S
+        self.ping_s, self._built = PING_S, built(PAGE)
         self.viewers: list[Callable[[dict[str, Any]], None]] = []  # other programs that hear what pages hear
         self.fleet: Fleet | TapePlayer
         self.watch = WatchKeeper(self._broadcast, self._utc_s, self._name, sessions if self.session is not None else None)
@@ -124,6 +125,7 @@ class Gateway:
             self.app.router.add_get("/adopted.toml", self.adoption.serve_file)
         self._drop.routes(self.app)
         if PAGE.is_dir():
+            manifest_route(self.app, PAGE)
             self.app.router.add_static("/", PAGE)
 
     def close(self) -> None:
@@ -294,6 +296,7 @@ class Gateway:
             {
                 "t": "hello",
                 "version": __version__,
+                "built": self._built,
                 "me": self.me,
                 "page": page.number,
                 "backgrounds": self.charts.backgrounds,

@@ -16,9 +16,11 @@ from aiohttp import web
 
 from delfim.base.errors import FormatError
 from delfim.base.input.untrusted import read_text
+from delfim.console.pages.installable import PUBLIC
 from delfim.console.watch.operators import ConsoleOperator, OperatorsFile
 
 TOKEN_BYTES: Final = 12
+COOKIE_S: Final = 90 * 86_400  # an app on a tablet asks once, and not at each start
 NUMBERS: Final = range(200, 255)  # of consoles; QGroundControl and MAVProxy have 255
 _TOKEN: Final = re.compile(r"[\w-]{16}", re.ASCII)
 CLOSED: Final = """<!doctype html>
@@ -63,6 +65,9 @@ class Admission:
         site = f"{request.scheme}://{host}"
         if request.headers.get("Origin", site) != site or not host:
             raise web.HTTPForbidden(text="pages of another site may not use this console\n")
+        if request.path in PUBLIC:
+            public: web.StreamResponse = await handler(request)
+            return public
         cookie = f"delfim-{port}"  # a browser keeps cookies by host, and several consoles may be on one
         given = request.query.get("token") or request.cookies.get(cookie) or ""
         operator = self.operators.of(given) if self.operators.closed else None
@@ -76,7 +81,7 @@ class Admission:
         response: web.StreamResponse = await handler(request)
         if "token" in request.query and not response.prepared:
             # Lax: the boat's page has a link to here
-            response.set_cookie(cookie, given, secure=request.secure, httponly=True, samesite="Lax")
+            response.set_cookie(cookie, given, max_age=COOKIE_S, secure=request.secure, httponly=True, samesite="Lax")
         return response
 
 

@@ -1,5 +1,5 @@
 // Bundles the page into the folder named on the command line (../page without one): console.js, console.css, index.html,
-// land.bin, harbours.tsv (Natural Earth's 1:10m ports, public domain), LICENSES.txt, sources.json.
+// sw.js, manifest.webmanifest, icons, land.bin, harbours.tsv (Natural Earth's 1:10m ports, public domain), LICENSES.txt, sources.json.
 // The same sources and the same lock file give the same bytes.
 import { build } from "esbuild";
 import { createHash } from "node:crypto";
@@ -26,9 +26,22 @@ const { metafile } = await build({
   loader: { ".woff2": "file" },
   assetNames: "[name]",
 });
-copyFileSync(join(here, "src/index.html"), join(out, "index.html"));
 copyFileSync(join(here, "harbours.tsv"), join(out, "harbours.tsv"));
+copyFileSync(join(here, "src/manifest.webmanifest"), join(out, "manifest.webmanifest"));
+for (const name of readdirSync(join(here, "icon"))) copyFileSync(join(here, "icon", name), join(out, name));
 writeFileSync(join(out, "land.bin"), land(JSON.parse(readFileSync(join(here, "node_modules/world-atlas/land-10m.json"), "utf8"))));
+
+// The page names its program and its style with a digest, and so does what keeps it offline: parts of two builds never meet.
+const parts = ["console.css", "console.js", "harbours.tsv", "land.bin"];
+const built = createHash("sha256");
+for (const name of parts) built.update(readFileSync(join(out, name)));
+const digest8 = built.digest("hex").slice(0, 8);
+const index = readFileSync(join(here, "src/index.html"), "utf8").replace(/console\.(css|js)"/g, `console.$1?${digest8}"`);
+writeFileSync(join(out, "index.html"), index);
+const kept = ["./", `console.css?${digest8}`, `console.js?${digest8}`, "harbours.tsv", "land.bin", "manifest.webmanifest"];
+kept.push(...readdirSync(out).filter((name) => name.endsWith(".woff2") || name.endsWith(".png")).sort());
+const worker = readFileSync(join(here, "src/sw.js"), "utf8");
+writeFileSync(join(out, "sw.js"), `const BUILT = "${digest8}";\nconst FILES = ${JSON.stringify(kept)};\n${worker}`);
 
 const packages = new Set(["world-atlas"]);
 for (const file of Object.keys(metafile.inputs)) {
@@ -46,6 +59,6 @@ licences.push(`B612 (OFL-1.1)\n\n${readFileSync(join(here, "face/OFL.txt"), "utf
 writeFileSync(join(out, "LICENSES.txt"), licences.join("\n" + "-".repeat(78) + "\n\n"));
 
 // What it was made of, so that a test can tell a bundle from before the last change.
-const sources = ["build.mjs", ...readdirSync(join(here, "face")).map((name) => `face/${name}`), "harbours.tsv", "land.mjs", "package-lock.json", ...readdirSync(join(here, "src")).map((name) => `src/${name}`)].sort();
+const sources = ["build.mjs", ...readdirSync(join(here, "face")).map((name) => `face/${name}`), ...readdirSync(join(here, "icon")).map((name) => `icon/${name}`), "harbours.tsv", "land.mjs", "package-lock.json", ...readdirSync(join(here, "src")).map((name) => `src/${name}`)].sort();
 const digest = (name) => createHash("sha256").update(readFileSync(join(here, name))).digest("hex");
 writeFileSync(join(out, "sources.json"), JSON.stringify(Object.fromEntries(sources.map((name) => [name, digest(name)])), null, 1) + "\n");

@@ -21,6 +21,7 @@ import { Fleet, position } from "./fleet";
 import { Pad } from "./gamepad";
 import { Header } from "./header";
 import { Hints } from "./hints";
+import { keepOffline, makeWay } from "./installed";
 import { Keys } from "./keys";
 import { Land } from "./land";
 import { Menus } from "./menus";
@@ -52,6 +53,7 @@ const REACH_TOUCH_PX = 32;
 const element = (id: string): HTMLElement => document.getElementById(id)!;
 
 tellFailures(element("failed"));
+keepOffline();
 const state = new State();
 const sound = new Sound();
 const messages = new Messages(element("said"), state, sound);
@@ -140,6 +142,7 @@ window.addEventListener("beforeunload", (event) => {
 function heard(message: Heard): void {
   switch (message.t) {
     case "hello":
+      if (!state.hello) makeWay(message.built ?? "");
       state.hello = message;
       document.title = `Delfim · console ${message.me}`;
       takeCharts(message.backgrounds);

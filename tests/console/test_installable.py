@@ -1,0 +1,98 @@
+"""The page as an app: Chromium's own judgement, and what is kept of it opens without the gateway, says so, and never stays an
+old page at a new gateway. Over HTTPS with a certificate that the browser trusts, as it must be."""
+
+import asyncio
+import base64
+import contextlib
+import hashlib
+import re
+import shutil
+import subprocess
+from collections.abc import AsyncIterator
+from pathlib import Path
+
+import pytest
+
+from delfim import config
+from delfim.base.tables import decode
+from delfim.console import tabletd
+from delfim.console.gateway import gateway as gateway_module
+from delfim.console.gateway.gateway import PAGE
+from delfim.console.gateway.serving import serve
+from delfim.console.pages.installable import MANIFEST, PUBLIC, built
+from tests.certificates import certificate
+from tests.services.browser import browser
+
+__all__ = ["certificate"]
+OFFLINE = "!document.getElementById('offline').hidden"
+ONLINE = "window.delfim?.online() === true"
+
+
+def trusted(pem: Path) -> str:
+    """The browser's option by which it trusts this certificate as if an authority had signed it."""
+    words = ["openssl", "x509", "-in", str(pem), "-pubkey", "-noout"]
+    public = subprocess.run(words, check=True, capture_output=True, text=True).stdout
+    der = base64.b64decode("".join(public.splitlines()[1:-1]))
+    return f"--ignore-certificate-errors-spki-list={base64.b64encode(hashlib.sha256(der).digest()).decode()}"
+
+
+@contextlib.asynccontextmanager
+async def at_sea(folder: Path, pem: Path, port: int = 0) -> AsyncIterator[str]:
+    """The boat's page, as tabletd serves it, until the end of the block; its address with the token."""
+    table = {"listen": "127.0.0.1:0", "boats": "127.0.0.1:14561", "directory": str(folder)}
+    told = {"boat": {"name": "test"}, "tablet": table, "mavlink": {"peers": ["127.0.0.1:14561"]}}
+    gateway = tabletd.tablet_gateway(decode(told, config.Vehicle, "test.toml"), "")
+    ready: asyncio.Future[str] = asyncio.get_running_loop().create_future()
+    serving = asyncio.create_task(
+        serve(gateway, ("127.0.0.1", 0), ("127.0.0.1", port), ready.set_result, tabletd.tls_of(str(pem)), 0.2)
+    )
+    try:
+        yield await ready
+    finally:
+        serving.cancel()
+        await asyncio.gather(serving, return_exceptions=True)
+
+
+async def test_chromium_may_install_the_page_and_it_opens_without_its_boat(
+    tmp_path: Path, certificate: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async with browser(tmp_path / "browser", trusted(certificate)) as page:
+        async with at_sea(tmp_path / "tablet", certificate) as url:
+            port = int(url.split(":")[2].partition("/")[0])
+            await page.open(url, width=390, height=780, scale=1.0)
+            await page.until(ONLINE)
+            await page.value("navigator.serviceWorker.ready.then(() => true)")
+            manifest = await page.call("Page.getAppManifest")
+            assert manifest["errors"] == []
+            assert (await page.call("Page.getInstallabilityErrors"))["installabilityErrors"] == []
+
+        await page.reload()
+        await page.until(OFFLINE)
+        assert "CONSOLE OFFLINE" in await page.value("document.getElementById('offline').innerText")
+        assert await page.value("document.querySelectorAll('.chip').length") == 0, "no state is kept"
+        kept = "caches.keys().then(async (names) => (await (await caches.open(names[0])).keys()).map((each) => each.url))"
+        paths = {each.partition(f":{port}/")[2].partition("?")[0] for each in await page.value(kept)}
+        served = {file.name for file in PAGE.iterdir()} - {"index.html", "LICENSES.txt", "sources.json", "sw.js"}
+        assert paths == {"", *served}
+
+        newer = tmp_path / "page"
+        shutil.copytree(PAGE, newer)
+        mine = built(PAGE)
+        for name in ("index.html", "sw.js"):
+            (newer / name).write_text((newer / name).read_text().replace(mine, "0123abcd"))
+        monkeypatch.setattr(gateway_module, "PAGE", newer)
+        async with at_sea(tmp_path / "tablet", certificate, port):
+            with contextlib.suppress(AssertionError):  # the page that was kept goes while it is asked
+                await page.until(f"{ONLINE} && document.querySelector('script').src.endsWith('?0123abcd')")
+            await page.until(f"{ONLINE} && document.querySelector('script').src.endsWith('?0123abcd')")
+            await page.until("caches.keys().then((names) => names.join()).then((names) => names === 'delfim-0123abcd')")
+        page.complaints.clear()  # of the boat that was not there
+
+
+def test_the_page_names_its_build_and_what_is_public_is_in_it() -> None:
+    worker = (PAGE / "sw.js").read_text()
+    assert re.fullmatch("[0-9a-f]{8}", built(PAGE))
+    assert f'const BUILT = "{built(PAGE)}";' in worker
+    assert all((PAGE / each.lstrip("/")).exists() for each in PUBLIC)
+    assert f"/{MANIFEST}" in PUBLIC
+    assert built(Path("/nowhere")) == ""
