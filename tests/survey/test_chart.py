@@ -283,10 +283,9 @@ def test_gdal_opens_the_files(folder: Path, chart: SurveyChart) -> None:
     assert pyogrio.read_info(folder / "csb.geojson")["features"] == chart.its.good.sum()
 
 
+@pytest.mark.xfail(not QGIS.exists(), run=False, reason="without Debian's package python3-qgis, a gigabyte; GDAL alone looked")
 def test_qgis_opens_the_files(folder: Path, chart: SurveyChart) -> None:
-    """Where Debian's package python3-qgis is; it is a gigabyte, so no test asks for it."""
-    if not QGIS.exists():
-        return
+    """An expected failure where QGIS is not, and no skip: `make system` does not bring it (docs/testbed.md)."""
     names = ["depth.tif", "shoalest.tif", "uncertainty.tif"]
     names += [f"survey.gpkg|layername={layer}" for layer in ("contours", "soundings", "refused")]
     done = subprocess.run(
