@@ -300,7 +300,7 @@ def _sailed(
     """Where the boat begins, and its way: run-in, line, run-out, turn. Where holes lie between the boat and the first line, it
     begins with the way round them."""
     here = _before(ways, lines[0], wanted)
-    begin, *places = [*_round(ways, come, here), here]
+    begin, *places = [*_round(ways, come, here, wanted.room_m), here]
     way = [PlannedPiece(Bend(place), None) for place in places]
     for number, line in enumerate(lines):
         ahead = _before(ways, line, wanted)
@@ -316,15 +316,20 @@ def _sailed(
     return begin, way
 
 
-def _round(ways: OpenWater, come: Place | None, begin: Place) -> list[Place]:
-    """The places where the way from the boat turns; none where it is not known, or where there is no way: the boat says so."""
-    if come is None:
+def _round(ways: OpenWater, come: Place | None, begin: Place, room_m: float) -> list[Place]:
+    """The places where the way from the boat turns; none where it is not known, or where there is no way: the boat says so. A
+    boat that lies nearer to a hole than lines are goes straight away from it first."""
+    if come is None or ways.free(come, begin):
+        return []
+    out = ways.nearest(come)
+    if math.dist(come, out) > room_m:
         return []
     try:
-        places = ways.between(come, begin)
+        places = [out, *ways.between(out, begin)]
     except DelfimError:
         return []
-    return [here for here, after in pairwise([*places, begin]) if math.dist(here, after) >= LEG_MIN_M]
+    turns = places if math.dist(come, out) >= LEG_MIN_M else places[1:]
+    return [here for here, after in pairwise([*turns, begin]) if math.dist(here, after) >= LEG_MIN_M]
 
 
 def _before(ways: OpenWater, line: Segment, wanted: LinesWanted) -> Place:

@@ -6,8 +6,9 @@ from heapq import heappop, heappush
 from typing import Final
 
 import shapely
-from shapely.geometry import LineString
+from shapely.geometry import LineString, Point
 from shapely.geometry.base import BaseGeometry
+from shapely.ops import nearest_points
 
 from delfim.base.errors import DelfimError
 from delfim.survey.ground import Place, polygons
@@ -21,7 +22,7 @@ class OpenWater:
     """Ways through one water."""
 
     def __init__(self, water: BaseGeometry) -> None:
-        self._water = water.buffer(SAME_M)
+        self._inner, self._water = water, water.buffer(SAME_M)
         shapely.prepare(self._water)
         self._corners, self._seen = _corners(water), dict[tuple[Place, Place], bool]()
 
@@ -30,6 +31,11 @@ class OpenWater:
         if (a, b) not in self._seen:
             self._seen[a, b] = self._seen[b, a] = math.dist(a, b) < SAME_M or self._water.covers(LineString([a, b]))
         return self._seen[a, b]
+
+    def nearest(self, place: Place) -> Place:
+        """The place of the water that is nearest: the same, where it is water."""
+        near = nearest_points(self._inner, Point(place))[0]
+        return near.x, near.y
 
     def between(self, a: Place, b: Place) -> list[Place]:
         """The places where the shortest way turns. Raises DelfimError where there is none."""

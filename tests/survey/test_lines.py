@@ -106,6 +106,14 @@ def test_a_boat_comes_to_its_first_line_round_holes(come: tuple[float, float], s
     assert plan.lines == elsewhere.lines or not start, "a boat that is far away has no way to be planned"
 
 
+def test_a_boat_that_lies_near_a_hole_goes_away_from_it_and_then_round() -> None:
+    come = 38.0, 50.0
+    plan = planned(ROUND_AN_ISLAND, BOAT._replace(start="ne", room_m=8.0), config.Zones(), come)
+    assert not LineString([come, plan.begin]).intersects(ROUND_AN_ISLAND.holes)
+    assert plan.begin == pytest.approx((32.0, 50.0), abs=0.1)
+    assert in_holes(plan) == 0
+
+
 def test_lines_are_apart_as_asked_and_as_long_as_their_strips() -> None:
     plan = survey(SQUARE, heading_deg=0.0)
     assert sorted(round(line[0][0], 6) for line in plan.lines) == [5.0 + 10.0 * number for number in range(10)]
