@@ -198,6 +198,7 @@ class TrafficGuard(Table, frozen=True):
     away_s: Annotated[float, msgspec.Meta(ge=10.0, le=86_400.0)] = 1800.0  # and for so long; then on_failure, for as long again
     thing_clear_m: Annotated[float, msgspec.Meta(ge=1.0, le=200.0)] = 10.0  # from what stands to the boat's side or end
     person_clear_m: Annotated[float, msgspec.Meta(ge=5.0, le=500.0)] = 30.0  # the same of a swimmer; twice as near, half speed
+    person_stop_m: Annotated[float, msgspec.Meta(ge=0.0, le=100.0)] = 8.0  # nearer to one the propellers stop; 0: never
     on_failure: Literal["warn", "slow", "hold"] = "warn"  # where the guard cannot work: go on, at half speed, or hold
     overruled_s: Annotated[float, msgspec.Meta(ge=10.0, le=3600.0)] = 600.0  # an operator who overrules it does so for so long
     stopped_s: Annotated[float, msgspec.Meta(ge=10.0, le=86_400.0)] = 600.0  # a longer stop is told: it may be for nothing

@@ -46,6 +46,8 @@ class ThingSeen(NamedTuple):
     radius_m: float
     kind: str = "thing"  # stands; or "person", a swimmer
     confidence: float = 1.0  # 0 to 1; 0 takes back what was told of there
+    course_rad: float | None = None  # over ground, and its speed, where the program knows its motion
+    speed_mps: float | None = None
 
 
 THINGS: Final = ("thing", "person")

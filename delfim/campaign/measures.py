@@ -185,8 +185,14 @@ MEASURES: Final = (
     Measure(
         "clear_m",
         "DOUBLE",
-        "smallest distance from the hull to one of them; negative: it touched",
+        "smallest distance from the hull to one of them, of swimmers while a propeller turned; negative: it struck it",
         lambda s: min((each.nearest_m for each in s.run.nodes.things), default=None),
+    ),
+    Measure(
+        "still_m",
+        "DOUBLE",
+        "the same to a swimmer while the propellers stood still; negative: it touched",
+        lambda s: min((each.still_m for each in s.run.nodes.things), default=None),
     ),
     Measure("alterations", "INTEGER", "courses that were taken and kept", lambda s: alterations(s.truth.rules.instants)),
     Measure("off_m", "DOUBLE", "farthest from the line of an encounter", lambda s: s.truth.rules.off_m),

@@ -147,11 +147,11 @@ def sighted(line: bytes, state: State, now_s: float) -> bool:
 def seen(vessel: SeenVessel, by: str, state: State, now_s: float) -> None:
     """Another vessel or a thing, into the state. `by`: "guest", or "payload " and the program's name, or a sensor."""
     place = math.radians(vessel.latitude_deg), math.radians(vessel.longitude_deg)
-    if vessel.kind != "vessel":
-        name = f"{by.removeprefix('payload ')} {vessel.id}"
-        state.hear(ThingSeen(*place, vessel.radius_m, vessel.kind, vessel.confidence), by, now_s, name)
-        return
     course_rad, heading_rad = (None if each is None else math.radians(each) for each in (vessel.course_deg, vessel.heading_deg))
+    if vessel.kind != "vessel":
+        name, motion = f"{by.removeprefix('payload ')} {vessel.id}", (course_rad, vessel.speed_mps)
+        state.hear(ThingSeen(*place, vessel.radius_m, vessel.kind, vessel.confidence, *motion), by, now_s, name)
+        return
     key = f"payload {vessel.id}"
     state.hear(VesselPosition(0, *place, course_rad, vessel.speed_mps, heading_rad, None, "payload"), by, now_s, key)
     state.hear(VesselFacts(0, vessel.id, None, None, vessel.length_m, vessel.beam_m, None, None), by, now_s, key)

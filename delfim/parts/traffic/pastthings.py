@@ -13,9 +13,8 @@ from typing import Final, NamedTuple
 
 from delfim.base.cooperative import Work
 from delfim.base.geodesy import wrap
-from delfim.base.vessels import THINGS
 from delfim.parts.traffic.encounter import Own
-from delfim.parts.traffic.trialways import Caution, RouteAhead, clear_m, core
+from delfim.parts.traffic.trialways import Caution, RouteAhead, clear_m, core, swept
 from delfim.vehicle.plans.fence import RECEDES_M, Fence
 from delfim.vehicle.plans.zones import Point, clearance_m, cost, least
 from delfim.vehicle.target import CourseOrder, Target
@@ -71,6 +70,7 @@ def past(
     """The way past the things that are soon met on the route; None: it is clear. `was`: that of the decision before."""
     if not (things and route.points and route.speed_mps > 0.05):
         return None
+    things = [swept(own, route.speed_mps, each) for each in things]
     here, soon_m = (own.north_m, own.east_m), max(SOON_S * route.speed_mps, SOON_M)
     less_m, sides = (0.0, frozenset[tuple[str, int]]()) if was is None else (KEEPS_M, was.sides)
     kept = {(i, side) for i, each in enumerate(things) for side in (1, -1) if (each.key, side) in sides}
@@ -83,7 +83,7 @@ def past(
     if leg and not (route.is_line and along_m < STAYS_M):
         return None  # that leg is not sailed yet
     found, thing, left = list[tuple[float, Passage]](), things[number], SPENT
-    is_in = any(_away_m(own, each) < core(limits, each) + clear_m(limits, each.kind) - IN_M for each in things)
+    is_in = any(_is_ahead(own, each, core(limits, each) + clear_m(limits, each.kind) - IN_M) for each in things)
     is_late = was is not None and was.is_narrow and along_m < STAYS_M  # there is no other way any more
     for part in PARTS[is_late:]:
         if part < 1.0:
@@ -120,20 +120,25 @@ def _passage(points: tuple[Point, ...], thing: Target, side: int, is_narrow: boo
 
 
 def _what(thing: Target) -> str:
-    return ", a swimmer" if thing.kind == "person" else ", which stands"
+    if thing.kind == "person":
+        return ", a swimmer"
+    return ", which drifts" if thing.speed_mps else ", which stands"
 
 
-def _away_m(own: Own, thing: Target) -> float:
-    return math.hypot(thing.north_m - own.north_m, thing.east_m - own.east_m)
+def _is_ahead(own: Own, thing: Target, within_m: float) -> bool:
+    """Whether a thing is so near, and not left behind: what moves may be faster than the boat is slowly."""
+    north_m, east_m = thing.north_m - own.north_m, thing.east_m - own.east_m
+    is_left = thing.speed_mps > 0.0 and north_m * math.cos(own.course_rad) + east_m * math.sin(own.course_rad) < 0.0
+    return math.hypot(north_m, east_m) < within_m and not is_left
 
 
 def _circles(limits: Caution, here: Point, things: Sequence[Target], part: float, less_m: float) -> list[Circle]:
     """The circles to keep out of. From within one the boat may go on, but no farther in, and not into that of the next part."""
     found, least = list[Circle](), {PARTS[0]: PARTS[1], PARTS[1]: PARTS[2]}.get(part, 0.0)
     for each in things:
-        core_m, keeps_m = core(limits, each) - less_m, clear_m(limits, each.kind)
+        core_m, keeps_m = core(limits, each) - less_m, clear_m(limits, each.kind, part)
         away_m = math.hypot(each.north_m - here[0], each.east_m - here[1]) - 0.1
-        radius_m = min(core_m + part * keeps_m, max(away_m, core_m + least * keeps_m if least else 0.0))
+        radius_m = min(core_m + keeps_m, max(away_m, core_m + clear_m(limits, each.kind, least) if least else 0.0))
         found.append((each.north_m, each.east_m, radius_m))
     return found
 
@@ -297,17 +302,3 @@ def _keeps(around: Fence | None, a: Point, b: Point) -> tuple[bool, int]:
             if smallest < clearance_m(zone, *a) - RECEDES_M:
                 return False, looked + 1
     return True, looked + len(around.zones) // ZONES
-
-
-def swimmer_near(limits: Caution, own: Own, things: Sequence[Target]) -> Target | None:
-    """A swimmer so near that the boat goes slowly; None: there is none."""
-    for each in things:
-        near_m = core(limits, each) + 2.0 * limits.person_clear_m
-        if each.kind == "person" and math.hypot(each.north_m - own.north_m, each.east_m - own.east_m) < near_m:
-            return each
-    return None
-
-
-def is_thing(target: Target) -> bool:
-    """Whether it stands, or swims, and no rule of the road is for it."""
-    return target.kind in THINGS

@@ -3,7 +3,8 @@
 
 A thing is known by its place, whichever program tells of it and under whichever name, so that two programs that see one buoy
 make one thing of it. The confidences of its sightings, one a second, add up: from BELIEVED on it is there, and out of view it
-is kept for KEPT times as many seconds. Bounded; no clock, no exception for any report.
+is kept for KEPT times as many seconds. What is small and moves by itself is taken for a swimmer. Bounded; no clock, no
+exception for any report.
 """
 
 import math
@@ -15,6 +16,7 @@ from delfim.base.cooperative import Work
 from delfim.base.geodesy import Origin, to_plane, wrap
 from delfim.base.vessels import ThingSeen
 from delfim.config import TrafficTable
+from delfim.parts.traffic.thingmotion import RADIUS_M, ThingMotion, seen_again, seen_at, told_to_move
 from delfim.vehicle.target import STATUS_UNKNOWN, Target
 
 MOST: Final = 100
@@ -29,11 +31,12 @@ HEAD_REACH_M: Final = 6.1  # farther from the edge of a thing, or from where a s
 SAME_M: Final = 3.0  # a sighting so near to a thing is of that one, ...
 SAME_PERSON_M: Final = 6.0  # ... or to a swimmer: a camera tells poorly how far away a head is
 HEAD_M: Final = 1.0  # radius of what may be a head above the water, seen by who cannot tell it from a buoy, ...
+SWIMS_S: Final = 5.0  # what may be a head and moves for so long is one
+CARRIED_S: Final = 10.0  # out of view it is reckoned on for so long
 HEAD_S: Final = 3.0  # ... and for how long after a sighting what is seen where it may be is it
 SMOOTH, SMOOTH_PERSON = 4, 2  # sightings that make the place of a thing, and of a swimmer
 NUMBERS: Final = 999
 LOOKED: Final = 3  # comparisons that where one thing is now costs
-RADIUS_M: Final = 6_378_137.0
 LATITUDE_MAX_RAD: Final = math.radians(89.0)
 
 
@@ -50,6 +53,7 @@ class Thing:
     at_s: float  # of the last sighting
     belief: float  # sum of confidences
     counted_s: float  # when a sighting was added last
+    motion: ThingMotion
     seen: int = 1
 
     def kept_s(self, limits: TrafficTable) -> float:
@@ -65,15 +69,31 @@ class Thing:
         self.longitude_rad = wrap(self.longitude_rad + part * wrap(told.longitude_rad - self.longitude_rad))
         self.radius_m += part * (told.radius_m - self.radius_m)
         self.at_s = max(now_s, self.at_s)
+        self.move(told, seen_again(self.motion, told.latitude_rad, told.longitude_rad, now_s))
         if now_s - self.counted_s >= COUNTED_S:
             self.belief, self.counted_s = self.belief + told.confidence, now_s
 
+    def move(self, told: ThingSeen, motion: ThingMotion) -> None:
+        """Know of its motion what came of this sighting."""
+        if told.course_rad is not None and told.speed_mps is not None:
+            motion = told_to_move(motion, told.course_rad, told.speed_mps)
+        self.motion = motion
+        if self.radius_m <= HEAD_M and motion.at_s - motion.moves_s >= SWIMS_S:
+            self.kind = "person"
+
     def target(self, origin: Origin, age_s: float) -> Target:
-        """It as others are told of it: a circle that lies still."""
+        """It as others are told of it: a circle that lies still, or that moves. After CARRIED_S without a sighting nobody knows
+        how."""
         north_m, east_m = to_plane(origin, self.latitude_rad, self.longitude_rad)
-        margin_m = MARGIN_M + (min(PERSON_MPS * age_s, PERSON_MAX_M) if self.kind == "person" else 0.0)
+        north_mps, east_mps = self.motion.mps
+        speed_mps, carried_s = math.hypot(north_mps, east_mps), min(age_s, CARRIED_S)
+        may_move = self.kind == "person" or speed_mps > 0.0
+        margin_m = MARGIN_M + (min(PERSON_MPS * age_s, PERSON_MAX_M) if may_move else 0.0)
+        course_rad = math.atan2(east_mps, north_mps) % math.tau if speed_mps else 0.0
         size_m = 2.0 * self.radius_m
-        place = (north_m, east_m, 0.0, 0.0, math.nan, size_m, size_m)
+        told_mps = speed_mps if age_s < CARRIED_S else 0.0
+        at = north_m + north_mps * carried_s, east_m + east_mps * carried_s
+        place = (*at, course_rad, told_mps, math.nan, size_m, size_m)
         return Target(f"{self.kind} {self.number}", self.name, *place, True, margin_m, age_s, False, self.kind, STATUS_UNKNOWN)
 
 
@@ -108,8 +128,10 @@ class Things:
             if not is_full or self._makes_room(told):
                 number = next(each for i in range(NUMBERS) if (each := (self._last + i) % NUMBERS + 1) not in self._things)
                 self._last = number
-                place = told.latitude_rad, told.longitude_rad, told.radius_m
-                self._things[number] = Thing(told.kind, name, number, *place, now_s, told.confidence, now_s)
+                place = told.latitude_rad, told.longitude_rad
+                new = (told.kind, name, number, *place, told.radius_m, now_s, told.confidence, now_s, seen_at(*place, now_s))
+                self._things[number] = fresh = Thing(*new)
+                fresh.move(told, fresh.motion)
             return len(near) + (MOST if is_full else 0)
         return len(near)
 

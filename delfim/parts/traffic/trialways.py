@@ -10,6 +10,8 @@ from delfim.vehicle.plans.zones import Point
 from delfim.vehicle.target import Target
 
 LOOK_MAX_S: Final = 900.0
+SWEPT_S: Final = 20.0  # the way of what moves is reckoned on for so long at most, until the boat is there
+STOP_MORE_M: Final = 6.0  # a way past a swimmer, however narrow, keeps so much farther off than where the propellers stop
 
 
 class Caution(NamedTuple):
@@ -22,6 +24,7 @@ class Caution(NamedTuple):
     stand_on: str = "small"  # to which vessels that must give way: "never", "small" (below 20 m), "always"
     thing_clear_m: float = 10.0  # from its side to what stands
     person_clear_m: float = 30.0  # and to a swimmer
+    person_stop_m: float = 8.0  # so near to one the propellers stop
 
 
 class RouteAhead(NamedTuple):
@@ -34,14 +37,27 @@ class RouteAhead(NamedTuple):
     is_line: bool = False  # a line to be followed, which the boat takes again as soon as it can
 
 
-def clear_m(limits: Caution, kind: str) -> float:
-    """How far the boat's side keeps from a thing of this kind, m."""
-    return limits.person_clear_m if kind == "person" else limits.thing_clear_m
+def clear_m(limits: Caution, kind: str, part: float = 1.0) -> float:
+    """How far the boat's side keeps from a thing of this kind, m, where there is room for this part of the distance."""
+    if kind == "person":
+        return max(part * limits.person_clear_m, limits.person_stop_m + STOP_MORE_M)
+    return part * limits.thing_clear_m
 
 
 def core(limits: Caution, thing: Target) -> float:
     """Where the middle of the boat cannot be: this near to the middle of a thing, m."""
     return thing.length_m / 2.0 + thing.margin_m + limits.length_m / 2.0
+
+
+def swept(own: Own, speed_mps: float, thing: Target) -> Target:
+    """What moves, as a circle about all places where it will be until a boat of this speed can be there."""
+    if thing.speed_mps == 0.0:
+        return thing
+    far_m = math.hypot(thing.north_m - own.north_m, thing.east_m - own.east_m)
+    half_m = thing.speed_mps * min(far_m / max(speed_mps, 0.1), SWEPT_S) / 2.0
+    north_m = thing.north_m + half_m * math.cos(thing.course_rad)
+    east_m = thing.east_m + half_m * math.sin(thing.course_rad)
+    return thing._replace(north_m=north_m, east_m=east_m, margin_m=thing.margin_m + half_m)
 
 
 def route_legs(own: Own, route: RouteAhead) -> list[Leg]:

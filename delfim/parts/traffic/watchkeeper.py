@@ -25,8 +25,9 @@ from delfim.parts.traffic.encounter import Own
 from delfim.parts.traffic.judged import judged
 from delfim.parts.traffic.keepclear import PassedBy, deciding
 from delfim.parts.traffic.leash import Leash, paid_out
-from delfim.parts.traffic.pastthings import Passage, past, swimmer_near
+from delfim.parts.traffic.pastthings import Passage, past
 from delfim.parts.traffic.routeahead import own_of, route_ahead
+from delfim.parts.traffic.swimmers import SLOW, Stopped, stopped_for, swimmer_near
 from delfim.parts.traffic.trialways import Caution, RouteAhead
 from delfim.parts.traffic.vesselwords import making, traffic_told
 from delfim.vehicle.control.autopilot import steer
@@ -34,6 +35,7 @@ from delfim.vehicle.control.control import Stepped, control
 from delfim.vehicle.control.guidance import course_to_steer
 from delfim.vehicle.control.memory import LineOfSight, Memory, Settings
 from delfim.vehicle.control.modes.trial import FAR
+from delfim.vehicle.control.safe import STOP
 from delfim.vehicle.failsafe.failsafe import Action
 from delfim.vehicle.failsafe.troubles import Trigger
 from delfim.vehicle.helm import detour, setpoints
@@ -48,11 +50,11 @@ LATE_S: Final = 5.0  # an older order does not count
 SLICE: Final = 200  # comparisons of one step, ...
 AMONG_THINGS: Final = 300  # ... and where there are things, whose way past may need many
 SILENT_S: Final = 360.0  # a lost vessel is kept clear of until its last report is so old
-SLOW: Final = 0.5  # of the speed, where the guard cannot work
 TURN_MIN_RADPS, TURN_MAX_RADPS = 0.05, 0.5
 OVERRULED: Final = "the operator overruled the guard"
 DOUBTED: Final = " (traffic.guard.stopped_s): is it there? Overrule if not"
 LED_ASIDE: Final = "led aside by traffic"
+BY_HAND: Final = (Mode.IDLE, Mode.MANUAL)  # the guard orders nothing, not even beside a swimmer: it is told of
 LEGS: Final = (Mode.PLAY, Mode.GOTO, Mode.HOME)
 
 _new = tuple.__new__  # a fifth of the time of Memory._replace(...): steps are on the critical path
@@ -70,7 +72,7 @@ def caution(settings: config.Vehicle, limits: Settings) -> Caution:
         stops_s = settings.fence.reaction_s + speed.cruise_mps / (2.0 * settings.fence.deceleration_mps2)
         ramp_mps2 = min(ramp_mps2, 0.5 * speed.cruise_mps / stops_s)  # that way, with a constant deceleration
     turn_radps = min(max(turn_radps, TURN_MIN_RADPS), TURN_MAX_RADPS)
-    clear = guard.thing_clear_m, guard.person_clear_m
+    clear = guard.thing_clear_m, guard.person_clear_m, guard.person_stop_m
     return Caution(boat.length_m, turn_radps, ramp_mps2, guard.look_s, guard.stand_on, *clear)
 
 
@@ -97,6 +99,8 @@ class Watchkeeper:
         self._company, self._leash = Company(), Leash()
         self._passage: Passage | None = None
         self._swimmer, self._speed_mps = "", 0.0  # near, for which the boat goes slowly; speed that is asked for
+        self._swimmers = tuple[Target, ...]()  # that are known
+        self._stopped: Stopped | None = None  # the propellers are, for one of them
         self._passes, self._route = tuple[PassedBy, ...](), RouteAhead((), 0.0)
         self._looked_s = NEVER_S  # `Traffic.at_s` of the present round
         self._sailed_s, self._is_doubted = math.inf, False  # when no order stopped the boat last; a stop has lasted for long
@@ -112,13 +116,30 @@ class Watchkeeper:
             self._state.traffic = self._state.traffic._replace(order=None)
             helm.shapes.pop(NAME, None)
         if self._round is None and self._looked_s < self._state.traffic.at_s:
-            self._looked_s, self._has_things = self._state.traffic.at_s, bool(self._things())
+            self._looked_s, things = self._state.traffic.at_s, self._things()
+            self._has_things, self._swimmers = bool(things), tuple(each for each in things if each.kind == "person")
             self._round = Sliced(self._watch(helm, now_s))
+        if self._swimmers or self._stopped is not None:
+            self._stop_beside(helm, now_s)
         if self._round is None:
             return False
         if self._round.step(AMONG_THINGS if self._has_things else SLICE):
             self._round = None
         return True
+
+    def _stop_beside(self, helm: Helm, now_s: float) -> None:
+        """Beside a swimmer the propellers stop, at once; when they may turn again the next decision goes on."""
+        state, was = self._state, self._stopped
+        is_asked = self._guard.enabled and state.mode not in BY_HAND and "position" in state.motion.has
+        self._stopped = None
+        if is_asked and not self._denied(helm):
+            boat_m, stop_m = helm.settings.boat.length_m, self._guard.person_stop_m
+            self._stopped = stopped_for(was, self._swimmers, self._looked_s, state.motion, boat_m, stop_m, now_s)
+        if self._stopped is not None and was is None:
+            order = self._stopped.order(own_of(state.motion))
+            self._note(order)
+            state.traffic = state.traffic._replace(order=order)
+            helm.shapes[NAME] = self._still
 
     def told(self, now_s: float) -> TrafficSeen | None:
         """Other vessels for people and programs; a boat with a number of its own awaits to be heard."""
@@ -163,6 +184,8 @@ class Watchkeeper:
                 order = None if order is None else order._replace(at_s=self._clock.monotonic_s())
             except (ValueError, ArithmeticError) as error:  # the mission goes on as the vehicle's file says
                 self._memory, failing = keepclear.Memory(), f"the guard failed: {error}"
+        if self._stopped is not None:
+            order = self._stopped.order(own_of(state.motion))
         if not missing:
             to = state.setpoint
             task = mode, to.target, to.heading_rad, to.plan
@@ -191,11 +214,13 @@ class Watchkeeper:
 
     def _bend(self, boat: Caution, own: Own, things: Sequence[Target], fence: Fence | None, was: Passage | None) -> Work[None]:
         """Lead the route past what stands in the way, and slowly by a swimmer: ships are judged along that."""
-        swimmer = swimmer_near(boat, own, things)
+        asked, swimmer = self._route, swimmer_near(boat, own, self._route.speed_mps, things)
         if swimmer is not None:
-            self._swimmer, self._route = swimmer.name, self._route._replace(speed_mps=SLOW * self._route.speed_mps)
-        self._speed_mps = self._route.speed_mps
+            self._swimmer, self._route = swimmer.name, asked._replace(speed_mps=SLOW * asked.speed_mps)
         self._passage = yield from past(boat, own, self._route, things, fence, was)
+        if self._passage is not None and self._passage.part < 1.0:
+            self._route = asked  # it says itself how slowly
+        self._speed_mps = self._route.speed_mps
         if self._passage is not None:
             self._route = self._passage.route(self._route)
 
@@ -245,7 +270,9 @@ class Watchkeeper:
         is_new, self._failing = failing and not self._failing, failing
         does = self._guard.on_failure if failing else ""
         helm.shapes.pop(NAME, None)
-        if order is not None:
+        if self._stopped is not None:
+            helm.shapes[NAME] = self._still
+        elif order is not None:
             helm.shapes[NAME] = self._kept_clear
         elif does == "slow" or self._swimmer:
             helm.shapes[NAME] = self._slowly
@@ -266,6 +293,13 @@ class Watchkeeper:
         told = wrap(heading_rad), order.speed_mps, *reference[2:7], done, reference.reason, order.course_rad, reference.line
         reference = _new(Reference, told)
         return _new(Memory, (integrals, course, *after[2:])), reference, wanted
+
+    def _still(self, mode: Mode, memory: Memory, stepped: Stepped, settings: Settings, dt_s: float) -> Stepped:
+        """A step of the mode without propellers; it goes on from here afterwards."""
+        stopped = self._stopped
+        if stopped is None or mode in BY_HAND or self._clock.monotonic_s() - stopped.at_s > LATE_S:
+            return stepped
+        return memory, stepped[1], STOP
 
     def _slowly(self, mode: Mode, memory: Memory, stepped: Stepped, settings: Settings, dt_s: float) -> Stepped:
         """A step of the mode at half the speed, in place of this one."""

@@ -128,7 +128,8 @@ class Batteries:
 
 
 class Struck:
-    """A boat that goes somewhere by itself touches nothing that stands in the water, nor a swimmer."""
+    """A boat that goes somewhere by itself touches nothing that stands in the water, and no swimmer while its propellers turn:
+    one may swim into a boat that drifts."""
 
     def __init__(self, run: Lockstep) -> None:
         self._things = run.nodes.things

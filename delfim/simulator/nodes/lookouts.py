@@ -27,6 +27,7 @@ from delfim.vehicle.grex import SeenVessel
 from delfim.vehicle.orders.payloadlines import SIGHTS
 
 LOOK_S: Final = 0.25
+TURNS: Final = 0.02  # of its full revolutions, from which on a propeller is a danger
 TOLD: Final = int(SIGHTS[0] * LOOK_S)  # in one look: the boat takes no more from a program
 
 
@@ -58,6 +59,7 @@ class TrueThing:
         self.number, self.name, self.row = number, f"{row.kind} {number}", row
         self.north_m, self.east_m = row.north_m, row.east_m
         self.nearest_m = math.inf  # from the hull to its edge, while the boat steered itself; negative: it struck it
+        self.still_m = math.inf  # the same of a swimmer while the propellers stood still, who is touched then, and not struck
         course_rad = math.radians(row.course_deg)
         self._mps = row.speed_mps * math.cos(course_rad), row.speed_mps * math.sin(course_rad)
 
@@ -76,7 +78,10 @@ class TrueThing:
         c, s = math.cos(model.heading_rad), math.sin(model.heading_rad)
         ahead_m = max(abs(north_m * c + east_m * s) - half_m, 0.0)
         clear_m = math.hypot(ahead_m, max(abs(east_m * c - north_m * s) - half_beam_m, 0.0)) - self.row.radius_m
-        self.nearest_m = min(self.nearest_m, clear_m)
+        if self.row.kind == "person" and all(abs(drive.part) < TURNS for drive in model.drives.values()):
+            self.still_m = min(self.still_m, clear_m)
+        else:
+            self.nearest_m = min(self.nearest_m, clear_m)
 
 
 class PlayedSensor:

@@ -15,7 +15,8 @@ from delfim.base.geodesy import origin
 from delfim.base.vessels import ThingSeen
 from delfim.parts.mavlink.codec.aisvessel import kind_of, number_of, told
 from delfim.parts.traffic.encounter import Own
-from delfim.parts.traffic.pastthings import SPENT, Passage, past, swimmer_near
+from delfim.parts.traffic.pastthings import SPENT, Passage, past
+from delfim.parts.traffic.swimmers import swimmer_near
 from delfim.parts.traffic.things import MOST, Things
 from delfim.parts.traffic.trialways import Caution, RouteAhead
 from delfim.vehicle.plans.fence import Fence
@@ -115,7 +116,7 @@ def test_a_swimmer_may_have_swum() -> None:
     for i in range(100):
         things.hear(seen(0.5 * i, kind="person"), "camera 1", float(i))
     (one,) = looked(things, 119.0)
-    assert (one.kind, one.margin_m, round(one.north_m)) == ("person", 22.0, 49)
+    assert (one.kind, one.margin_m, round(one.north_m)) == ("person", 22.0, 54)
     assert looked(things, 99.0 + 120.0)
     assert not looked(things, 99.0 + 121.0)
 
@@ -235,8 +236,8 @@ def test_a_swimmer_is_passed_well_clear_and_slowly() -> None:
     assert passage is not None
     assert "lidar 1, a swimmer, leaving" in passage.words
     assert nearest_m(passage, swimmer) >= KEEPS_M + 20.0
-    assert swimmer_near(LIMITS, OWN, [swimmer]) is None
-    assert swimmer_near(LIMITS, OWN._replace(north_m=40.0), [swimmer]) is swimmer
+    assert swimmer_near(LIMITS, OWN, 1.5, [swimmer]) is None
+    assert swimmer_near(LIMITS, OWN._replace(north_m=40.0), 1.5, [swimmer]) is swimmer
 
 
 def test_a_decision_among_a_hundred_is_bounded_and_goes_in_slices() -> None:
