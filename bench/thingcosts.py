@@ -46,7 +46,8 @@ def by_a_chart() -> Fence:
 
 
 def watched(settings: config.Vehicle, kind: Literal["thing", "person"]) -> Callbacks:
-    """A step of the watch each, from the first report on. Swimmers are too far from each other to be taken for one."""
+    """A step of the watch each, from the first report on. Swimmers are too far from each other to be taken for one, and all
+    swim."""
     random, sea = Random(1), Lockstep(settings, 1, lambda clock: NoLog())
     for _ in sea.cycles(WARM_S):
         pass
@@ -60,7 +61,8 @@ def watched(settings: config.Vehicle, kind: Literal["thing", "person"]) -> Callb
         sea.state.hear(VesselPosition(200_000_000 + i, *place, course_rad, speed_mps, None, None, "B"), "ais", sea.elapsed_s)
     far = 1.0 if kind == "thing" else 8.0
     places = [(random.uniform(10.0, 190.0) * far, random.uniform(-60.0, 60.0) * far) for _ in range(THINGS)]
-    seen = [ThingSeen(*geodesy.from_plane(at, *place), 0.5, kind) for place in places]
+    swims = (None, None) if kind == "thing" else (1.0, 0.7)
+    seen = [ThingSeen(*geodesy.from_plane(at, *place), 0.5, kind, 1.0, *swims) for place in places]
     yield None
     for tick in range(TICKS):
         sea.clock.advance(0.1)

@@ -71,6 +71,7 @@ def past(
     if not (things and route.points and route.speed_mps > 0.05):
         return None
     things = [swept(own, route.speed_mps, each) for each in things]
+    yield len(things)
     here, soon_m = (own.north_m, own.east_m), max(SOON_S * route.speed_mps, SOON_M)
     less_m, sides = (0.0, frozenset[tuple[str, int]]()) if was is None else (KEEPS_M, was.sides)
     kept = {(i, side) for i, each in enumerate(things) for side in (1, -1) if (each.key, side) in sides}
@@ -128,8 +129,9 @@ def _what(thing: Target) -> str:
 def _is_ahead(own: Own, thing: Target, within_m: float) -> bool:
     """Whether a thing is so near, and not left behind: what moves may be faster than the boat is slowly."""
     north_m, east_m = thing.north_m - own.north_m, thing.east_m - own.east_m
-    is_left = thing.speed_mps > 0.0 and north_m * math.cos(own.course_rad) + east_m * math.sin(own.course_rad) < 0.0
-    return math.hypot(north_m, east_m) < within_m and not is_left
+    if math.hypot(north_m, east_m) >= within_m:
+        return False
+    return thing.speed_mps == 0.0 or north_m * math.cos(own.course_rad) + east_m * math.sin(own.course_rad) >= 0.0
 
 
 def _circles(limits: Caution, here: Point, things: Sequence[Target], part: float, less_m: float) -> list[Circle]:

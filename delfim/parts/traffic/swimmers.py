@@ -18,6 +18,7 @@ from delfim.vehicle.target import CourseOrder, Target
 SLOW: Final = 0.5  # of the speed, near a swimmer
 ALONG: Final = 0.6  # a swimmer goes along with the boat at so much of its slow speed
 MORE_M, CLEAR_S = 4.0, 5.0  # the propellers turn again when the swimmer is so much farther off, for so long
+NEARBY_M: Final = 60.0  # farther off none can be beside the boat before the next look
 RECKONED_S: Final = 5.0  # a swimmer's way since the last look is reckoned on for so long
 
 
@@ -35,6 +36,13 @@ class Stopped(NamedTuple):
 
     def order(self, own: Own) -> CourseOrder:
         return CourseOrder(own.course_rad, 0.0, 0.0, self.words, self.key, 0.0, self.at_s)
+
+
+def nearby(things: Sequence[Target], north_m: float, east_m: float, stop_m: float) -> tuple[Target, ...]:
+    """The swimmers who may be beside the boat before the next look."""
+    within_m = NEARBY_M + stop_m
+    swimmers = [each for each in things if each.kind == "person"]
+    return tuple(each for each in swimmers if math.hypot(each.north_m - north_m, each.east_m - east_m) < within_m)
 
 
 def stopped_for(

@@ -28,6 +28,7 @@ PERSON_MPS: Final = 1.0  # ... as fast as that
 PERSON_MAX_M: Final = 60.0
 MARGIN_M: Final = 2.0  # of the place of a thing, with that of the boat itself
 HEAD_REACH_M: Final = 6.1  # farther from the edge of a thing, or from where a swimmer may be, no sighting is of it
+REACH_MAX_M: Final = 6.1 + PERSON_MPS * PERSON_S  # no sighting so far off is of any thing: most things are no nearer
 SAME_M: Final = 3.0  # a sighting so near to a thing is of that one, ...
 SAME_PERSON_M: Final = 6.0  # ... or to a swimmer: a camera tells poorly how far away a head is
 HEAD_M: Final = 1.0  # radius of what may be a head above the water, seen by who cannot tell it from a buoy, ...
@@ -140,8 +141,11 @@ class Things:
         latitude_rad, longitude_rad = told.latitude_rad, told.longitude_rad
         parallel_m, found = RADIUS_M * math.cos(latitude_rad), list[Thing]()
         for each in self._things.values():
+            north_m = RADIUS_M * (latitude_rad - each.latitude_rad)
+            if not -REACH_MAX_M <= north_m <= REACH_MAX_M:
+                continue
             reach_m = HEAD_REACH_M + (each.radius_m if each.kind == "thing" else PERSON_MPS * abs(now_s - each.at_s))
-            if not -reach_m <= RADIUS_M * (latitude_rad - each.latitude_rad) <= reach_m:
+            if not -reach_m <= north_m <= reach_m:
                 continue
             if not reach_m < abs(parallel_m * (longitude_rad - each.longitude_rad)) < math.tau * parallel_m - reach_m:
                 found.append(each)

@@ -27,7 +27,7 @@ from delfim.parts.traffic.keepclear import PassedBy, deciding
 from delfim.parts.traffic.leash import Leash, paid_out
 from delfim.parts.traffic.pastthings import Passage, past
 from delfim.parts.traffic.routeahead import own_of, route_ahead
-from delfim.parts.traffic.swimmers import SLOW, Stopped, stopped_for, swimmer_near
+from delfim.parts.traffic.swimmers import SLOW, Stopped, nearby, stopped_for, swimmer_near
 from delfim.parts.traffic.trialways import Caution, RouteAhead
 from delfim.parts.traffic.vesselwords import making, traffic_told
 from delfim.vehicle.control.autopilot import steer
@@ -48,7 +48,7 @@ from delfim.vehicle.target import NEVER_S, CourseOrder, Target
 NAME: Final = "traffic"  # of its shape of the mode's steps
 LATE_S: Final = 5.0  # an older order does not count
 SLICE: Final = 200  # comparisons of one step, ...
-AMONG_THINGS: Final = 300  # ... and where there are things, whose way past may need many
+AMONG_THINGS: Final = 270  # ... and where there are things, whose way past may need many
 SILENT_S: Final = 360.0  # a lost vessel is kept clear of until its last report is so old
 TURN_MIN_RADPS, TURN_MAX_RADPS = 0.05, 0.5
 OVERRULED: Final = "the operator overruled the guard"
@@ -99,7 +99,7 @@ class Watchkeeper:
         self._company, self._leash = Company(), Leash()
         self._passage: Passage | None = None
         self._swimmer, self._speed_mps = "", 0.0  # near, for which the boat goes slowly; speed that is asked for
-        self._swimmers = tuple[Target, ...]()  # that are known
+        self._swimmers = tuple[Target, ...]()  # that are near
         self._stopped: Stopped | None = None  # the propellers are, for one of them
         self._passes, self._route = tuple[PassedBy, ...](), RouteAhead((), 0.0)
         self._looked_s = NEVER_S  # `Traffic.at_s` of the present round
@@ -117,7 +117,8 @@ class Watchkeeper:
             helm.shapes.pop(NAME, None)
         if self._round is None and self._looked_s < self._state.traffic.at_s:
             self._looked_s, things = self._state.traffic.at_s, self._things()
-            self._has_things, self._swimmers = bool(things), tuple(each for each in things if each.kind == "person")
+            here = self._state.motion.north_m, self._state.motion.east_m
+            self._has_things, self._swimmers = bool(things), nearby(things, *here, self._guard.person_stop_m)
             self._round = Sliced(self._watch(helm, now_s))
         if self._swimmers or self._stopped is not None:
             self._stop_beside(helm, now_s)
