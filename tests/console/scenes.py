@@ -287,6 +287,9 @@ async def replayed(page: Page, picture: Picture) -> None:
         (1300, 6, "hold"),
     )
     events = [{"at_s": gateway.at_s + at_s, "boat": 2, "severity": severity, "text": text} for at_s, severity, text in said]
+    events.append(
+        {"at_s": gateway.at_s + 620, "boat": 2, "severity": 6, "text": "Ana: weed in the port propeller", "note": True}
+    )
     gateway.hello["replay"] = {"from_s": gateway.at_s - 300, "to_s": gateway.at_s + 1500, "events": events}
     async with gateway.serving():
         day = await begun(page, gateway)

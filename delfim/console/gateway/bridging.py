@@ -29,6 +29,7 @@ def needed(asked: page_messages.Message) -> Role:
             | page_messages.Release()
             | page_messages.Acknowledge()
             | page_messages.Quiet()
+            | page_messages.Note()
         ):
             return Role.WATCH
         case page_messages.Home() | page_messages.Afford() | page_messages.Replay() | page_messages.Survey():

@@ -91,6 +91,8 @@ class Gateway:
         if tapes:
             self.fleet = TapePlayer(tapes, clock, self.tell)
             self.fleet.moved = self._show_jump
+            if sessions is not None:
+                self.watch.recall(self.fleet, sessions, clock.time_ns() / 1e9)
         else:
             self.fleet = Fleet(clock, self._transmit, self.tell, key, self.me)
             if self.session is not None:
@@ -304,7 +306,7 @@ class Gateway:
                 "boats": fleet.snapshot(),
                 "heard_on": self.heard_on,
                 "adopts": self.adoption.boat if self.adoption is not None else None,
-                "replay": _time_line(fleet) if isinstance(fleet, TapePlayer) else None,
+                "replay": self.watch.time_line(fleet) if isinstance(fleet, TapePlayer) else None,
             }
         )
         for fault in (*self.charts.faults, *(f"{name}: {reason}" for name, reason in self._complaints.items() if reason)):
@@ -402,11 +404,8 @@ class Gateway:
                 answer(True, "")
             case page_messages.Afford(boat=number):
                 fleet.afford(number, answer)
-            case page_messages.Acknowledge(ids=ids):
-                self.watch.acknowledge(page.who, ids)
-                answer(True, "")
-            case page_messages.Quiet(ids=ids):
-                self.watch.silence(page.who, ids)
+            case page_messages.Acknowledge() | page_messages.Quiet() | page_messages.Note():
+                self.watch.ask(page.who, asked)
                 answer(True, "")
             case page_messages.Replay():
                 if not isinstance(fleet, TapePlayer):
@@ -468,10 +467,6 @@ class Gateway:
 def _answer(page: Page, sequence: Any, well: bool, reason: str) -> None:
     if sequence is not None:
         page.tell({"t": "answer", "seq": sequence, "ok": well, "reason": reason})
-
-
-def _time_line(replay: TapePlayer) -> dict[str, Any]:
-    return {"from_s": replay.from_s, "to_s": replay.to_s, "events": replay.events()}
 
 
 def _chunks(points: list[tuple[float, float, float]]) -> Iterator[list[tuple[float, float, float]]]:

@@ -1,22 +1,35 @@
 """Keeps the watch: its log and its alerts, and what pages hear of both."""
 
+import math
+import time
 from collections.abc import Callable, Iterable, Sequence
+from operator import itemgetter
 from pathlib import Path
 from typing import Any, Final
 
 from aiohttp import web
 
+from delfim.base.errors import Refused
 from delfim.console.boats.boat import SILENT_S, Boat
+from delfim.console.boats.fleet import NOTE_MAX
 from delfim.console.gateway import page_messages
 from delfim.console.gateway.watchlog import WatchLine, WatchLog, table
+from delfim.console.tapes.replay import TapePlayer
 from delfim.console.watch.alerts import CAUTION, WARNING, AlertList, StandingAlert, priority_of
 from delfim.console.watch.alertsfile import AlertsFile
 
 GREETED: Final = 200  # lines for a page that opens
+INFO: Final = 6  # MAVLink's severity of a mark
 LOST: Final = "link lost: nothing is heard from it"
 BACK: Final = "heard again"
 WEAK: Final = "link weak: a stop may come late"
-ABOARD: Final = "acknowledged", "command"  # lines that are in the boat's log, too: of its orders it keeps the console alone
+NOTE: Final = "note"  # of an operator
+LATE_S: Final = 900.0  # it may be written so long after what it tells of
+ABOARD: Final = (
+    "acknowledged",
+    "command",
+    NOTE,
+)  # lines that are in the boat's log, too: of its orders it keeps the console alone
 DEEDS: Final = ("upload", "save")  # to a mission, that the log has
 Answer = Callable[[bool, str], None]
 
@@ -35,6 +48,7 @@ class WatchKeeper:
         self.alerts, self.log = AlertList(utc_s, self._over), WatchLog()
         self._tell, self._utc_s, self._name = tell, utc_s, name
         self.aboard: Callable[[int | None, str], None] = lambda boat, words: None  # the boats' own logs
+        self._replayed: Path | None = None  # the table of the notes on a replay
         self.file = AlertsFile(sessions) if sessions is not None else None
         if self.file is not None and sessions is not None:
             self.log.resume(sessions)
@@ -54,18 +68,57 @@ class WatchKeeper:
         if whose := text.get("alarm"):
             self.alerts.hear(boat, severity, words, is_boats=whose == "boat")
 
-    def note(self, boat: int | None, who: str, what: str, text: str) -> None:
+    def recall(self, replay: TapePlayer, sessions: Path, now_s: float) -> None:
+        """The log is that of the time of a replay, and has no more lines but notes, in a table of their own. Raises OSError."""
+        self._replayed = sessions / time.strftime("%Y%m%d-%H%M%S.csv", time.localtime(now_s))
+        self.log.recall(sessions, replay.from_s, replay.to_s)
+
+    def time_line(self, replay: TapePlayer) -> dict[str, Any]:
+        """Of a replay, with the notes of the log as marks; the boat's own log has them, too."""
+        notes = [line for line in self.log.lines if line.what == NOTE]
+        known = {_aboard(line.who, NOTE, line.text) for line in notes}
+        marks = [
+            {"at_s": max(n.at_s, replay.from_s), "boat": n.boat, "severity": INFO, "text": f"{n.who}: {n.text}", NOTE: True}
+            for n in notes
+        ]
+        events = [each for each in replay.events() if each["text"] not in known]
+        return {"from_s": replay.from_s, "to_s": replay.to_s, "events": sorted([*events, *marks], key=itemgetter("at_s"))}
+
+    def remark(self, who: str, asked: page_messages.Note) -> None:
+        """Keeps what an operator notes. Raises Refused."""
+        now_s = self._utc_s()
+        at_s = now_s if asked.at_s is None or not math.isfinite(asked.at_s) else asked.at_s
+        self.note(asked.boat or None, who, NOTE, asked.text, min(max(at_s, now_s - LATE_S), now_s))
+        if self._replayed is not None:
+            self.log.write(self._replayed)
+            if self.log.reason:
+                raise Refused(f"the note is not kept: {self.log.reason}")
+
+    def note(self, boat: int | None, who: str, what: str, text: str, at_s: float | None = None) -> None:
         """Puts a line into the log."""
-        line = WatchLine(self._utc_s(), boat, "" if boat is None else self._name(boat), who, what, text)
+        if self._replayed is not None and what != NOTE:
+            return
+        at_s = self._utc_s() if at_s is None else at_s
+        line = WatchLine(at_s, boat, "" if boat is None else self._name(boat), who, what, text)
         self.log.put(line)
         self._tell({"t": "log", "lines": [line._asdict()]})
         if what in ABOARD:
-            self.aboard(boat, f"{who}: {what}: {text}")
+            self.aboard(boat, _aboard(who, what, text))
 
     async def serve(self, request: web.Request) -> web.Response:
         """The log of the watch as a table."""
         named = {"Content-Disposition": 'attachment; filename="watch.csv"'}
         return web.Response(text=table(self.log.lines), content_type="text/csv", headers=named)
+
+    def ask(self, who: str, asked: page_messages.Acknowledge | page_messages.Quiet | page_messages.Note) -> None:
+        """Does what a page asks of the watch. Raises Refused."""
+        match asked:
+            case page_messages.Acknowledge(ids=ids):
+                self.acknowledge(who, ids)
+            case page_messages.Quiet(ids=ids):
+                self.silence(who, ids)
+            case page_messages.Note():
+                self.remark(who, asked)
 
     def acknowledge(self, who: str, ids: Sequence[int]) -> None:
         for each in self.alerts.acknowledge(who, ids):
@@ -139,3 +192,8 @@ class WatchKeeper:
                 self.file.put(self.alerts)
         if self.file is not None:
             self.file.tick()
+
+
+def _aboard(who: str, what: str, text: str) -> str:
+    """A line, as boats have it in their logs."""
+    return f"{who}: {what}: {text}"[:NOTE_MAX]

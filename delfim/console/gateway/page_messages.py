@@ -99,6 +99,14 @@ class Quiet(Said, frozen=True):
     ids: Ids
 
 
+class Note(Said, frozen=True):
+    """What an operator has seen, for the log of the watch and the time line of a boat, or of all (0)."""
+
+    boat: Number
+    text: Annotated[str, msgspec.Meta(min_length=1, max_length=200)]
+    at_s: float | None = None  # since 1970, when it was; null: now
+
+
 class Place(msgspec.Struct, frozen=True):
     latitude_deg: Annotated[float, msgspec.Meta(ge=-89.0, le=89.0)]
     longitude_deg: Annotated[float, msgspec.Meta(ge=-180.0, le=180.0)]
@@ -230,6 +238,7 @@ Message = (
     | Replay
     | Acknowledge
     | Quiet
+    | Note
     | Mission
     | Survey
     | Depths

@@ -18,13 +18,14 @@ KEPT_MAX: Final = 5000
 PENDING_MAX: Final = 5000  # lines beyond that, as when the disk is full, are not in the file
 FILE_BYTES: Final = 1 << 27  # of one table, at its end: weeks
 READ_BYTES: Final = 1 << 21  # of the sessions before, the newest
+MS: Final = 0.001  # the step of the times in a table
 _SESSION: Final = re.compile(r"\d{8}-\d{6}(-\d+)?\.csv")
 _FORMULA: Final = "=", "+", "-", "@", "\t", "\r"
 
 
 class WatchLine(NamedTuple):
     """A line. `what`: a priority of alerts, "notice", "over", "order", "refused", "acknowledged", "silenced", "command",
-    "page"."""
+    "page", "note" of an operator."""
 
     at_s: float  # since 1970
     boat: int | None
@@ -57,9 +58,14 @@ class WatchLog:
                 if left > 0 and len(lines) < KEPT_MAX:
                     lines = [*kept_lines(file, left), *lines]
                     left -= file.stat().st_size
+            lines.sort(key=lambda line: line.at_s)  # a note on a replay is later in its file than it was
             self.lines.extendleft(reversed(lines[-KEPT_MAX:]))
         except OSError as error:
             self.reason = str(error)
+
+    def recall(self, sessions: Path, from_s: float, to_s: float) -> None:
+        """The lines of that time, for a replay. Raises OSError."""
+        self.lines.extend(line for line in since(sessions, from_s - MS) if line.at_s <= to_s)
 
     def told(self, count: int) -> list[dict[str, Any]]:
         """The last lines, for a page."""

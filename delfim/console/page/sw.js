@@ -1,5 +1,5 @@
-const BUILT = "1cc5ef4f";
-const FILES = ["./","console.css?1cc5ef4f","console.js?1cc5ef4f","harbours.tsv","land.bin","manifest.webmanifest","b612-latin-400-normal.woff2","b612-latin-700-normal.woff2","icon-192.png","icon-512.png"];
+const BUILT = "4c545f47";
+const FILES = ["./","console.css?4c545f47","console.js?4c545f47","harbours.tsv","land.bin","manifest.webmanifest","b612-latin-400-normal.woff2","b612-latin-700-normal.woff2","icon-192.png","icon-512.png"];
 // Keeps the page itself, never a boat's state and never a command, so that it opens without its gateway. The network comes first:
 // what is kept serves only where no answer comes. build.mjs puts BUILT and FILES before this.
 const ANSWER_MS = 4000; // a network whose boat is out of reach says nothing for minutes

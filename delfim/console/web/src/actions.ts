@@ -176,6 +176,12 @@ export class Actions {
     return answer.ok ? "" : answer.reason;
   }
 
+  async note(boat: number, words: string, at_s: number): Promise<void> {
+    const answer = await this.net.ask({ t: "note", boat, text: words, at_s });
+    if (answer.ok) this.say(boat || null, 6, `noted: ${words}`);
+    else this.say(boat || null, 4, refusal("note", answer.reason));
+  }
+
   async forgetDepths(): Promise<void> {
     const answer = await this.net.ask({ t: "depths", do: "forget" });
     if (!answer.ok) this.say(null, 4, refusal("forget the depths", answer.reason));

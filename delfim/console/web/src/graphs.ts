@@ -1,7 +1,8 @@
-// Graphs of a recorded run under its time line: speed, depth, charge and other values, with the value of the time that is shown.
+// A time line, live or of a recorded run: its marks, and graphs of speed, depth, charge and other values with those of the time that is shown.
 import { make, text } from "./dom";
 import { valueWords } from "./measured";
-import type { Graphs, TimeLine } from "./wire";
+import { severityWord } from "./messages";
+import type { Event, Graphs, TimeLine, WatchLine } from "./wire";
 
 const SHOWN_MOST = 3;
 const FIRST = ["speed_mps", "depth_m", "battery_pct"];
@@ -10,16 +11,34 @@ const GAP = 0.02; // of the time line: a longer silence is a gap
 const OLD_S = 10;
 const SVG = "http://www.w3.org/2000/svg";
 
-export class GraphStrip {
+const GRAVITY: Record<string, number> = { emergency: 0, alarm: 1, warning: 4, caution: 4 };
+
+export class TimeStrip {
   readonly root = make("div.values");
+  readonly marks = make("div.marks");
   private shown: { name: string; points: [number, number][]; words: HTMLElement }[] = [];
   private readonly now = make("i.now");
 
-  constructor(seek: (part: number) => void) {
+  constructor(private readonly seek: (part: number) => void) {
     this.root.addEventListener("click", ({ clientX }) => {
       const { left, width } = this.root.getBoundingClientRect();
       seek((clientX - left) / width);
     });
+  }
+
+  mark(events: Event[], { from_s, to_s }: TimeLine): void {
+    const seen = events.filter(({ at_s }) => at_s >= from_s && at_s <= to_s);
+    this.marks.replaceChildren(
+      ...seen.map(({ at_s, severity, text: words, note }) => {
+        const mark = make("i");
+        const part = (at_s - from_s) / Math.max(to_s - from_s, 1);
+        mark.style.left = `${100 * part}%`;
+        mark.dataset["severity"] = note ? "note" : severityWord(severity);
+        mark.title = `${utc(at_s)} ${words}`;
+        mark.addEventListener("click", () => this.seek(part));
+        return mark;
+      }),
+    );
   }
 
   /** The graphs of one boat; `chosen` comes first. */
@@ -58,3 +77,8 @@ function plotted(points: [number, number][], { from_s, to_s }: TimeLine): SVGEle
   picture.append(line);
   return picture;
 }
+
+/** A line of the log of the watch as a mark. */
+export const marked = ({ at_s, boat, who, what, text }: WatchLine): Event => ({ at_s, boat, severity: GRAVITY[what] ?? 6, text: who === "boat" ? text : `${who}: ${text}`, note: what === "note" });
+
+export const utc = (at_s: number): string => new Date(1000 * at_s).toISOString().slice(11, 19);

@@ -31,6 +31,7 @@ const SCREEN: Group = [
     ["K", "acknowledge the alert in the bar, and vessels in danger"],
     ["S", "silence: no sound of alarms for half a minute"],
     ["A", "the list of alerts, with what was"],
+    ["J", "a note for the log of the watch and the time line"],
     ["Esc", "close"],
     ["F6", "the next button on the screen; Enter presses it"],
     ["F1", "this card"],
@@ -121,6 +122,7 @@ export interface Screen {
   acknowledge(): void;
   silence(): void;
   alerts(): void;
+  note(): void;
   replayTakes(key: string): boolean;
 }
 
@@ -142,7 +144,7 @@ export class Keys {
 
   private down(event: KeyboardEvent): void {
     if (event.isComposing || event.metaKey) return;
-    if (isTyped(event)) return;
+    if (isTyped(event, this.state.replaying)) return;
     if (event.key === "F12" || (event.ctrlKey && event.shiftKey && !ARROWS.has(event.code))) return; // the browser's own tools
     if (this.taken(event)) {
       event.preventDefault();
@@ -175,6 +177,7 @@ export class Keys {
     else if (event.key.toUpperCase() === "N" && !event.ctrlKey && !event.altKey) this.screen.turn();
     else if (event.key.toUpperCase() === "S" && !event.ctrlKey && !event.altKey) this.screen.silence();
     else if (event.key.toUpperCase() === "A" && !event.ctrlKey && !event.altKey) this.screen.alerts();
+    else if (event.key.toUpperCase() === "J" && !event.ctrlKey && !event.altKey) this.screen.note();
     else if (event.key === "F6") this.reach(event.shiftKey ? -1 : 1);
     else if (event.key === "Enter" && this.reached?.getClientRects().length && document.activeElement === this.reached) this.reached.click();
     else if (event.key === "F1") this.screen.toggleCard();
@@ -238,10 +241,10 @@ export class Keys {
   }
 }
 
-/** Whether the key writes into a field. Space is stop wherever it is pressed; in a number the arrows move on, and letters are modes. */
-function isTyped(event: KeyboardEvent): boolean {
+/** Whether the key writes into a field. Space is stop wherever it is pressed, but in a replay; in a number the arrows move on, and letters are modes. */
+function isTyped(event: KeyboardEvent, replaying: boolean): boolean {
   const { target, key } = event;
-  if (!(target instanceof HTMLInputElement) || target.type !== "text" || event.code === "Space" || ["Enter", "Escape", "Tab", "F1", "F6"].includes(key)) return false;
+  if (!(target instanceof HTMLInputElement) || target.type !== "text" || (event.code === "Space" && !replaying) || ["Enter", "Escape", "Tab", "F1", "F6"].includes(key)) return false;
   if (key === "ArrowUp" || key === "ArrowDown") return false;
   if (event.ctrlKey) return !event.altKey && "acvxz".includes(key.toLowerCase());
   return target.inputMode !== "decimal" || (!event.altKey && /^([\d.,+-]|Backspace|Delete|Home|End)$/.test(key));

@@ -118,6 +118,7 @@ new Keys(state, actions, {
   },
   silence: () => alerts.silence(),
   alerts: () => alerts.toggle(),
+  note: () => menus.note(),
   replayTakes: (code) => replay.takes(code),
 });
 dryRunCard(element("dryrun"), state);
@@ -176,7 +177,6 @@ function heard(message: Heard): void {
     case "forgotten":
       return state.forget(message.boat);
     case "text":
-      timeline.say(message.boat, message.severity, message.text);
       return message.alarm ? undefined : messages.say(message.boat, message.severity, message.text);
     case "alerts":
       return alerts.take(message.alerts);
@@ -185,6 +185,8 @@ function heard(message: Heard): void {
     case "ended":
       return alerts.takeEnded(message.alerts, message.all);
     case "log":
+      if (!state.replaying) timeline.take(message.lines);
+      else if (!message.all) replay.note(message.lines);
       return watchLog.take(message.lines, message.all);
     case "mission":
       return tookMission(message.boat, message.where, understood(message.mission));

@@ -194,6 +194,7 @@ export class Menus {
       { title: this.everything().length || !this.chart.charted ? "Show everything" : "Show the chart", do: () => this.chart.fit(this.everything(), 250) },
       { title: "Follow the boat", key: "F", tick: this.camera.following, do: () => this.camera.follow() },
       { title: "Course up", key: "N", tick: this.camera.courseUp, do: () => this.camera.turn() },
+      { title: "Note…", key: "J", do: () => this.note() },
       { title: "Screen", sub: () => this.screen() },
       { title: "Keys and lines", key: "F1", do: this.card },
     ];
@@ -206,6 +207,13 @@ export class Menus {
     const aboard = this.state.boats.flatMap((boat) => this.state.aboardOf(boat) ?? []);
     const missions = [...aboard, ...[...this.state.plans.values()].map(({ mission }) => mission)];
     return [...boats, ...this.fleet.allWays, ...missions.flatMap((each) => [...each.waypoints, ...M.path(each), ...surveyed(each), ...each.fence.map(M.cornerPlace)])];
+  }
+
+  /** What the operator sees now, for the log of the watch. Space is stop at sea: there a dash stands for one. */
+  note(): void {
+    const { at_s, replaying, boat } = this.state;
+    const said = (words: string) => void this.actions.note(boat?.id ?? 0, replaying ? words : words.replaceAll("-", " "), at_s);
+    this.popup.words(`Note${boat ? `: ${boat.name}` : ""}`, replaying ? "With the time that is shown." : "With the time now. Space is stop: a dash becomes one.", said);
   }
 
   private screen(): Entry[] {

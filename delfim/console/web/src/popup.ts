@@ -5,6 +5,7 @@ import type { Field, Open, Said } from "./form";
 
 const MARGIN_PX = 8;
 const NAME_MOST = 60;
+const WORDS_MOST = 100;
 const MEANT_MS = 300; // a click that comes sooner hits a menu that nobody can have read
 
 export interface Item {
@@ -107,6 +108,16 @@ export class Popup {
       this.close();
       if (name) done(name);
     });
+    this.place();
+  }
+
+  /** Ask for words. */
+  words(title: string, note: string, done: (words: string) => void): void {
+    this.close();
+    this.open = new NameView(this.box, title, "", () => note, (words) => {
+      this.close();
+      if (words.trim()) done(words.trim());
+    }, WORDS_MOST);
     this.place();
   }
 
@@ -221,13 +232,14 @@ class NameView implements Open {
     value: string,
     note: (name: string) => string,
     private readonly done: (name: string) => void,
+    most = NAME_MOST,
   ) {
     const words = make("p.words");
     const tell = () => {
-      this.input.value = this.input.value.replace(/[^\w.-]/g, "-").replace(/^[.-]+/, "");
+      if (most === NAME_MOST) this.input.value = this.input.value.replace(/[^\w.-]/g, "-").replace(/^[.-]+/, "");
       text(words, note(this.input.value) || "Letters, digits, dots and dashes. Space is stop.");
     };
-    Object.assign(this.input, { type: "text", value: value.replaceAll(" ", "-"), maxLength: NAME_MOST, autocomplete: "off", spellcheck: false });
+    Object.assign(this.input, { type: "text", value: value.replaceAll(" ", "-"), maxLength: most, autocomplete: "off", spellcheck: false });
     this.input.setAttribute("aria-label", title);
     this.input.addEventListener("input", tell);
     const button = (name: string, kind: string, act: () => void) => {

@@ -2,17 +2,15 @@
 import type { Actions } from "./actions";
 import { make, text } from "./dom";
 import { duration } from "./geo";
-import { GraphStrip } from "./graphs";
-import { severityWord } from "./messages";
+import { TimeStrip, marked, utc } from "./graphs";
 import type { State } from "./state";
-import type { Event, Graphs, TimeLine } from "./wire";
+import type { Graphs, WatchLine } from "./wire";
 
 const RATES = [1, 2, 5, 10, 30, 60];
 const STEP_S = 10;
 
 export class Replay {
   private readonly slider = make("input");
-  private readonly marks = make("div.marks");
   private readonly clock = make("output");
   private readonly play = make("button.plain");
   private readonly faster = make("button.plain");
@@ -20,7 +18,7 @@ export class Replay {
   private paused = false;
   private held = false;
   private readonly graphs = new Map<number, Graphs>();
-  private readonly strip = new GraphStrip((part) => {
+  private readonly strip = new TimeStrip((part) => {
     const { from_s, to_s } = this.state.hello!.replay!;
     this.seek(from_s + part * (to_s - from_s));
   });
@@ -36,7 +34,7 @@ export class Replay {
     for (const each of [this.slider, this.play, this.faster]) each.tabIndex = -1;
     this.slider.setAttribute("aria-label", "time");
     this.faster.setAttribute("aria-label", "rate");
-    bar.append(make("b", "REPLAY"), this.play, make("div.line", this.slider, this.marks, this.strip.root), this.clock, this.faster, follow);
+    bar.append(make("b", "REPLAY"), this.play, make("div.line", this.slider, this.strip.marks, this.strip.root), this.clock, this.faster, follow);
     this.play.addEventListener("click", () => this.toggle());
     this.faster.addEventListener("click", () => this.setRate(RATES[(RATES.indexOf(this.rate) + 1) % RATES.length]!));
     this.slider.addEventListener("pointerdown", () => (this.held = true));
@@ -81,18 +79,16 @@ export class Replay {
     if (!range) return;
     this.slider.min = String(range.from_s);
     this.slider.max = String(range.to_s);
-    this.marks.replaceChildren(...(range.events ?? []).map((event) => this.mark(event, range)));
+    this.strip.mark(range.events ?? [], range);
     this.show();
   }
 
-  /** The mark of a message. */
-  private mark({ at_s, severity, text: words }: Event, { from_s, to_s }: TimeLine): HTMLElement {
-    const mark = make("i");
-    mark.style.left = `${(100 * (at_s - from_s)) / Math.max(to_s - from_s, 1)}%`;
-    mark.dataset["severity"] = severityWord(severity);
-    mark.title = `${time(at_s)} ${words}`;
-    mark.addEventListener("click", () => this.seek(at_s));
-    return mark;
+  /** Notes that are made while it is shown. */
+  note(lines: WatchLine[]): void {
+    const range = this.state.hello?.replay;
+    if (!range) return;
+    range.events = [...(range.events ?? []), ...lines.filter(({ what }) => what === "note").map(marked)];
+    this.strip.mark(range.events, range);
   }
 
   private toggle(): void {
@@ -124,8 +120,6 @@ export class Replay {
     if (!range || !at_s) return;
     if (!this.held) this.slider.value = String(at_s);
     this.strip.tell(at_s, range);
-    text(this.clock, `${time(at_s)} · ${duration(at_s - range.from_s)} of ${duration(range.to_s - range.from_s)}`);
+    text(this.clock, `${utc(at_s)} · ${duration(at_s - range.from_s)} of ${duration(range.to_s - range.from_s)}`);
   }
 }
-
-const time = (at_s: number): string => new Date(at_s * 1000).toISOString().slice(11, 19);

@@ -1,11 +1,9 @@
-// The last ten minutes of the selected boat: speed, what it measures, and the loss of its link, with a mark at each change of mode and at each message.
-import { make } from "./dom";
-import { GraphStrip } from "./graphs";
-import { severityWord } from "./messages";
+// The last ten minutes of the selected boat: speed, what it measures, and the loss of its link, with marks: each change of mode, and what the log of the watch says of it.
+import { TimeStrip, marked } from "./graphs";
 import type { State } from "./state";
 import { age_s, freshness } from "./state";
 import type { ValueTrack } from "./valuetrack";
-import type { Boat, Graphs } from "./wire";
+import type { Boat, Event, Graphs, WatchLine } from "./wire";
 
 const SPAN_S = 600;
 const EVERY_S = 1;
@@ -14,15 +12,14 @@ const KEPT = "delfim.timeline";
 
 interface Kept {
   graphs: Graphs;
-  marks: { at_s: number; severity: number; text: string }[];
+  marks: Event[];
   mode: string | null;
   last_s: number;
 }
 
 export class Timeline {
   private readonly kept = new Map<number, Kept>();
-  private readonly marks = make("div.marks");
-  private readonly strip = new GraphStrip(() => {});
+  private readonly strip = new TimeStrip(() => {});
   private drawn_s = 0;
   visible = localStorage.getItem(KEPT) === "on";
 
@@ -31,8 +28,8 @@ export class Timeline {
     private readonly state: State,
     private readonly values: ValueTrack,
   ) {
-    box.append(this.strip.root, this.marks);
-    state.on(["boats"], () => this.take());
+    box.append(this.strip.root, this.strip.marks);
+    state.on(["boats"], () => this.extend());
     state.on(["selection"], () => this.draw());
     state.on(["forgotten"], () => {
       for (const id of this.kept.keys()) if (!state.byId(id)) this.kept.delete(id);
@@ -45,11 +42,15 @@ export class Timeline {
     this.draw();
   }
 
-  /** A message of a boat. */
-  say(boat: number | null, severity: number, words: string): void {
-    if (boat === null || !this.state.at_s) return;
+  /** Lines of the log of the watch. */
+  take(lines: WatchLine[]): void {
+    for (const line of lines) for (const id of line.boat === null && line.what === "note" ? this.kept.keys() : [line.boat]) if (id !== null) this.mark(id, marked(line));
+    this.draw();
+  }
+
+  private mark(boat: number, event: Event): void {
     const { marks } = this.of(boat);
-    marks.push({ at_s: this.state.at_s, severity, text: words });
+    marks.push(event);
     if (marks.length > MARKS_MOST) marks.shift();
   }
 
@@ -59,14 +60,14 @@ export class Timeline {
     return its;
   }
 
-  private take(): void {
+  private extend(): void {
     for (const boat of this.state.boats) this.add(boat, this.of(boat.id));
     if (this.visible && Math.abs(this.state.at_s - this.drawn_s) >= EVERY_S) this.draw();
   }
 
   private add(boat: Boat, its: Kept): void {
     const { at_s } = this.state;
-    if (boat.mode !== its.mode && its.mode !== null && boat.mode !== null) this.say(boat.id, 6, boat.mode);
+    if (boat.mode !== its.mode && its.mode !== null && boat.mode !== null) this.mark(boat.id, { at_s, boat: boat.id, severity: 6, text: boat.mode });
     its.mode = boat.mode ?? its.mode;
     if (at_s < its.last_s + EVERY_S || freshness(age_s(this.state, boat)) === "lost") return;
     its.last_s = at_s;
@@ -87,14 +88,6 @@ export class Timeline {
     const range = { from_s: at_s - SPAN_S, to_s: at_s };
     this.strip.draw(Object.fromEntries(Object.entries(its.graphs).filter(([, points]) => points.length)), range, this.values.name);
     this.strip.tell(at_s, range);
-    this.marks.replaceChildren(
-      ...its.marks.map((each) => {
-        const mark = make("i");
-        mark.style.left = `${(100 * (each.at_s - range.from_s)) / SPAN_S}%`;
-        mark.dataset["severity"] = severityWord(each.severity);
-        mark.title = `${new Date(1000 * each.at_s).toISOString().slice(11, 19)} ${each.text}`;
-        return mark;
-      }),
-    );
+    this.strip.mark(its.marks, range);
   }
 }

@@ -221,12 +221,13 @@ export type Values = { [key: string]: number | string | Values };
 /** Values over the time of a replay: [at_s, value] by name with unit. */
 export type Graphs = Record<string, [number, number][]>;
 
-/** A mark on the time line of a replay. */
+/** A mark on a time line; a note is an operator's. */
 export interface Event {
   at_s: number;
-  boat: number;
+  boat: number | null; // null: of all
   severity: number;
   text: string;
+  note?: boolean;
 }
 
 export interface TimeLine {
@@ -334,6 +335,7 @@ export type Said =
   | { t: "home"; boat: number }
   | { t: "afford"; boat: number }
   | { t: "acknowledge" | "quiet"; ids: number[] }
+  | { t: "note"; boat: number; text: string; at_s: number }
   | { t: "replay"; at_s?: number; rate?: number };
 
 // Sent without a number: nobody waits for an answer.
