@@ -466,6 +466,20 @@ def certificate(here: Path) -> Said:
     return refused(lambda: _tls(str(here / "boat.pem")))
 
 
+def page_certificate(here: Path) -> Said:
+    from delfim.console.tabletd import tls_of
+
+    return refused(lambda: tls_of(str(here / "boat.pem")))
+
+
+def browsers_to_wake(here: Path) -> Said:
+    from delfim.base.clock import ManualClock
+    from delfim.console.pages.pushing import PushDesk
+    from delfim.console.watch.operators import OperatorsFile
+
+    return [PushDesk(here / "push.json", OperatorsFile(None), ManualClock()).reason]
+
+
 def operators_of_console(here: Path) -> Said:
     from delfim.console.watch.operators import read_operators
 
@@ -604,6 +618,8 @@ READERS = {
     "message by satellite": Reader("message.sbd", by_satellite, BINARY),
     "host key": Reader("host_key", host_key, TEXT),
     "certificate": Reader("boat.pem", certificate, TEXT),
+    "page's certificate": Reader("boat.pem", page_certificate, TEXT),
+    "browsers to wake": Reader("push.json", browsers_to_wake, TEXT),
     "kept voyage": Reader("voyage-1", kept_voyage, (*BINARY, *TEXT)),
     "page's token": Reader("token", page_token, TEXT),
     "alerts of a console": Reader("alerts.json", alerts_of_console, TEXT),

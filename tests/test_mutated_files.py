@@ -255,6 +255,10 @@ def keys(folder: Path) -> None:
     voyage = KeptHead("test", "", "", 0, 0.0), VoyageState(), console.Rally(((38.69, -9.21),))
     (folder / "voyage-1").write_bytes(packed(1, b"\n".join(map(msgspec.json.encode, voyage)), b""))
     operator = {"name": "Ana", "role": "command", "key_sha256": 32 * "7f"}
+    point = "BCVxsr7N_eNgVRqvHtD0zTZsEc6-VV-JvLexhqUzORcxaOzi6-AYWXvTBHm4bjyPjs7Vd8pZGH6SRpkNtoIAiw4"  # of RFC 8291
+    wakes = {"endpoint": "https://a.example/b", "keys": {"p256dh": point, "auth": "BTBZMqHH6r4Tts7J_aSIgg"}}
+    pushed = {"key": "yfWPiYE-n46HLnH0KqZOF1fJJU3MYrct3AELtAQ-oRw", "browsers": [wakes]}
+    (folder / "push.json").write_text(json.dumps(pushed))
     (folder / "operators.json").write_text(json.dumps([operator, operator | {"name": "Rui"}]))
     alerts = AlertList(lambda: 1_790_000_000.5)
     for boat, text in ((1, "port propeller: no report for 1.0 s: stop"), (2, "fence left: stop"), (None, "the disk is full")):
@@ -370,6 +374,8 @@ SAMPLES = {
         "kept pictures",
         "host key",
         "certificate",
+        "page's certificate",
+        "browsers to wake",
         "supervisor's record",
         "page's token",
         "operators of a console",
@@ -445,6 +451,8 @@ READ_BY = {  # function: the readers above that come by it
     "console/terminal/bus.py: logged": {"candump", "candump, deflated"},
     "console/terminal/framefilter.py: decoder": {"CAN database"},
     "console/charts/charts.py: _add_tiles": {"MBTiles"},
+    "console/tabletd.py: tls_of": {"page's certificate"},
+    "console/pages/pushing.py: __init__": {"browsers to wake"},
     "console/pages/admission.py: kept_token": {"page's token"},
     "console/watch/operators.py: read_operators": {"operators of a console"},
     "console/watch/alertsfile.py: read_alerts": {"alerts of a console"},
@@ -509,6 +517,7 @@ OTHERS = {  # what the kernel tells, and what is only copied or digested
         "commands/aboard/image.py: status",
     ),
     *("console/charts/dropping.py: _keep", "console/gateway/plan_tools.py: renew", "console/gateway/plan_tools.py: work"),
+    "console/pages/installable.py: built",  # of the page that came with the program
     "console/logs/fetcher.py: main",  # it sends a file as it is
     *("base/input/untrusted.py: read_file", "base/input/untrusted.py: read_text"),
     *("logging/ashore/fetch.py: _condition", "logging/ashore/fetch.py: _digest", "logging/ashore/fetch.py: _read"),

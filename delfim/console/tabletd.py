@@ -17,6 +17,7 @@ from delfim.console.gateway.gateway import Gateway
 from delfim.console.gateway.serving import serve as serve_pages
 from delfim.console.link.mavlink import Key
 from delfim.console.pages.admission import kept_token
+from delfim.console.pages.pushing import PushDesk
 from delfim.console.watch.operators import OperatorsFile
 from delfim.parts.mavlink.table import Mavlink
 from delfim.services.runtime import Runtime
@@ -25,25 +26,28 @@ from delfim.services.tables import Tablet
 END_S: Final = 0.2  # for open pages, when the service ends: they find it again by themselves
 
 
-def tablet_gateway(settings: config.Vehicle, file: str) -> Gateway:
-    """The gateway of this boat, whose vehicle's file is there. Raises ConfigError, OSError."""
+def tablet_gateway(settings: config.Vehicle, file: str, push: PushDesk | None = None) -> Gateway:
+    """The gateway of this boat, whose vehicle's file is there. `push`: another desk than its own. Raises ConfigError and
+    OSError."""
     table, key = settings.of(Tablet), settings.of(Mavlink).key
     place = Path(table.directory)
     place.mkdir(mode=0o700, parents=True, exist_ok=True)
     (place / "sessions").mkdir(exist_ok=True)
+    operators, clock = OperatorsFile(place / "operators.json"), WakefulClock()
     gateway = Gateway(
-        WakefulClock(),
+        clock,
         place / "missions",
         Key(Path(key), stamps=place / "mavlink.stamps") if key else None,
         kept_token(place / "token"),
         Path(file) if file else None,
         charts=place / "charts",
         trials=place / "adopt",
-        operators=OperatorsFile(place / "operators.json"),
+        operators=operators,
         sessions=place / "sessions",
         frames=False,
     )
     gateway.attended_only(table.silent_s)
+    gateway.wakes(push or PushDesk(place / "push.json", operators, clock, table.contact))
     return gateway
 
 

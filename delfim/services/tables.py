@@ -26,6 +26,7 @@ Password = Annotated[  # hashed; a log shows a hash that no password has
     text("scrypt:[A-Za-z0-9+/=]+:[A-Za-z0-9+/=]+", "the output of `delfim password`", shown="scrypt:hidden:hidden"),
 ]
 PublicKey = Annotated[str, text(r"ssh-ed25519 [A-Za-z0-9+/]+=*( [^\n]*)?\n?", "ssh-ed25519 KEY, as in a .pub file")]
+PushContact = Annotated[str, text(r"((mailto:|https://)[^ ]{3,200})?", "mailto:ADDRESS, https://ADDRESS, or empty")]
 PageAddress = Annotated[str, text(rf"(([^ :]+|\[[0-9A-Fa-f:.]+\]):{PORT})?", "ADDRESS:PORT, [IPv6]:PORT, or empty")]
 Carrier = Annotated[str, text("(none|dcd|file:/[^ ]+)", "none, dcd, or file:/PATH")]
 
@@ -76,6 +77,7 @@ class Tablet(Table, frozen=True):
     boats: Listen = "127.0.0.1:14561"  # the boat's frames come here: an address of this computer, one of mavlink.peers too
     directory: str = "/log/.tablet"  # the console's token, operators, missions and charts; no service gives it out
     certificate: str = ""  # PEM file with certificate and key: the page needs TLS (https); "": everything goes in the clear
+    contact: PushContact = ""  # whom a push service may write to about this boat's messages; some ask for one
     silent_s: Annotated[float, msgspec.Meta(ge=1.0, le=60.0)] = 3.0  # without a word of a page: to the boat nobody is there
 
     def __post_init__(self) -> None:

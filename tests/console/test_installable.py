@@ -5,23 +5,31 @@ import asyncio
 import base64
 import contextlib
 import hashlib
+import json
 import re
 import shutil
 import subprocess
 from collections.abc import AsyncIterator
 from pathlib import Path
 
+import msgspec
 import pytest
 
 from delfim import config
+from delfim.base.clock import SystemClock
 from delfim.base.tables import decode
 from delfim.console import tabletd
 from delfim.console.gateway import gateway as gateway_module
-from delfim.console.gateway.gateway import PAGE
+from delfim.console.gateway.gateway import PAGE, Gateway
 from delfim.console.gateway.serving import serve
+from delfim.console.pages import webpush
 from delfim.console.pages.installable import MANIFEST, PUBLIC, built
+from delfim.console.pages.pushing import KeptPush, PushDesk
+from delfim.console.watch.operators import OperatorsFile
 from tests.certificates import certificate
-from tests.services.browser import browser
+from tests.console.pushservice import Browser, PlayedService, ended
+from tests.console.scenes import choose
+from tests.services.browser import Page, browser
 
 __all__ = ["certificate"]
 OFFLINE = "!document.getElementById('offline').hidden"
@@ -37,27 +45,27 @@ def trusted(pem: Path) -> str:
 
 
 @contextlib.asynccontextmanager
-async def at_sea(folder: Path, pem: Path, port: int = 0) -> AsyncIterator[str]:
-    """The boat's page, as tabletd serves it, until the end of the block; its address with the token."""
+async def at_sea(folder: Path, pem: Path, port: int = 0, push: PushDesk | None = None) -> AsyncIterator[tuple[str, Gateway]]:
+    """The boat's page, as tabletd serves it, until the end of the block: its address with the token, and the gateway."""
     table = {"listen": "127.0.0.1:0", "boats": "127.0.0.1:14561", "directory": str(folder)}
     told = {"boat": {"name": "test"}, "tablet": table, "mavlink": {"peers": ["127.0.0.1:14561"]}}
-    gateway = tabletd.tablet_gateway(decode(told, config.Vehicle, "test.toml"), "")
+    gateway = tabletd.tablet_gateway(decode(told, config.Vehicle, "test.toml"), "", push)
     ready: asyncio.Future[str] = asyncio.get_running_loop().create_future()
-    serving = asyncio.create_task(
-        serve(gateway, ("127.0.0.1", 0), ("127.0.0.1", port), ready.set_result, tabletd.tls_of(str(pem)), 0.2)
-    )
-    try:
-        yield await ready
-    finally:
-        serving.cancel()
-        await asyncio.gather(serving, return_exceptions=True)
+    async with ended(gateway.app):
+        tls = tabletd.tls_of(str(pem))
+        serving = asyncio.create_task(serve(gateway, ("127.0.0.1", 0), ("127.0.0.1", port), ready.set_result, tls, 0.2))
+        try:
+            yield await ready, gateway
+        finally:
+            serving.cancel()
+            await asyncio.gather(serving, return_exceptions=True)
 
 
 async def test_chromium_may_install_the_page_and_it_opens_without_its_boat(
     tmp_path: Path, certificate: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     async with browser(tmp_path / "browser", trusted(certificate)) as page:
-        async with at_sea(tmp_path / "tablet", certificate) as url:
+        async with at_sea(tmp_path / "tablet", certificate) as (url, _):
             port = int(url.split(":")[2].partition("/")[0])
             await page.open(url, width=390, height=780, scale=1.0)
             await page.until(ONLINE)
@@ -87,6 +95,78 @@ async def test_chromium_may_install_the_page_and_it_opens_without_its_boat(
             await page.until(f"{ONLINE} && document.querySelector('script').src.endsWith('?0123abcd')")
             await page.until("caches.keys().then((names) => names.join()).then((names) => names === 'delfim-0123abcd')")
         page.complaints.clear()  # of the boat that was not there
+
+
+GIVES = """navigator.serviceWorker.ready.then((registration) => {
+  let its = null;
+  registration.pushManager.subscribe = async ({ applicationServerKey }) => {
+    window.asked = applicationServerKey;
+    return (its = { toJSON: () => (%s), unsubscribe: async () => (its = null) });
+  };
+  registration.pushManager.getSubscription = async () => its;
+  navigator.serviceWorker.getRegistration = async () => registration;
+  Notification.requestPermission = async () => "granted";
+  return true;
+})"""
+MESSAGES = "document.getElementById('messages').textContent.includes('{}')"
+
+
+async def test_a_grave_alert_reaches_a_browser_by_its_push_service_and_is_shown(tmp_path: Path, certificate: Path) -> None:
+    """All but the Internet's service: what the page gives of it is played, and its message is handed to the browser here."""
+    service, its = PlayedService(), Browser()
+    subscription = json.dumps({"endpoint": its.at("one").endpoint, "keys": {"p256dh": its.keys.p256dh, "auth": its.keys.auth}})
+    async with service.serving(certificate) as trust, browser(tmp_path / "browser", trusted(certificate)) as page:
+        (tmp_path / "tablet").mkdir()
+        file = tmp_path / "tablet/push.json"
+        desk = PushDesk(file, OperatorsFile(None), SystemClock(), "", service, trust)
+        async with at_sea(tmp_path / "tablet", certificate, 0, desk) as (url, gateway):
+            await page.open(url, width=1200, height=800, scale=1.0)
+            origin = url.partition("/?")[0]
+            await page.call("Browser.grantPermissions", origin=origin, permissions=["notifications"])
+            await page.until(ONLINE)
+            await page.value(GIVES % subscription)
+            await wake(page)
+            await page.until(MESSAGES.format("grave alerts come to this device"))
+            assert len(webpush.decoded(await page.value("window.asked"))) == 65
+            assert [each.endpoint for each in kept(file)] == [its.at("one").endpoint]
+
+            gateway.watch.alerts.hear(1, 2, "port propeller blocked: stop")
+            async with asyncio.timeout(60.0):
+                while not service.heard:
+                    await asyncio.sleep(0.02)
+            said = its.reads(service.heard[0][2]).decode()
+            await deliver(page, origin, said)
+            shown = "navigator.serviceWorker.ready.then((its) => its.getNotifications())"
+            shown += ".then((all) => all.map((each) => [each.title, each.body]))"
+            await page.until(f"{shown}.then((all) => all.length === 1)")
+            assert await page.value(shown) == [["boat 1: alarm", "port propeller blocked: stop"]]
+
+            await wake(page)
+            await page.until(MESSAGES.format("no alert comes to this device any more"))
+            assert kept(file) == []
+
+
+async def wake(page: Page) -> None:
+    """*Wake me* in the map's menu."""
+    await page.press("w")
+    await page.press("Enter")
+    await choose(page, "Screen")
+    await choose(page, "Wake me")
+    await page.press("Escape")
+    await page.press("Escape")
+
+
+async def deliver(page: Page, origin: str, words: str) -> None:
+    """What the browser does with a message of its service."""
+    await page.call("ServiceWorker.enable")
+    async with asyncio.timeout(60.0):
+        while not (told := [each for each in page.registrations if each["scopeURL"].startswith(origin)]):
+            await page.value("1")
+    await page.call("ServiceWorker.deliverPushMessage", origin=origin, registrationId=told[0]["registrationId"], data=words)
+
+
+def kept(file: Path) -> list[webpush.PushSubscription]:
+    return msgspec.json.decode(file.read_bytes(), type=KeptPush).browsers
 
 
 def test_the_page_names_its_build_and_what_is_public_is_in_it() -> None:

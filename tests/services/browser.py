@@ -49,6 +49,7 @@ class Page:
         self._front = ""  # the tab that hides this one
         self.complaints: list[str] = []  # of the page's console: errors, what the policy refused; a test ends with none
         self.requests: list[str] = []  # addresses, once the domain Network is enabled
+        self.registrations: list[dict[str, Any]] = []  # of workers, once the domain ServiceWorker is enabled
         self.origins: set[str] = set()  # that were opened
 
     async def call(self, method: str, **words: Any) -> dict[str, Any]:
@@ -67,6 +68,8 @@ class Page:
             self.complaints.append(json.dumps(told["params"]))
         if method in ("Network.requestWillBeSent", "Network.webSocketCreated"):
             self.requests.append(told["params"].get("url") or told["params"]["request"]["url"])
+        if method == "ServiceWorker.workerRegistrationUpdated":
+            self.registrations += told["params"]["registrations"]
         if method == "Page.javascriptDialogOpening":  # leave the page? Yes.
             answer = {"method": "Page.handleJavaScriptDialog", "params": {"accept": True}}
             await self._socket.send_json({"id": next(self._numbers), **answer})

@@ -37,6 +37,7 @@ from delfim.console.link.udp import Udp
 from delfim.console.pages.admission import Admission, own_number
 from delfim.console.pages.installable import built, manifest_route
 from delfim.console.pages.page import Page, encoded
+from delfim.console.pages.pushing import PushDesk
 from delfim.console.tapes.replay import TapePlayer
 from delfim.console.tapes.tape import Tape
 from delfim.console.watch.alerts import WARNING
@@ -83,6 +84,7 @@ class Gateway:
         admission = Admission(token, operators)
         self.token, self.me = admission.token, number or own_number(admission.token)
         self._clock, self._pages = clock, set[Page]()
+        self.push: PushDesk | None = None
         self.ping_s, self._built = PING_S, built(PAGE)
         self.viewers: list[Callable[[dict[str, Any]], None]] = []  # other programs that hear what pages hear
         self.fleet: Fleet | TapePlayer
@@ -179,6 +181,9 @@ class Gateway:
             self._complain(name, each.reason)
         if self.broker is not None:
             self._complain("the broker", self.broker.reason)
+        if self.push is not None:
+            self.push.look(self.watch.alerts.standing, self._name)
+            self._complain("push", self.push.reason)
         self._ticks += 1
         if (self._pages or self.viewers) and self._ticks % (SHOW_TICKS * math.ceil(len(self.fleet.boats) / SHOWN or 1)) == 0:
             self.tell({"t": "boats", "at_s": self._utc_s(), "boats": self.fleet.snapshot()})
@@ -189,6 +194,11 @@ class Gateway:
                 self.tell(depths)
         if (self._pages or self.viewers) and self._ticks % self._vessel_ticks() == 0:
             self.tell(self._vessels())
+
+    def wakes(self, desk: PushDesk) -> None:
+        """Operators whose page is closed are woken by this desk."""
+        self.push = desk
+        desk.routes(self.app)
 
     def attended_only(self, silent_s: float) -> None:
         """Boats hear of this console only while somebody is at a page, or was within `silent_s`."""
@@ -299,6 +309,7 @@ class Gateway:
                 "t": "hello",
                 "version": __version__,
                 "built": self._built,
+                "wakes": self.push is not None,
                 "me": self.me,
                 "page": page.number,
                 "backgrounds": self.charts.backgrounds,

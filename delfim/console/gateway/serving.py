@@ -65,6 +65,8 @@ async def serve(
         async with asyncio.TaskGroup() as group:
             if gateway.broker is not None:
                 group.create_task(gateway.broker.follow())
+            if gateway.push is not None:
+                group.create_task(gateway.push.follow())
             try:
                 while True:
                     await asyncio.sleep(TICK_S)

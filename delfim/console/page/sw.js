@@ -1,6 +1,6 @@
-const BUILT = "4c545f47";
-const FILES = ["./","console.css?4c545f47","console.js?4c545f47","harbours.tsv","land.bin","manifest.webmanifest","b612-latin-400-normal.woff2","b612-latin-700-normal.woff2","icon-192.png","icon-512.png"];
-// Keeps the page itself, never a boat's state and never a command, so that it opens without its gateway. The network comes first:
+const BUILT = "9c59ccec";
+const FILES = ["./","console.css?9c59ccec","console.js?9c59ccec","harbours.tsv","land.bin","manifest.webmanifest","b612-latin-400-normal.woff2","b612-latin-700-normal.woff2","icon-192.png","icon-512.png"];
+// Wakes operators, and keeps the page itself, never a boat's state and never a command, so that it opens without its gateway. The network comes first:
 // what is kept serves only where no answer comes. build.mjs puts BUILT and FILES before this.
 const ANSWER_MS = 4000; // a network whose boat is out of reach says nothing for minutes
 const NAME = `delfim-${BUILT}`;
@@ -32,3 +32,15 @@ async function answered(request, file, page) {
     return kept();
   }
 }
+
+// What the boat says by the push service while no page is open.
+self.addEventListener("push", (event) => {
+  const { title, body, tag } = event.data.json();
+  event.waitUntil(self.registration.showNotification(title, { body, tag, icon: "icon-192.png", requireInteraction: true }));
+});
+
+self.addEventListener("notificationclick", (event) => {
+  event.notification.close();
+  const look = (pages) => (pages.length ? pages[0].focus() : self.clients.openWindow("./"));
+  event.waitUntil(self.clients.matchAll({ type: "window", includeUncontrolled: true }).then(look));
+});

@@ -109,6 +109,10 @@ class AlertList:
             self._happen(each, Happening.ENDS)
         self.give_back()
 
+    @property
+    def standing(self) -> list[StandingAlert]:
+        return list(self._alerts.values())
+
     def shown(self) -> list[dict[str, Any]]:
         """For the page: those that nobody has seen stand first, the gravest before others, then the newest."""
         order = sorted(self._alerts.values(), key=lambda each: (each.state not in UNSEEN, each.priority, -each.id))

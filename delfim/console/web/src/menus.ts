@@ -16,6 +16,7 @@ import type { Panes } from "./panes";
 import type { Planning } from "./planning";
 import type { Handle, Plans } from "./plans";
 import type { Entry, Item, Popup } from "./popup";
+import type { Push } from "./push";
 import type { Sound } from "./sound";
 import { surveyed } from "./survey";
 import { age_s, freshness } from "./state";
@@ -53,6 +54,7 @@ export class Menus {
     private readonly camera: Camera,
     private readonly files: ChartFiles,
     private readonly values: ValueTrack,
+    private readonly push: Push,
   ) {}
 
   boat(boat: Boat, at: Pixel): void {
@@ -225,6 +227,7 @@ export class Menus {
       { title: "Colours", note: theme, sub: () => this.themes() },
       { title: "Knots", tick: inKnots, do: () => setKnots(!inKnots) },
       { title: "Sound", tick: this.sound.on, do: () => this.sound.toggle() },
+      this.push.item(this.state.hello?.wakes ?? false),
       { title: "Guard zone", note: this.watch.zone_m ? `${this.watch.zone_m} m around each boat, on this page` : "none on this page", sub: () => this.zones() },
       { title: "Courses", note: `of boats and vessels, ${ahead_min} min ahead`, sub: () => this.aheads() },
       { title: "Depths", note: "as the boats tell them, by colour", tick: this.depths.visible, do: () => this.depths.toggle() },

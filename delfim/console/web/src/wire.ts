@@ -286,7 +286,7 @@ export interface AboardRow {
 }
 
 export type Heard =
-  | { t: "hello"; version: string; built?: string; me: number; page: number; heard_on?: string[]; adopts?: number | null; charts?: string; backgrounds: Background[]; boats: Boat[]; replay: TimeLine | null }
+  | { t: "hello"; version: string; built?: string; wakes?: boolean; me: number; page: number; heard_on?: string[]; adopts?: number | null; charts?: string; backgrounds: Background[]; boats: Boat[]; replay: TimeLine | null }
   | { t: "charts"; backgrounds: Background[] }
   | { t: "boats"; at_s: number; boats: Boat[] }
   | { t: "vessels"; at_s: number; vessels: Vessel[]; heard_s: number | null }
