@@ -8,12 +8,12 @@ from delfim.base.errors import DelfimError, in_words
 from delfim.commands import Formatter, overrides
 
 PROGRAMS = ("critical-path", "costs", "allocation", "sim", "log", "watchers", "datagrams", "floods", "downloads", "disk")
-APART = ("campaign", "fleet", "soak", "peers")
+APART = ("campaign", "fleet", "soak", "peers", "avoiding")
 
 
 def options() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="python -m bench", description=__doc__, formatter_class=Formatter)
-    parser.add_argument("what", nargs="?", choices=[*PROGRAMS, *APART], help="Without a name, all but the last four.")
+    parser.add_argument("what", nargs="?", choices=[*PROGRAMS, *APART], help="Without a name, all but the last five.")
     parser.add_argument("--file", default="etc/delfimx.toml", help="The vehicle's file.")
     overrides(parser)
     parser.add_argument("--output", default="run/bench", metavar="DIRECTORY", help="Write results and pictures here.")
@@ -32,7 +32,7 @@ def options() -> argparse.ArgumentParser:
 
 
 def run(asked: argparse.Namespace) -> int:
-    from bench import allocation, campaign, costs, critical_path, fleet, liblog, lockstep, peers, sides, soak
+    from bench import allocation, avoiding, campaign, costs, critical_path, fleet, liblog, lockstep, peers, sides, soak
 
     programs = {
         "critical-path": critical_path.run,
@@ -49,6 +49,7 @@ def run(asked: argparse.Namespace) -> int:
         "fleet": fleet.run,
         "soak": soak.run,
         "peers": peers.run,
+        "avoiding": avoiding.run,
     }
     return max(programs[name](asked) for name in ([asked.what] if asked.what else PROGRAMS))
 
