@@ -1,6 +1,6 @@
 """Whether boats that go home for their energy come home, and with how much.
 
-    python -m bench.energy [SEEDS [BOAT [CAPACITY_WH]]] [--first SEED] [--rows FILE] [--steady]
+    python -m bench.energy [SEEDS [BOAT [CAPACITY_WH]]] [--first SEED] [--rows FILE] [--steady | --ordered]
 
 A boat sails drawn places, out and about, in a drawn sea: wind to 8 m/s, waves, a current to 0.4 m/s that turns by up to 120
 degrees an hour. Its batteries last for some 40 to 60 minutes. Prints how many came home with a tenth of the capacity at least,
@@ -8,7 +8,8 @@ how many had gone home with more than a tenth left beside the reserve, and by ho
 
 --first: the seeds from this one on, up to SEEDS. --rows: a line for each sea; those that are in the file already are not sailed
 again. --steady: on the way home an operator holds the speed, so that the boat does not slow down to save energy: the prediction
-is judged by that.
+is judged by that. --ordered: likewise, and home is ordered at a drawn time between 10 and 25 minutes, mostly before the boat
+would turn by itself: a boat turns when it believes the way dear, so what it believes at the turn is not what it believes.
 """
 
 import argparse
@@ -29,6 +30,7 @@ from delfim.vehicle import console
 from delfim.vehicle.state import NoLog, State
 
 LIMIT_S = 4.0 * 3600.0
+HOME_S = 600.0, 1500.0  # of --ordered
 TOLD = 200.0  # steps of the charge that batteries tell
 
 
@@ -47,9 +49,10 @@ def _settings(boat: str, draw: random.Random, capacity_wh: float) -> config.Vehi
 class Sailed:
     """A boat on one sea."""
 
-    def __init__(self, boat: str, seed: int, capacity_wh: float, is_steady: bool) -> None:
+    def __init__(self, boat: str, seed: int, capacity_wh: float, is_steady: bool, is_ordered: bool) -> None:
         self._draw = random.Random(seed)
-        self._settings, self._capacity_wh, self._is_steady = _settings(boat, self._draw, capacity_wh), capacity_wh, is_steady
+        self._settings, self._capacity_wh = _settings(boat, self._draw, capacity_wh), capacity_wh
+        self._is_steady, self._ordered_s = is_steady, random.Random(f"home {seed}").uniform(*HOME_S) if is_ordered else math.inf
         self._turn_radps = math.radians(self._draw.uniform(-120.0, 120.0)) / 3600.0
         self._run = Lockstep(self._settings, seed, lambda clock: NoLog())
         self._turned: tuple[float, float] | None = None  # the charge where it turned, and of the way home
@@ -71,7 +74,9 @@ class Sailed:
             if self._turned is not None and not is_home:
                 break
             self._has_slowed |= is_home and not self._is_steady and state.setpoint.override_mps is not None
-            if not is_home and state.mode is not Mode.GOTO and not (state.mode is Mode.HOLD and "home in" in state.reason):
+            if not is_home and run.elapsed_s >= self._ordered_s:
+                run.order(console.SetMode("home"), "bench")
+            elif not is_home and state.mode is not Mode.GOTO and not (state.mode is Mode.HOLD and "home in" in state.reason):
                 self._go_on()
             elif run.elapsed_s % 5.0 < 0.2:
                 run.order(console.Alive(), "bench")
@@ -129,6 +134,7 @@ def main() -> None:
     asked.add_argument("--first", type=int, default=1)
     asked.add_argument("--rows", type=Path)
     asked.add_argument("--steady", action="store_true")
+    asked.add_argument("--ordered", action="store_true")
     told = asked.parse_args()
     lines = told.rows.read_text().splitlines() if told.rows is not None and told.rows.exists() else []
     rows: dict[int, dict[str, float]] = {int(line["seed"]): line for line in map(json.loads, lines)}
@@ -136,7 +142,8 @@ def main() -> None:
     for seed in seeds:
         if seed in rows:
             continue
-        rows[seed] = {"seed": seed, **Sailed(told.boat, seed, told.capacity_wh, told.steady).row()}
+        sailed = Sailed(told.boat, seed, told.capacity_wh, told.steady or told.ordered, told.ordered)
+        rows[seed] = {"seed": seed, **sailed.row()}
         print(seed, f"home with {rows[seed]['end']:.1%}", file=sys.stderr, flush=True)
         if told.rows is not None:
             with told.rows.open("a") as file:

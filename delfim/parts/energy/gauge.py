@@ -4,7 +4,7 @@ says, a full one gives more volts than an empty one, the emptier side counts, an
 import math
 from typing import Final
 
-PRIOR: Final = 0.1  # of the capacity: so much counts as taken joule for joule, before anything was told
+PRIOR: Final = 0.1  # of the capacity: so much counts as taken joule for joule before anything was told, and is forgotten
 FORGET: Final = 0.25  # of the capacity
 JUMP: Final = 0.03  # of it: what changes by more at once was changed by somebody
 BOUNDS: Final = 0.6, 1.6
@@ -15,7 +15,7 @@ class Gauge:
 
     def __init__(self, capacity_wh: float) -> None:
         self._whole_j = max(capacity_wh, 1e-3) * 3600.0
-        self._drawn_j = self._taken_j = 0.0
+        self._drawn_j = self._taken_j = PRIOR * self._whole_j
         self._was_j: float | None = None
         self.per = 1.0  # joules of the charge for each that is drawn
 
@@ -30,5 +30,4 @@ class Gauge:
             return
         keep = math.exp(-watts * dt_s / (FORGET * self._whole_j))
         self._drawn_j, self._taken_j = self._drawn_j * keep + watts * dt_s, self._taken_j * keep + was_j - left_j
-        prior_j = PRIOR * self._whole_j
-        self.per = min(max((prior_j + self._taken_j) / (prior_j + self._drawn_j), BOUNDS[0]), BOUNDS[1])
+        self.per = min(max(self._taken_j / max(self._drawn_j, 1e-3), BOUNDS[0]), BOUNDS[1])
