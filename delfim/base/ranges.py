@@ -47,6 +47,7 @@ MountPoint = Annotated[str, text(r"(/[^/\x00]+)*", "an absolute path, or empty")
 Megabytes = Annotated[int, msgspec.Meta(ge=0, le=1 << 20)]
 Network = Annotated[str, text("[0-9A-Fa-f:.]+(/[0-9]{1,3})?", "an IP address, or ADDRESS/BITS")]
 PayloadRight = Literal["hold", "goto", "speed", "heading", "mission", "obstacles", "samples", "values"]  # of a payload program
+ShownName = Annotated[str, text("[a-z][a-z0-9_]{0,9}", "a small letter, then up to 9 small letters, digits or _")]  # as water_c
 NETWORKED = ("udp:", "tcp:", "tcp-listen:", "gpsd:")  # devices that are none of this computer's
 DeviceName = Annotated[str, text("[a-z][a-z0-9_.-]{0,14}", "a small letter, then up to 14 small letters, digits, _, . or -")]
 

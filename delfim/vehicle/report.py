@@ -234,6 +234,7 @@ class BoatReport(Facts, frozen=True):
     reason: str
     operator: str = ""  # who commands; empty: nobody
     helmsman: str = ""  # the payload program that has the boat; empty: none
+    resting: tuple[str, ...] = ()  # payload programs that an operator has stopped
     boat: str = "boat"
     cycle: int = 0
     utc_ns: int = 0  # navigation's clock, 0 if it sends none

@@ -27,6 +27,7 @@ def report(state: State, now_s: float, rows: Sequence[ThrusterTable] = (), **mor
         armed=state.armed,
         operator=state.operator,
         helmsman=state.helmsman,
+        resting=tuple(sorted(state.resting)),
         cycle=state.cycles,
         utc_ns=n.utc_ns if n else 0,
         source=state.source,

@@ -260,6 +260,7 @@ class State:
     helmsman: str = ""  # the payload program that the operator gave the boat to; empty: none has it
     relieved: str = ""  # why the last one that had it no longer does, in words; empty: none had it yet, or one has
     payloads_s: dict[str, float] = field(default_factory=dict)  # monotonic time of the last word of each that may have it
+    resting: frozenset[str] = frozenset()  # payload programs that an operator has stopped
     namesakes: str = ""  # the notice that two consoles have one number; empty: they do not
     manual_s: float = -1e9
     guest_s: float = -1e9

@@ -243,16 +243,21 @@ def numbers(view: TelemetryView) -> Iterator[Message]:
 
 
 def floats(view: TelemetryView) -> Iterator[Message]:
-    """The operator's speed in place of the plan's (NaN: none), and the values of sensors, each with the time when it was
-    measured; those of messages of their own, too, because depth and wind need a position or a heading there."""
+    """The operator's speed in place of the plan's (NaN: none), and the values of sensors and of programs, each with the time
+    when it was measured; those of messages of their own, too, because depth and wind need a position or a heading there."""
     boat = view.boat
     speed_mps = boat.state.setpoint.override_mps
     yield dialect.MAVLink_named_value_float_message(_boot_ms(view), b"OVERRIDE", math.nan if speed_mps is None else speed_mps)
     yield from ordered(boat.state, _boot_ms(view))
-    for value in sensors.values(boat.helm.settings):
-        told = _young(view, value.name)
-        if told is not None:
-            yield dialect.MAVLink_named_value_float_message(_ms(boat.state.measured[value.name][1]), value.told, told)
+    names = [(value.told, value.name) for value in sensors.values(boat.helm.settings)]
+    programs = boat.helm.settings.table("payload").items()
+    names += [(name.encode(), f"{program}.{name}") for program, table in programs for name in table.shown]
+    said = set[bytes]()
+    for short, name in names:
+        told = _young(view, name)
+        if told is not None and short not in said:
+            said.add(short)
+            yield dialect.MAVLink_named_value_float_message(_ms(boat.state.measured[name][1]), short, told)
 
 
 def depth(view: TelemetryView) -> Iterator[Message]:

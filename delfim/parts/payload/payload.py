@@ -75,6 +75,8 @@ class Payload(asyncio.SubprocessProtocol):
         self._log = open_log(settings.log, self._group, ".jsonl", "zwrite", clock)
         self._transport: asyncio.SubprocessTransport | None = None
         self._ended, self._silent = asyncio.Event(), asyncio.Event()  # the process; both of its pipes
+        self._over, self._wanted = asyncio.Event(), asyncio.Event()  # it ended, or shall; no operator has stopped it
+        self._wanted.set()
         self._pipes = 0
         self._reports = BoundedLines(*REPORTS, ORDER_BYTES if table.may else LINE_BYTES)
         self._said = BoundedLines(*SAID)
@@ -92,8 +94,14 @@ class Payload(asyncio.SubprocessProtocol):
         self._log.note(event_line(self._clock, "start", command=self._table.command[0]))
         pause_s = self._pauses.backoff_s
         while True:
+            if not self._wanted.is_set():
+                self._change("stopped", "")
+                self._log.note(event_line(self._clock, "stopped", reason="by the operator"))
+                await self._wanted.wait()
             began_s, before = self._clock.monotonic_s(), self.reason
             code, reason = await self._once()
+            if not self._wanted.is_set():
+                continue
             lived_s = self._clock.monotonic_s() - began_s
             again = code != EXIT_PERMANENT
             self._change("waiting" if again else "failed", f"{reason}: {self._last_words}" if self._last_words else reason)
@@ -114,6 +122,7 @@ class Payload(asyncio.SubprocessProtocol):
         limits = (*limits, NETWORK if table.network else ALONE)
         words = (sys.executable, "-m", "delfim.services.supervision.confine", self._group, table.user, *limits, *table.command)
         self._ended.clear()
+        self._over.clear()
         self._silent.clear()
         self._pipes, self._last_words = 2, ""
         self._limits.end(self._group)
@@ -133,7 +142,7 @@ class Payload(asyncio.SubprocessProtocol):
             last.callback(transport.close)
             last.callback(self._kill, pid)
             try:
-                await self._ended.wait()
+                await self._over.wait()
             finally:
                 self._transport, self._feed = None, -1
                 os.close(feed)
@@ -143,7 +152,8 @@ class Payload(asyncio.SubprocessProtocol):
                 await _within(END_S, self._ended)  # the loop has to hear of it before it ends itself
             await _within(END_S, self._silent)  # its last words may still be in the pipe
         code = transport.get_returncode()
-        assert code is not None
+        if code is None or not self._wanted.is_set():
+            return 0, ""
         return code, self._limits.exceeded(self._group) or ended(code)
 
     def _kill(self, session: int) -> None:
@@ -163,6 +173,15 @@ class Payload(asyncio.SubprocessProtocol):
 
     def process_exited(self) -> None:
         self._ended.set()
+        self._over.set()
+
+    def rest(self, rests: bool) -> None:
+        """An operator has stopped it, or not."""
+        if rests:
+            self._wanted.clear()
+            self._over.set()
+        else:
+            self._wanted.set()
 
     # Its lines.
 
@@ -296,6 +315,8 @@ class Payloads:
 
     def _heard(self, now: BoatReport) -> None:
         self._trouble = ""
+        for program in self.programs:
+            program.rest(program.name in now.resting)
         for line in lines(now, self._before):
             for program in self.programs:
                 program.tell(line)

@@ -4,7 +4,7 @@ from typing import Annotated
 
 import msgspec
 
-from delfim.base.ranges import Name, PayloadRight
+from delfim.base.ranges import Name, PayloadRight, ShownName
 from delfim.base.tables import Table
 
 
@@ -17,6 +17,7 @@ class PayloadTable(Table, frozen=True):
     cpu_max: Annotated[float, msgspec.Meta(gt=0.0, le=1024.0)] = 0.5  # processors, of what nobody else wants
     processes_max: Annotated[int, msgspec.Meta(ge=1, le=1000)] = 16  # processes and threads at once
     network: bool = False  # it may connect, also to the boat's doors on this computer; otherwise it has no network at all
+    shown: Annotated[tuple[ShownName, ...], msgspec.Meta(max_length=8)] = ()  # numbers that it tells, for consoles to show
     may: tuple[PayloadRight, ...] = ()  # orders that the boat takes from it, in the mode of its name, below all others
 
     def __post_init__(self) -> None:
@@ -24,6 +25,8 @@ class PayloadTable(Table, frozen=True):
             raise ValueError("command: the program's absolute path comes first, as /log/programs/sonar")
         if self.user == "root":
             raise ValueError("user: a payload does not run as root")
+        if self.shown and "values" not in self.may:
+            raise ValueError('shown: the program needs the right "values" to tell them')
 
 
 Payloads = dict[Name, PayloadTable]

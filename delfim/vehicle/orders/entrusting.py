@@ -107,12 +107,12 @@ def order(helm: Helm, name: str, command: console.Commands, now_s: float) -> str
 
 
 def _measured(helm: Helm, name: str, values: Mapping[str, float], now_s: float) -> str | None:
-    """Keep the values of a program that the file has a bound for, so that nobody fills the state; returns why not, or None."""
-    bounds = helm.settings.failsafe.beyond
+    """Keep the values of a program that the file names, so that nobody fills the state; returns why not, or None."""
+    bounds, shown = helm.settings.failsafe.beyond, helm.settings.table("payload")[name].shown
     for each, value in values.items():
         key = f"{name}.{each}"
-        if key not in bounds.above and key not in bounds.below:
-            return f"refused: failsafe.beyond has no bound for {key}"
+        if each not in shown and key not in bounds.above and key not in bounds.below:
+            return f"refused: neither failsafe.beyond nor payload.{name}.shown names {each}"
         helm.state.measured[key] = value, now_s
     return None
 
@@ -125,6 +125,8 @@ def obey(helm: Helm, command: console.Commands, now_s: float) -> None:
         raise Refused("refused: only a payload program says this")
     if isinstance(command, console.Entrust):
         entrust(helm, command.name, now_s)
+    elif isinstance(command, console.PartOrder) and (asked := starts_and_stops(helm.settings).get(command.name)):
+        _rest(helm, *asked)
     else:
         handlers.obey(helm, command, now_s)
 
@@ -140,6 +142,21 @@ def entrust(helm: Helm, name: str, now_s: float) -> None:
     state.helmsman, state.relieved = name, ""
     state.reason = f"operator gave the boat to payload {name}"
     helm.note(state.reason)
+
+
+def starts_and_stops(settings: config.Vehicle) -> dict[str, tuple[str, bool]]:
+    """The operator's orders about programs, by name: which one, and whether it shall rest."""
+    programs = settings.table("payload")
+    return {f"{word}_{name}": (name, word == "stop") for name in programs for word in ("start", "stop")}
+
+
+def _rest(helm: Helm, name: str, rests: bool) -> None:
+    """The service `payload` ends the program, or starts it again. Raises Refused."""
+    state = helm.state
+    if not rests and state.killed.reason:  # it may turn something that people are near
+        raise Refused(f"order refused: kill: {state.killed.reason}")
+    state.resting = state.resting | {name} if rests else state.resting - {name}
+    helm.note(f"payload {name}: the operator {'stopped' if rests else 'started'} it")
 
 
 def _choice(settings: config.Vehicle) -> str:

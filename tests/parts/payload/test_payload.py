@@ -183,6 +183,21 @@ async def test_a_program_that_crashes_is_started_again_and_says_why_and_the_othe
         assert figures["programs"]["well"]["restarts"] == 0
 
 
+async def test_a_program_that_an_operator_stops_is_gone_and_comes_back_when_he_says_so(tmp_path: Path) -> None:
+    stubborn = ("/bin/sh", "-c", """trap '' TERM; while :; do read line && echo '{"stubborn": true}'; done""")
+    async with carried(tmp_path, stubborn=stubborn, well=REPORTS_AND_WAITS) as suite:
+        await suite.until(lambda it: "stubborn stubborn" in it["values"])
+        suite.state["resting"] = ["stubborn"]
+        figures = await suite.until(lambda it: it["programs"]["stubborn"]["state"] == "stopped")
+        assert living("stubborn") == []
+        assert figures["troubles"] == {}, "it was wanted"
+        assert figures["programs"]["well"]["state"] == "running"
+        reported = figures["lines"]["stubborn"]["reported"]
+        suite.state["resting"] = []
+        figures = await suite.until(lambda it: it["lines"]["stubborn"]["reported"] > reported)
+        assert figures["programs"]["stubborn"]["state"] == "running"
+
+
 async def test_a_flood_is_slowed_down_dropped_and_counted_and_one_that_does_not_read_loses_lines(tmp_path: Path) -> None:
     flood = ("/bin/sh", "-c", """while :; do echo '{"x": 1}'; echo noise >&2; done""")
     async with carried(tmp_path, flood=flood, well=REPORTS_AND_WAITS) as suite:

@@ -47,12 +47,14 @@ def own_offers() -> list[Offer]:
     return [Offer(word, "", kind.TITLE, kind.KEY, keys) for word, kind, keys in found if keys is not None]
 
 
-def offers(of_parts: Iterable[OrderRow]) -> list[Offer]:
-    """All of a boat. An order of a part whose keys a form cannot ask for, or that is too long for a message, is not offered."""
+def offers(of_parts: Iterable[OrderRow], others: Iterable[str] = ()) -> list[Offer]:
+    """All of a boat; `others` are orders without keys, by their names. An order of a part whose keys a form cannot ask for, or
+    that is too long for a message, is not offered."""
     found = own_offers()
     for row in of_parts:
         if (keys := asked(row.table, optional=True)) is not None:
             found.append(Offer(str(console.PartOrder.__struct_config__.tag), row.name, keys=keys))
+    found += [Offer(str(console.PartOrder.__struct_config__.tag), name) for name in others]
     return [each for each in found if len(msgspec.json.encode(each)) <= _SIZE - _place.size][:OFFERS_MAX]
 
 

@@ -11,6 +11,7 @@ from delfim.parts.mavlink.codec import ownorders, wayhome
 from delfim.parts.mavlink.codec.params import WAY_HOME
 from delfim.parts.mavlink.codec.wire import Message, dialect
 from delfim.parts.mavlink.telemetry import TelemetryView, array, shown_mode
+from delfim.vehicle.orders.entrusting import starts_and_stops
 
 CAPABILITIES: Final = (
     dialect.MAV_PROTOCOL_CAPABILITY_MISSION_INT
@@ -49,7 +50,8 @@ def modes(view: TelemetryView, index: int) -> Iterable[Message]:
 
 def offers(view: TelemetryView, index: int) -> Iterable[Message]:
     """V2_EXTENSION: an entry of a console's menu, counted from 1; 0 is all."""
-    every = ownorders.offers(each.row for each in view.boat.helm.orders.values())
+    helm = view.boat.helm
+    every = ownorders.offers((each.row for each in helm.orders.values()), starts_and_stops(helm.settings))
     return (ownorders.told(place, each, len(every)) for place, each in enumerate(every, 1) if index in (0, place))
 
 
