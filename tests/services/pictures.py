@@ -13,7 +13,14 @@ from tests.services.browser import browser, shrink
 ROOT = Path(__file__).parents[2]
 PORT = 18_480
 SAILED_CYCLES = 150
-VIEWS = (("page-phone.png", 390, 1.5), ("page-desktop.png", 1280, 1.0))
+VIEWS = (
+    ("page-phone.png", 390, 1.5, "day"),
+    ("page-desktop.png", 1280, 1.0, "day"),
+    ("page-bright.png", 640, 1.0, "bright"),
+    ("page-dusk.png", 640, 1.0, "dusk"),
+    ("page-night.png", 640, 1.0, "night"),
+)
+CHOOSE = "((box) => { box.value = %r; box.dispatchEvent(new Event('change')); })(document.getElementById('colours'))"
 
 
 async def main(folder: Path) -> None:
@@ -31,9 +38,10 @@ async def _drawn(folder: Path, place: Path) -> None:
     try:
         await _sailed(f"http://127.0.0.1:{PORT}/api/state")
         async with browser(place / "browser") as page:
-            for name, width, scale in VIEWS:
+            for name, width, scale, theme in VIEWS:
                 await page.open(f"http://127.0.0.1:{PORT}/", width=width, height=844, scale=scale)
-                (folder / name).write_bytes(await page.picture(1700 if width < 600 else None))
+                await page.value(CHOOSE % theme)
+                (folder / name).write_bytes(await page.picture({390: 1700, 640: 900}.get(width)))
     finally:
         boat.terminate()
         await boat.wait()

@@ -586,7 +586,7 @@ async def test_a_person_looks_for_a_line_of_the_system_log(tmp_path):
         assert "ftpd ana logged in from 10.0.0.9" in (await page.value(lines))[0]
         await page.call("Runtime.evaluate", expression="document.querySelector('#log a').click()")
         await page.until("document.querySelector('form') !== null")
-        filled = "document.querySelector('select').value = 'warning', document.querySelector('input').value = 'ana'"
+        filled = "document.querySelector('form select').value = 'warning', document.querySelector('input').value = 'ana'"
         await page.call("Runtime.evaluate", expression=f"{filled}, document.querySelector('button').click()")
         await page.until(f"{lines}.length === 2")
         assert ["wrong password" in line for line in await page.value(lines)] == [False, True]

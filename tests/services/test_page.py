@@ -1,6 +1,7 @@
 """The sections: whatever the boat says, they are well-formed, and the figures stay in their frames."""
 
 import re
+from pathlib import Path
 from xml.etree import ElementTree
 
 import msgspec
@@ -27,6 +28,8 @@ from delfim.vehicle.report import (
     VesselSeen,
 )
 from tests.services.boat import STATE
+
+ROOT = Path(__file__).parents[2]
 
 FILE = config.Vehicle(boat=config.BoatTable(name="Test"))
 VEHICLE = msgspec.convert(STATE, BoatReport)
@@ -255,10 +258,19 @@ def test_micros(value, text):
 
 def test_style_and_script_are_what_the_policy_lets_run():
     whole = document.live({section.id: "" for section in page.SECTIONS} | {"head": ""}, 1.0)
-    for tag, text in (("style", document.STYLE), ("script", document.SCRIPT)):
+    for tag, text in (("style", document.STYLE), ("script", document.SCRIPT), ("script", document.COLOURS)):
         assert f"<{tag}>{text}</{tag}>" in whole
         assert document._digest(text) in document.POLICY
     assert not re.search(r'\sstyle="|\son[a-z]+="', whole), "the policy would refuse it"
+
+
+def test_the_colours_are_the_consoles_and_only_those_that_are_used():
+    tokens = (ROOT / "delfim/console/web/src/tokens.css").read_bytes()
+    assert (ROOT / "delfim/services/page/tokens.css").read_bytes() == tokens, "make page"
+    used = set(re.findall(r"var\((--\w+)\)", document.STYLE))
+    assert used == set(re.findall(r"(--\w+):", document.STYLE))
+    for theme in ("bright", "dusk", "night"):
+        assert f':root[data-theme="{theme}"]{{' in document.STYLE
 
 
 def test_the_troubles_of_a_services_parts_are_to_look_at() -> None:

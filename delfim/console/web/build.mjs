@@ -26,6 +26,7 @@ const { metafile } = await build({
   loader: { ".woff2": "file" },
   assetNames: "[name]",
 });
+copyFileSync(join(here, "src/tokens.css"), join(process.argv[2] ?? join(here, "../../services/page"), "tokens.css")); // the boat's page has the same colours
 copyFileSync(join(here, "harbours.tsv"), join(out, "harbours.tsv"));
 copyFileSync(join(here, "src/manifest.webmanifest"), join(out, "manifest.webmanifest"));
 for (const name of readdirSync(join(here, "icon"))) copyFileSync(join(here, "icon", name), join(out, name));

@@ -2,6 +2,7 @@
 
 import base64
 import hashlib
+import re
 from collections.abc import Iterable, Mapping
 from html import escape
 from pathlib import Path
@@ -10,8 +11,28 @@ from typing import Final
 from delfim.services.page.page import SECTIONS
 
 _HERE: Final = Path(__file__).parent
-STYLE: Final = (_HERE / "style.css").read_text(encoding="utf-8")
-SCRIPT: Final = (_HERE / "script.js").read_text(encoding="utf-8")
+THEMES: Final = ("bright", "day", "dusk", "night")
+
+
+def _styled(tokens: str, style: str) -> str:
+    """The style, with the colours of the console that it uses: without a script day, and night on a dark screen."""
+    used = {"color-scheme", *re.findall(r"var\((--\w+)\)", style)}
+    themes = ""
+    for name, body in re.findall(r"(:root\S*) \{([^}]*)\}", tokens):
+        colours = ";".join(each.strip() for each in body.split(";") if each.partition(":")[0].strip() in used)
+        themes += f"{name}{{{colours}}}\n"
+        if "night" in name:
+            themes += f"@media (prefers-color-scheme: dark){{:root:not([data-theme]){{{colours}}}}}\n"
+    return themes + style
+
+
+def _read(name: str) -> str:
+    return (_HERE / name).read_text(encoding="utf-8")
+
+
+STYLE: Final = _styled(_read("tokens.css"), _read("style.css"))
+COLOURS: Final = _read("colours.js")
+SCRIPT: Final = _read("script.js")
 LINKS: Final = (
     ("/", "Boat"),
     ("/checks", "Before the start"),
@@ -32,7 +53,8 @@ def _digest(text: str) -> str:
 
 # Only our own style and script: a script smuggled in by a log's name or a reason is not run.
 POLICY: Final = (
-    f"default-src 'none'; style-src {_digest(STYLE)}; script-src {_digest(SCRIPT)}; connect-src 'self'; img-src data:; "
+    f"default-src 'none'; style-src {_digest(STYLE)}; script-src {_digest(COLOURS)} {_digest(SCRIPT)}; "
+    "connect-src 'self'; img-src data:; "
     "base-uri 'none'; form-action 'self'; frame-ancestors 'none'"
 )
 
@@ -60,7 +82,8 @@ def document(title: str, body: str, more: str = "") -> str:
     return (
         '<!doctype html><html lang="en"><head><meta charset="utf-8">'
         '<meta name="viewport" content="width=device-width, initial-scale=1">'
-        f'<title>{escape(title)}</title><link rel="icon" href="{ICON}">{more}<style>{STYLE}</style></head>'
+        f'<title>{escape(title)}</title><link rel="icon" href="{ICON}">{more}'
+        f"<style>{STYLE}</style><script>{COLOURS}</script></head>"
         f"<body>{body}</body></html>"
     )
 
@@ -70,4 +93,6 @@ def table(rows: Iterable[str]) -> str:
 
 
 def _links() -> str:
-    return "".join(f'<a href="{to}">{name}</a>' for to, name in LINKS)
+    links = "".join(f'<a href="{to}">{name}</a>' for to, name in LINKS)
+    themes = "".join(f'<option value="{each}">{each.capitalize()}</option>' for each in THEMES)
+    return f'{links}<select id="colours" aria-label="Colours">{themes}</select>'
