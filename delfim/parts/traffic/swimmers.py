@@ -27,6 +27,7 @@ class Stopped(NamedTuple):
 
     key: str
     name: str
+    course_rad: float  # the heading of the boat when they stopped: it drifts
     near_s: float  # when one was so near last
     at_s: float  # when it was looked at last
 
@@ -34,8 +35,9 @@ class Stopped(NamedTuple):
     def words(self) -> str:
         return f"propellers stopped: {self.name}, a swimmer, is beside the boat"
 
-    def order(self, own: Own) -> CourseOrder:
-        return CourseOrder(own.course_rad, 0.0, 0.0, self.words, self.key, 0.0, self.at_s)
+    @property
+    def order(self) -> CourseOrder:
+        return CourseOrder(self.course_rad, 0.0, 0.0, self.words, self.key, 0.0, self.at_s)
 
 
 def nearby(things: Sequence[Target], north_m: float, east_m: float, stop_m: float) -> tuple[Target, ...]:
@@ -62,9 +64,9 @@ def stopped_for(
     if was is None:
         if nearest is None or not least_m < stop_m:
             return None
-        return Stopped(nearest.key, nearest.name, now_s, now_s)
+        return Stopped(nearest.key, nearest.name, motion.heading_rad, now_s, now_s)
     if nearest is not None and least_m < stop_m + MORE_M:
-        return Stopped(nearest.key, nearest.name, now_s, now_s)
+        return Stopped(nearest.key, nearest.name, was.course_rad, now_s, now_s)
     return was._replace(at_s=now_s) if now_s - was.near_s < CLEAR_S else None
 
 

@@ -137,7 +137,7 @@ class Watchkeeper:
             boat_m, stop_m = helm.settings.boat.length_m, self._guard.person_stop_m
             self._stopped = stopped_for(was, self._swimmers, self._looked_s, state.motion, boat_m, stop_m, now_s)
         if self._stopped is not None and was is None:
-            order = self._stopped.order(own_of(state.motion))
+            order = self._stopped.order
             self._note(order)
             state.traffic = state.traffic._replace(order=order)
             helm.shapes[NAME] = self._still
@@ -186,7 +186,7 @@ class Watchkeeper:
             except (ValueError, ArithmeticError) as error:  # the mission goes on as the vehicle's file says
                 self._memory, failing = keepclear.Memory(), f"the guard failed: {error}"
         if self._stopped is not None:
-            order = self._stopped.order(own_of(state.motion))
+            order = self._stopped.order
         if not missing:
             to = state.setpoint
             task = mode, to.target, to.heading_rad, to.plan

@@ -4,6 +4,7 @@ import math
 from collections.abc import Callable
 from random import Random
 
+import msgspec
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -18,6 +19,7 @@ from delfim.parts.traffic.things import Things
 from delfim.parts.traffic.trialways import swept
 from delfim.simulator.lockstep import Lockstep
 from delfim.vehicle import console
+from delfim.vehicle.snapshot import in_json
 from delfim.vehicle.state import Motion
 from delfim.vehicle.target import Target
 from tests.parts.traffic.test_things import LIMITS, OWN, looked, nearest_m, seen, thing, way
@@ -157,7 +159,7 @@ def test_the_propellers_turn_again_when_the_swimmer_is_clear_by_more_for_some_se
     was = stop(None, STOP_M - 0.1, 0.0)
     assert was is not None
     assert was.words == "propellers stopped: lidar 1, a swimmer, is beside the boat"
-    assert was.order(OWN).speed_mps == 0.0
+    assert was.order.speed_mps == 0.0
     was = stop(was, STOP_M + MORE_M - 0.1, 10.0)
     assert was is not None
     was = stop(was, STOP_M + MORE_M + 0.1, 10.0 + CLEAR_S - 0.1)
@@ -227,6 +229,9 @@ def test_beside_a_swimmer_the_propellers_stop_and_go_on_when_it_is_clear(mode: s
     assert not any(bay.turned[-80:]), "from some seconds after it was seen first on"
     assert bay.run.state.mode.name.lower() == mode, "the mode is the same"
     assert any(WORDS in each.reason for each in bay.run.vehicle.helm.troubles.values())
+    told = msgspec.json.decode(in_json(bay.run.vehicle.report()))["traffic"]
+    assert told["order"]["words"] == WORDS, "to consoles and the page"
+    assert bay.run.log.lines.count(f"traffic: {WORDS}") == 1  # type: ignore[attr-defined]
     bay.sail(15.0, lambda t_s: 8.0 + t_s)
     bay.sail(25.0, lambda t_s: 23.0 + t_s)
     assert bay.turned[-1]
