@@ -275,6 +275,7 @@ KNOWN = {  # parts that others import, with the reason; a row that goes does not
     "console/link/mavlink.py: mavlink",  # the console is the other end of the link
     "console/boats/othervessels.py: traffic",  # whom it hears itself, it judges as the boat does
     "console/gateway/serving.py: fleet",
+    "console/gateway/picturedesk.py: camera",
     "console/pictures/picturelink.py: camera",  # the other end of the pictures' way
     "console/tapes/statetape.py: nmea0183",  # the short names of measured values, as the link tells them
     "console/tapes/statetape.py: nmea2000",
@@ -292,6 +293,7 @@ READ = {  # parts whose tables others read, with the reason; a row that goes doe
     "commands/description/commission.py: ros",
     "console/tabletd.py: mavlink",  # aboard its key is the boat's
     "commands/simulation/sim.py: mavlink",  # the console beside a simulated boat
+    "console/gateway/picturedesk.py: camera",  # where they are asked
     "desk/listen.py: nmea0183",  # a line on a desk is opened as the boat opens it
     "parts/camera/camerad.py: mavlink",  # the same key and address
     "parts/camera/exposure.py: mavlink",

@@ -434,6 +434,10 @@ class Fleet:
             raise Refused(f"no boat {number}")
         return self.boats[number]
 
+    def address(self, number: int) -> Address:
+        """Where a boat is heard from, on the link in use."""
+        return self._ways.routes[number]
+
     def _send(self, number: int, message: Any) -> None:
         if number in self._ways.routes:
             self._put(self._ways.routes[number], message)

@@ -34,6 +34,8 @@ def needed(asked: page_messages.Message) -> Role:
             return Role.WATCH
         case page_messages.Home() | page_messages.Afford() | page_messages.Replay() | page_messages.Survey():
             return Role.WATCH
+        case page_messages.See() | page_messages.Snapshot():
+            return Role.WATCH
         case page_messages.Logs(do=deed) if deed != "chart":
             return Role.WATCH
         case page_messages.Mission(do=deed) if deed in LOOKING:

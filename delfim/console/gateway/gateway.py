@@ -27,6 +27,7 @@ from delfim.console.gateway.aboard import AboardDesk
 from delfim.console.gateway.adopting import Adoption
 from delfim.console.gateway.bridging import BridgeDesk
 from delfim.console.gateway.onwatch import WatchKeeper
+from delfim.console.gateway.picturedesk import PictureDesk
 from delfim.console.gateway.plan_files import PlanFiles
 from delfim.console.gateway.plan_tools import Desk
 from delfim.console.gateway.surveys import SurveyDesk
@@ -105,6 +106,8 @@ class Gateway:
                     self.fleet.depths.add(*heard[1:])
                 self.fleet.sounded = self.soundings.put
         self.adoption = Adoption(self.fleet, vehicle, trials, self.tell) if isinstance(self.fleet, Fleet) else None
+        secret, folder = b"" if key is None else key.secret, sessions or Path("sessions")
+        self.pictures = PictureDesk(self.fleet, secret, clock, folder)
         self.broker: BrokerLine | None = None
         self._complaints: dict[str, str] = {}  # the last complaint about each link and file, to say it once
         self.heard_on: list[str] = [*self.radios]  # addresses and radios, for the page
@@ -166,6 +169,7 @@ class Gateway:
         if isinstance(self.fleet, Fleet):
             self.watch.tick(self.fleet.boats.values(), self._clock.monotonic_s())
         self.bridge.tick(self._pages, self._clock.monotonic_s())
+        self.pictures.tick()
         self.aboard.tick(self._clock.monotonic_s())
         self._complain("file of operators", self.bridge.operators.reason)
         if self.session is not None:
@@ -434,6 +438,8 @@ class Gateway:
                 self._drop.ask(fleet.boat(asked.boat), asked.do, asked.chart, self._clock.monotonic_s(), answer)
             case page_messages.Itself() | page_messages.Logs():
                 self.aboard.ask(asked, page.tell, answer)
+            case page_messages.See() | page_messages.Snapshot():
+                answer(True, self.pictures.ask(page.number, asked, page.tell))
             case page_messages.Adopt():
                 if self.adoption is None:
                     raise Refused("nothing is adopted in a replay")

@@ -225,6 +225,21 @@ class Logs(Said, frozen=True):
     chart: Annotated[str, msgspec.Meta(max_length=60)] = ""
 
 
+class See(Said, frozen=True):
+    """The page shows the picture of a boat's camera; said again each second, as long as it does. Without a name it is the
+    first. `picture` tells it, or why there is none."""
+
+    boat: Number
+    camera: Annotated[str, msgspec.Meta(max_length=32)] = ""
+
+
+class Snapshot(Said, frozen=True):
+    """Writes the picture that is shown to a file beside the console's sessions, with place and time; the answer's reason names
+    it."""
+
+    boat: Number
+
+
 Message = (
     Command
     | Input
@@ -245,5 +260,7 @@ Message = (
     | Adopt
     | Itself
     | Logs
+    | See
+    | Snapshot
 )
 NO_NUMBERS = frozenset({"t", "seq", "boat", "command"})

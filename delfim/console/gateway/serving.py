@@ -48,11 +48,13 @@ async def serve(
     visits = logging.getLogger(f"{__name__}.visits")
     visits.addFilter(_is_news)
     runner = web.AppRunner(gateway.app, access_log=None, logger=visits, shutdown_timeout=end_s)
-    transport: asyncio.DatagramTransport | None = None
+    transports = list[asyncio.DatagramTransport]()
     try:
         if boats is not None:
             with _refused("--boats", boats):
-                transport, _ = await loop.create_datagram_endpoint(lambda: gateway.udp, local_addr=boats)
+                transports.append((await loop.create_datagram_endpoint(lambda: gateway.udp, local_addr=boats))[0])
+                place = boats[0], 0  # any port: cameras answer where they are asked from
+                transports.append((await loop.create_datagram_endpoint(lambda: gateway.pictures.udp, local_addr=place))[0])
             gateway.heard_on.insert(0, f"{boats[0]}:{boats[1]}")
         await runner.setup()
         with _refused("--page", page):
@@ -77,7 +79,7 @@ async def serve(
                     await gateway.broker.flush()
     finally:
         await runner.cleanup()
-        if transport is not None:
+        for transport in transports:
             transport.close()
         gateway.close()
 

@@ -10,6 +10,7 @@ from aiohttp import web
 from delfim.console.pages.admission import OPERATOR
 
 BACKLOG_BYTES: Final = 1 << 20  # a page that is so far behind misses older states
+DROPPED: Final = {"boats": BACKLOG_BYTES, "vessels": BACKLOG_BYTES, "progress": BACKLOG_BYTES, "picture": BACKLOG_BYTES >> 4}
 QUEUE_MAX: Final = 1000  # messages to one of them
 
 
@@ -19,7 +20,7 @@ def encoded(message: Any) -> str:
 
 
 class Page:
-    """One browser. Messages beyond BACKLOG_BYTES are left out, but for answers."""
+    """One browser. One that is behind misses pictures first, then states, and never answers."""
 
     def __init__(self, link: web.WebSocketResponse, request: web.Request, number: int) -> None:
         self._link, self._request, self.number = link, request, number
@@ -32,8 +33,8 @@ class Page:
 
     def tell(self, message: dict[str, Any]) -> None:
         transport = self._request.transport
-        behind = transport is None or transport.get_write_buffer_size() > BACKLOG_BYTES
-        if self.queue.qsize() >= QUEUE_MAX or (behind and message["t"] in ("boats", "vessels", "progress")):
+        waits = BACKLOG_BYTES if transport is None else transport.get_write_buffer_size()
+        if self.queue.qsize() >= QUEUE_MAX or waits >= DROPPED.get(message["t"], waits + 1):
             return
         self.queue.put_nowait(encoded(message))
 

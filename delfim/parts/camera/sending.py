@@ -44,6 +44,7 @@ class PictureViewer:
         self.picture: Picture | None = None  # that is being sent, or was sent last
         self.step, self.at, self.count = 0, 0, 0
         self.free_s = now_s
+        self.begun_bps = 0  # the rate when the picture was begun
 
 
 class PictureSender:
@@ -81,6 +82,8 @@ class PictureSender:
             self._viewers[address] = PictureViewer(address, ask, now_s)
         elif ask.at_us > viewer.ask.at_us:
             viewer.ask, viewer.asked_s = ask, now_s
+            if 2 * ask.rate_bps < viewer.begun_bps:  # a large picture would go on for long
+                viewer.pieces.clear()
 
     def tick(self) -> None:
         """Often: sends what is due."""
@@ -113,6 +116,7 @@ class PictureSender:
         if picture is None or (viewer.picture is not None and picture.taken_s <= viewer.picture.taken_s):
             return False
         viewer.picture, viewer.step, viewer.at, viewer.count = picture, step, 0, viewer.count + 1
+        viewer.begun_bps = rate
         viewer.pieces.extend(wire.cut(picture.jpeg, step))
         return True
 

@@ -39,6 +39,7 @@ import { Others, vesselLines } from "./others";
 import { Panes } from "./panes";
 import { NOBODY, State, ageWords } from "./state";
 import { Survey, surveyed } from "./survey";
+import { Picture } from "./picture";
 import { Strips } from "./strip";
 import { Timeline } from "./timeline";
 import { Traffic } from "./traffic";
@@ -62,6 +63,7 @@ const net = new Net(heard, online);
 const alerts = new Alerts(element("bar"), state, net, sound);
 const watchLog = new WatchLog(document.body);
 const panes = new Panes(document.body, net);
+const picture = new Picture(document.body, net, state);
 const drive = new Drive(net, state, () => strips.draw(false));
 const actions = new Actions(net, state, drive, (boat, severity, words) => messages.say(boat, severity, words), () => corner.draw());
 const popup = new Popup(document.body, element("corner"));
@@ -84,7 +86,7 @@ const depths = new Depths(element("depths"), chart, state, survey);
 const adopt = new Adopt(element("adopt"), chart, state, popup, net, messages);
 const values = new ValueTrack(element("values"), chart, state);
 const timeline = new Timeline(element("timeline"), state, values);
-const menus = new Menus(popup, state, actions, chart, fleet, plans, planning, () => watchLog.open(), sound, watch, wayHome, () => keyCard.toggle(), adopt, depths, panes, timeline, camera, chartFiles, values, new Push((severity, words) => messages.say(null, severity, words)));
+const menus = new Menus(popup, state, actions, chart, fleet, plans, planning, () => watchLog.open(), sound, watch, wayHome, () => keyCard.toggle(), adopt, depths, panes, timeline, camera, chartFiles, values, new Push((severity, words) => messages.say(null, severity, words)), picture);
 new Header(element("bar"), state, sound, menus, popup);
 const hints = new Hints(element("hint"), element("nobody"), state, actions.did, popup);
 const aim = new Aim(element("map"), chart, { seen: (place) => text(element("where"), whereWords(place, state)), chosen: press, added: (place) => !state.replaying && planning.add(place) });
@@ -200,6 +202,8 @@ function heard(message: Heard): void {
       return panes.take(message);
     case "no_depths":
       return depths.forget();
+    case "picture":
+      return picture.take(message);
     case "adoption":
       return adopt.take(message);
     case "survey":

@@ -13,6 +13,7 @@ import * as M from "./mission";
 import { THEMES, setTheme, theme } from "./palette";
 import { HOLDS_THERE, NONE } from "./planning";
 import type { Panes } from "./panes";
+import type { Picture } from "./picture";
 import type { Planning } from "./planning";
 import type { Handle, Plans } from "./plans";
 import type { Entry, Item, Popup } from "./popup";
@@ -55,6 +56,7 @@ export class Menus {
     private readonly files: ChartFiles,
     private readonly values: ValueTrack,
     private readonly push: Push,
+    private readonly picture: Picture,
   ) {}
 
   boat(boat: Boat, at: Pixel): void {
@@ -174,6 +176,7 @@ export class Menus {
       boat.armed ? command("Disarm", "stop") : command("Arm", "arm", !boat.ready && (boat.reason || "not ready")),
       ...(boat.orders ?? []).filter(({ title, name }) => title || name).map((order) => this.offered(boat, at, order)),
       ...this.adopt.items(boat, at),
+      this.looks(),
       { title: "Before the start…", do: () => this.panes.open(boat, "checks") },
       { title: "Fetch its logs", sub: () => this.logs(boat) },
       { title: "Send a chart", sub: () => this.files.menu() },
@@ -183,6 +186,10 @@ export class Menus {
       "line",
       ...PROFILES.map((name): Item => ({ title: `Link: ${name}`, tick: boat.link.profile === name, do: () => void this.actions.profile(boat.id, name) })),
     ];
+  }
+
+  private looks(): Item {
+    return { title: "Camera", note: "of the selected boat", tick: this.picture.visible, do: () => this.picture.toggle() };
   }
 
   private logs({ id }: Boat): Entry[] {
@@ -197,6 +204,7 @@ export class Menus {
       { title: "Follow the boat", key: "F", tick: this.camera.following, do: () => this.camera.follow() },
       { title: "Course up", key: "N", tick: this.camera.courseUp, do: () => this.camera.turn() },
       { title: "Note…", key: "J", do: () => this.note() },
+      this.looks(),
       { title: "Screen", sub: () => this.screen() },
       { title: "Keys and lines", key: "F1", do: this.card },
     ];

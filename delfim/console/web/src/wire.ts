@@ -285,6 +285,19 @@ export interface AboardRow {
   refused: string;
 }
 
+/** The picture of a boat's camera, or why there is none. */
+export interface Shot {
+  boat: number;
+  camera: string;
+  cameras: string[];
+  kbps: number;
+  why: string;
+  age_s?: number; // when it came
+  same_s?: number; // since it was another one
+  taken_s?: number; // since 1970, by the boat's clock
+  jpeg?: string; // base64
+}
+
 export type Heard =
   | { t: "hello"; version: string; built?: string; wakes?: boolean; me: number; page: number; heard_on?: string[]; adopts?: number | null; charts?: string; backgrounds: Background[]; boats: Boat[]; replay: TimeLine | null }
   | { t: "charts"; backgrounds: Background[] }
@@ -304,6 +317,7 @@ export type Heard =
   | { t: "mission"; boat: number; where: "here" | "aboard"; mission: Mission }
   | { t: "missions"; names: string[] }
   | { t: "survey"; boat: number; lines: Line[]; across: number; way: Ring; heading_deg: number; spacing_m: number; line_m: number; way_m: number; time_s: number; covered: [number, number]; room_m: number; rough: number; mission: Mission; done: Line[]; counts: string; known: Line[]; known_across: number; shares: (Share | null)[]; energy_wh: number | null }
+  | ({ t: "picture" } & Shot)
   | { t: "adoption"; boat: number | null; is_running: boolean; circle: (Place & { radius_m: number }) | null; steps: TrialStep[]; part: number; lines: string[]; question: string; end: string; file: string; is_written: boolean; report: boolean }
   | { t: "depths"; tile: [row: number, column: number]; extent: [number, number, number, number]; whole?: string; cells?: [cell: number, depth_cm: number][] }
   | { t: "aboard"; boat: number; of: "settings" | "checks" | "change"; rows: AboardRow[] }
@@ -328,6 +342,8 @@ export type Said =
   | { t: "profile"; boat: number; profile: string }
   | { t: "survey"; boat: number; areas: Area[]; heading_deg: number | null; start: string; side: string; inside: boolean; fence: Ring; obstacles: Obstacle[]; closed: Ring[]; name: string; lines?: Line[]; across?: number; sailed?: boolean; at?: Ring[0] | null; others?: (Ring[0] | null)[]; [key: `${string}_m` | `${string}_mps` | `${string}_pct`]: number }
   | { t: "depths"; do: "forget" }
+  | { t: "see"; boat: number; camera: string }
+  | { t: "snapshot"; boat: number }
   | { t: "adopt"; boat: number; do: "begin" | "afresh" | "berth" | "yes" | "no" | "end" | "close"; radius_m?: number }
   | { t: "itself"; boat: number; do: "settings" | "checks" | "change"; key?: string; value?: AboardRow["value"] }
   | { t: "logs"; boat: number; do: "state" | "all" | "end" | "chart" | "unsent"; chart?: string }
