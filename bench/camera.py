@@ -92,7 +92,7 @@ async def measured(
     while (now_s := time.monotonic()) < end_s:
         if now_s >= look_s:
             look_s = now_s + 1.0
-            await link.send_json({"t": "look", "boat": number})
+            await link.send_json({"t": "see", "boat": number})
         if now_s >= order_s:
             order_s = now_s + ORDER_S
             asked[len(asked) + 1] = now_s
