@@ -103,6 +103,7 @@ pictures: $(READY) ## draw the documentation's pictures again
 	$(BIN)/python -m tests.guest.figure_2_9 docs/pictures/figure-2-9.png
 	PYTHONSAFEPATH= $(BIN)/python -m tests.services.pictures docs/pictures
 	PYTHONSAFEPATH= $(BIN)/python -m tests.console.scenes docs/pictures
+	PYTHONSAFEPATH= $(BIN)/python -m tests.console.sheet docs/pictures
 	PYTHONSAFEPATH= $(BIN)/python -m tests.console.test_first_voyage docs/pictures
 	PYTHONSAFEPATH= $(BIN)/python -m tests.console.test_lake docs/pictures
 	PYTHONSAFEPATH= $(BIN)/python -m tests.console.test_dangers_page docs/pictures

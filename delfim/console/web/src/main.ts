@@ -31,6 +31,7 @@ import { Net } from "./net";
 import { Planning } from "./planning";
 import { PlanFiles } from "./planfiles";
 import { Plans } from "./plans";
+import { type Theme, setTheme } from "./palette";
 import { Popup } from "./popup";
 import { Push } from "./push";
 import { Replay } from "./replay";
@@ -378,6 +379,10 @@ Object.assign(window, {
         { latitude_deg: north, longitude_deg: east },
       ]);
       chart.map.renderSync();
+    },
+    theme: (name: Theme) => {
+      setTheme(name);
+      state.tell("theme");
     },
     at_s: () => state.at_s,
     drawn: () => ({ plan: state.plan(state.planning).mission.waypoints.length, aboard: (state.boat && state.aboardOf(state.boat)?.waypoints.length) ?? 0 }),
