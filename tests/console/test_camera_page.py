@@ -106,21 +106,24 @@ def test_the_picture_of_another_boat_is_never_shown(
 
 
 @contextlib.contextmanager
-def simulation(folder: Path) -> Iterator[str]:
-    """`delfim sim --console` with a camera; the console's address."""
-    file = folder / "boat.toml"
-    file.write_text((ROOT / "etc/lake.toml").read_text() + '\n[camera.bow]\nsource = "/dev/video0"\n')
-    ports = "--page", "127.0.0.1:0", "--output", str(folder / "sim")
-    bus = "--set", f"simulation.interface=canloop:camera-{folder.name[-12:]}"
-    words = [sys.executable, "-m", "delfim", "sim", str(file), "--console", "--no-browser", "--plain", *ports, *bus]
-    with subprocess.Popen(words, stdout=subprocess.PIPE, text=True, bufsize=1, cwd=folder) as running:
+def console(folder: Path, *words: str) -> Iterator[str]:
+    """A command with a console, until Ctrl-C; the console's address."""
+    command = [sys.executable, "-m", "delfim", *words, "--page", "127.0.0.1:0", "--no-browser"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, bufsize=1, cwd=folder) as running:
         assert running.stdout is not None
         try:
-            url = next(line for line in running.stdout if "the console is at " in line).split("is at ")[1].split(";")[0]
-            yield url
+            yield next(line for line in running.stdout if "the console is at " in line).split("is at ")[1].split(";")[0]
         finally:
             running.send_signal(signal.SIGINT)
             running.communicate(timeout=60.0)
+
+
+def simulation(folder: Path) -> contextlib.AbstractContextManager[str]:
+    """`delfim sim --console` of a boat with a camera."""
+    file = folder / "boat.toml"
+    file.write_text((ROOT / "etc/lake.toml").read_text() + '\n[camera.bow]\nsource = "/dev/video0"\n')
+    bus = "--set", f"simulation.interface=canloop:camera-{folder.name[-12:]}"
+    return console(folder, "sim", str(file), "--console", "--plain", "--output", str(folder / "sim"), *bus)
 
 
 def camera_of(folder: Path) -> int:
@@ -163,7 +166,21 @@ async def live(url: str, folder: Path) -> None:
         await its.nothing_amiss()
 
 
+async def replayed(url: str) -> None:
+    """The clock in the picture is that of the replay, but for the second between two that were kept."""
+    async with tab() as its:
+        await its.open(url, width=1280, height=800, scale=1.0)
+        await its.until("document.querySelectorAll('.chip').length > 0", PATIENCE_S)
+        await its.press("Enter")
+        await choose(its, "Camera")
+        await its.value(GLASS.replace("Date.now()", "Math.round(1000 * delfim.at_s())"))
+        await its.until("glass.some(([off_ms]) => off_ms > -1000 && off_ms < 10000)", PATIENCE_S)
+        await its.nothing_amiss()
+
+
 @pytest.mark.long
-def test_the_picture_of_a_simulated_boat_live_and_frozen(tmp_path: Path) -> None:
+def test_the_picture_of_a_simulated_boat_live_frozen_and_replayed(tmp_path: Path) -> None:
     with simulation(tmp_path) as url:
         asyncio.run(live(url, tmp_path))
+    with console(tmp_path, "console", "--replay", str(tmp_path / "sim/log")) as url:
+        asyncio.run(replayed(url))

@@ -2,7 +2,7 @@
 
 import base64
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any, Final
@@ -17,7 +17,7 @@ from delfim.console.pictures.picturelink import HeardPicture, PictureLink
 from delfim.console.pictures.snapshot import with_place
 from delfim.console.tapes.replay import TapePlayer
 from delfim.parts.camera import jpegblocks, wire
-from delfim.parts.camera.kept import PicturesByTime
+from delfim.parts.camera.kept import PicturesByTime, recorded
 from delfim.parts.camera.table import PORTS
 
 LOOK_S: Final = 3.0  # a page that looks says so each second
@@ -50,6 +50,11 @@ class PictureDesk:
         self.udp = Udp(self._hear)
         self.recorded: Mapping[int, Mapping[str, PicturesByTime]] = {}  # of a replay: by boat and camera
         self._looks = dict[int, PictureLooks]()
+
+    def replays(self, paths: Sequence[Path], boats: Collection[int]) -> None:
+        """The pictures beside these recordings, of one boat: of several nobody knows whose they are. Raises OSError."""
+        if len(boats) == 1:
+            self.recorded = {number: recorded(paths) for number in boats}
 
     def ask(self, page: int, asked: page_messages.See | page_messages.Snapshot, tell: Tell) -> str:
         """A page looks on for a while, or wants the picture as a file, whose name is returned. Raises Refused, OSError."""
@@ -110,19 +115,19 @@ class PictureDesk:
     def _play(self, number: int, looks: PictureLooks, now_s: float) -> None:
         """The picture of the time that a replay shows."""
         assert isinstance(self._fleet, TapePlayer)
-        recorded, at_ms = self.recorded.get(number, {}), round(self._fleet.at_s * 1000)
-        by_time = recorded.get(looks.camera)
+        kept, at_ms = self.recorded.get(number, {}), round(self._fleet.at_s * 1000)
+        by_time = kept.get(looks.camera)
         found = by_time.at(at_ms) if by_time is not None else None
         if found is None or at_ms - found[0] > KEPT_S * 1000:
-            why = "no picture of this time was kept" if recorded else "no pictures were kept with this recording"
-            self._say(number, looks, why, tuple(recorded), now_s)
+            why = "no picture of this time was kept" if kept else "no pictures were kept with this recording"
+            self._say(number, looks, why, tuple(kept), now_s)
             return
         taken_ms, jpeg = found
         if looks.last is None or looks.last[1] != taken_ms:
             looks.last = jpeg, taken_ms
             width, height = jpegblocks.size_of(jpeg)
             picture = HeardPicture(jpeg, now_s - (at_ms - taken_ms) * 1e-3, taken_ms, 0, width, height)
-            looks.tell(_told(number, looks, tuple(recorded), 0) | _shown(picture, now_s))
+            looks.tell(_told(number, looks, tuple(kept), 0) | _shown(picture, now_s))
 
     def _say(self, number: int, looks: PictureLooks, why: str, names: tuple[str, ...], now_s: float) -> None:
         if why and now_s - looks.said_s >= SAY_S:

@@ -126,6 +126,16 @@ class PicturesByTime:
         return (taken_ms, jpeg) if zlib.crc32(jpeg) == check else None
 
 
+def recorded(paths: Sequence[Path]) -> dict[str, PicturesByTime]:
+    """The pictures beside state logs, by camera: of trees of logs, and of files in them. Raises OSError."""
+    trees = {path if path.is_dir() else path.parent.parent for path in paths if path.is_dir() or ".state" in path.suffixes}
+    files = dict[str, list[Path]]()
+    for tree in trees:
+        for name, found in cameras_under(tree).items():
+            files.setdefault(name, []).extend(found)
+    return {name: PicturesByTime(found) for name, found in files.items()}
+
+
 def cameras_under(folder: Path) -> dict[str, list[Path]]:
     """The files of each camera in a tree of logs, by its name. Raises OSError."""
     found = dict[str, list[Path]]()

@@ -34,6 +34,14 @@ def test_the_picture_of_a_time_is_found(tmp_path: Path) -> None:
     assert by_time.at(DAY_MS + 99_000) == (DAY_MS + 49_000, picture(49))
 
 
+def test_pictures_are_found_beside_a_state_log(tmp_path: Path) -> None:
+    (file,) = keep(tmp_path, 3)
+    state = file.parent.parent / "state/120000.state.gz"
+    for path in (tmp_path, state):
+        assert len(kept.recorded([path])["bow"]) == 3
+    assert kept.recorded([tmp_path / "day.tlog"]) == {}
+
+
 def test_one_a_second_is_kept(tmp_path: Path) -> None:
     keeper = PictureKeeper(tmp_path, "bow", 1 << 30)
     for number in range(100):
