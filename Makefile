@@ -121,6 +121,7 @@ pictures: $(READY) ## draw the documentation's pictures again
 	PYTHONSAFEPATH= $(BIN)/python -m tests.console.adopted_whole docs/pictures
 	PYTHONSAFEPATH= $(BIN)/python -m tests.console.test_depths docs/pictures
 	PYTHONSAFEPATH= $(BIN)/python -m tests.console.test_payload_page docs/pictures
+	PYTHONSAFEPATH= $(BIN)/python -m tests.console.test_newboat_page docs/pictures
 	PYTHONSAFEPATH= $(BIN)/python -m tests.console.test_energy_page docs/pictures
 	PYTHONSAFEPATH= $(BIN)/python -m tests.console.moving_picture docs/pictures/voyage.gif
 

@@ -289,6 +289,12 @@ def way_of(name: str) -> Callable[[Path], Said]:
     return lambda here: refused(lambda: read_plan(here / name))
 
 
+def form_of_new(here: Path) -> Said:
+    from delfim.commands.description.newform import read_form
+
+    return refused(lambda: read_form(str(here / "answers.json")))
+
+
 def official_chart(here: Path) -> Said:
     """In this process, and not in one of its own for each mutation."""
     from delfim.survey.enc.dangers import LAYERS, Need, charted
@@ -556,6 +562,7 @@ READERS = {
         f"way, {kind}": Reader(f"way.{kind}", way_of(f"way.{kind}"), BINARY if kind == "shp" else TEXT)
         for kind in ("geojson", "kml", "gpx", "plan", "waypoints", "shp")
     },
+    "answers of a form": Reader("answers.json", form_of_new, TEXT),
     "area": Reader("dock.geojson", surveyed("dock.geojson"), TEXT),
     "area, KML": Reader("dock.kml", surveyed("dock.kml"), TEXT),
     "area, GPX": Reader("dock.gpx", surveyed("dock.gpx"), TEXT),

@@ -227,6 +227,10 @@ def ways(folder: Path) -> None:
         file_of(folder, f".{kind}", WAY_PLAN).rename(folder / f"way.{kind}")
 
 
+def answers(folder: Path) -> None:
+    (folder / "answers.json").write_text('{"boat": "otter", "name": "Ana", "id": "7", "where": "38.69 -9.21"}')
+
+
 def keys(folder: Path) -> None:
     new_key(folder / "key")
     (folder / "ntrip").write_text("ana:secret\n")
@@ -361,6 +365,7 @@ SAMPLES = {
     official: ("official chart", "update of an official chart", "catalogue of official charts", "field of clearances"),
     sounded: ("soundings as CSV", "depths that the console heard", "tide"),
     ways: tuple(f"way, {kind}" for kind in WAYS),
+    answers: ("answers of a form",),
     areas: ("survey that goes on", "area", "area, KML", "area, GPX", "area of a plan", "area, shapefile"),
     keys: (
         *("key in an inventory", "host key in an inventory", "certificate in an inventory"),
@@ -466,6 +471,7 @@ READ_BY = {  # function: the readers above that come by it
     "survey/chart/soundings.py: _rows": {"soundings as CSV"},
     "survey/chart/tide.py: read_tide": {"tide"},
     "console/plans/planfile.py: read_plan": {f"way, {kind}" for kind in WAYS},
+    "commands/description/newform.py: read_form": {"answers of a form"},
     "survey/areafile.py: read_area": {"area", "area, KML", "area, GPX", "area of a plan", "area, shapefile"},
     "console/charts/georeference.py: _header": {"PNG", "JPEG", "GeoTIFF"},
     "console/charts/georeference.py: _world": {"world file"},

@@ -1,14 +1,21 @@
 """`delfim new`: answers by options and on a terminal; each boat that it writes passes the check and sails its mission."""
 
+import contextlib
 import io
 from itertools import product
 from pathlib import Path
+from typing import Any
 
+import msgspec
 import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 
 from delfim import config
 from delfim.__main__ import main
-from delfim.commands.description.new import _shipped, asked_of_parts
+from delfim.base.errors import DelfimError, FormatError
+from delfim.commands.description.new import OF_OWN, _shipped, asked_of_parts
+from delfim.commands.description.newform import read_form
 from delfim.simulator.lockstep import Lockstep
 from delfim.vehicle.console import LoadMission, Play
 from delfim.vehicle.plans.mission import load_mission
@@ -21,6 +28,40 @@ MOTORS, SENSORS = map(list, asked_of_parts())
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.chdir(tmp_path)
     return tmp_path
+
+
+def formed(folder: Path, answers: object) -> dict[str, Any]:
+    (folder / "a.json").write_bytes(msgspec.json.encode(answers))
+    return read_form(str(folder / "a.json"))
+
+
+@pytest.mark.parametrize("boat", ["own", "otter"])
+def test_a_form_asks_what_the_command_asks_and_writes_what_it_writes(folder: Path, boat: str, capsys) -> None:
+    answers, asked = {"boat": boat}, []
+    while "question" in (told := formed(folder, answers)):
+        asked.append(told["question"]["option"])
+        answers[asked[-1]] = ""
+    assert len(set(asked)) == len(asked)
+    assert main(["new", "myboat.toml", "--yes", "--boat", boat]) == 0
+    assert told["files"] == {name: Path(name).read_text() for name in ("myboat.toml", "myboat-mission.toml")}
+    capsys.readouterr()
+    main(["check", "myboat.toml"])
+    said = capsys.readouterr()
+    assert told["checked"] == (said.err + said.out).strip()
+
+
+@given(answers=st.dictionaries(st.sampled_from([*OF_OWN, "boat", "name", "id", "where"]), st.text(max_size=40) | st.just("1")))
+@settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+def test_whatever_a_form_answers_the_next_question_or_a_file_comes(folder: Path, answers: dict[str, str]) -> None:
+    with contextlib.suppress(DelfimError):  # as where the numbers together make no boat
+        told = formed(folder, answers)
+        assert "question" in told or "nothing is wrong" in told["checked"]
+
+
+@pytest.mark.parametrize("answers", [[], {"boat": 1}, {"boat": "x" * 200}, {str(n): "" for n in range(30)}, None])
+def test_what_are_no_answers(folder: Path, answers: object) -> None:
+    with pytest.raises(FormatError, match="no answers"):
+        formed(folder, answers)
 
 
 class Terminal(io.StringIO):

@@ -8,7 +8,7 @@ import math
 import sys
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple, Protocol
 
 from delfim.base import parts
 from delfim.base.errors import ConfigError, DelfimError, FormatError
@@ -51,6 +51,14 @@ def _kinds(words: Mapping[str, tuple[str, MotorsAnswer | PositionsAnswer]]) -> d
     return {word: each.about for word, (_, each) in words.items()}
 
 
+class Ask(Protocol):
+    """Asks for what an option names, in words, until `read` takes the answer; `kinds` are those that it may be, explained."""
+
+    def __call__(
+        self, option: str, words: str, default: str, read: Callable[[str], Any], kinds: dict[str, str] | None = None
+    ) -> Any: ...
+
+
 class Answers(NamedTuple):
     """The answers: lengths in m, thrust of one motor at full power ahead in N, the speed that all reach in m/s, the place in
     degrees."""
@@ -91,14 +99,19 @@ def _listed(kinds: dict[str, str]) -> str:
 
 
 def run(asked: argparse.Namespace) -> int:
+    file, mission = write(Path(asked.file), asked, Asking(asked))
+    print(f"delfim: {file} and {mission} are written. Next:\n  delfim check {file}\n  delfim sim {file} --console")
+    return 0
+
+
+def write(file: Path, asked: argparse.Namespace, ask: "Ask") -> tuple[Path, Path]:
+    """Write the vehicle's file and its mission, whose names are returned. Raises DelfimError: nothing is written then."""
     from delfim import config
 
-    file = Path(asked.file)
     mission = file.with_name(f"{file.stem}-mission.toml")
     for place in (file, mission):
         if place.exists():
             raise DelfimError(f"{place} exists already, and nothing is replaced: name another file")
-    ask = _Asking(asked)
     boats = {OWN: "a boat of your own: more questions follow"} | {name: _about(place) for name, place in _shipped().items()}
     boat = ask("boat", "Which boat", OWN, _one_of(boats), boats)
     if boat == OWN:
@@ -116,8 +129,7 @@ def run(asked: argparse.Namespace) -> int:
         for place in (file, mission):
             place.unlink(missing_ok=True)
         raise DelfimError(f"nothing was written: {error.key}: {error.reason}") from None
-    print(f"delfim: {file} and {mission} are written. Next:\n  delfim check {file}\n  delfim sim {file} --console")
-    return 0
+    return file, mission
 
 
 def _shipped() -> dict[str, Path]:
@@ -130,12 +142,12 @@ def _about(place: Path) -> str:
     return read_text(place).removeprefix("# ").replace("\n# ", " ").partition(". ")[0]
 
 
-def _copied(ask: "_Asking", place: Path, stem: str, mission: str) -> tuple[str, str]:
+def _copied(ask: "Ask", place: Path, stem: str, mission: str) -> tuple[str, str]:
     """Copy one of the boats to start from, with another name, number and place; and its mission."""
     from delfim import config
     from delfim.services.vehiclefile import changed
 
-    name, number = ask("name", "Name of the boat", stem, _name), _number_of(ask)
+    name, number = ask("name", "Name of the boat", stem, name_of), _number_of(ask)
     latitude_deg, longitude_deg = ask("where", WHERE, LISBON, _place)
     values: dict[str, Any] = {"boat.name": name, "boat.id": number, "simulation.mission": mission}
     values |= {"simulation.latitude_deg": latitude_deg, "simulation.longitude_deg": longitude_deg}
@@ -143,16 +155,16 @@ def _copied(ask: "_Asking", place: Path, stem: str, mission: str) -> tuple[str, 
     return f"{changed(str(place), values)}\n{UNPROVEN}", _mission_text(name, length_m, latitude_deg, longitude_deg)
 
 
-def _number_of(ask: "_Asking") -> int:
+def _number_of(ask: "Ask") -> int:
     return int(ask("id", "Its number, 1 to 249, of which no other boat has the same", "1", _number))
 
 
-def _answers(ask: "_Asking", stem: str) -> Answers:
+def _answers(ask: "Ask", stem: str) -> Answers:
     """Collect the answers, each from its option, or typed, or its default."""
     from delfim import config
     from delfim.vehicle.control.hull import full_mps
 
-    name, number = ask("name", "Name of the boat", stem, _name), _number_of(ask)
+    name, number = ask("name", "Name of the boat", stem, name_of), _number_of(ask)
     length_m = ask("length", "Its length over all, m", "1.5", _positive)
     beam_m = ask("beam", "Its beam over all, m", f"{0.5 * length_m:.3g}", _positive)
     mass_kg = ask("mass", "Its mass as it sails, kg", f"{MASS_KG_PER_M2 * length_m * beam_m:.3g}", _positive)
@@ -171,7 +183,7 @@ def _answers(ask: "_Asking", stem: str) -> Answers:
     return Answers(name, number, *hull, motors, thrust_n, speed_mps, sensors, latitude_deg, longitude_deg)
 
 
-class _Asking:
+class Asking:
     """Asks for what no option gave. A wrong option ends the command; a wrong word that was typed is asked for again."""
 
     def __init__(self, asked: argparse.Namespace) -> None:
@@ -200,7 +212,7 @@ class _Asking:
                 print(f"  {error}")
 
 
-def _name(text: str) -> str:
+def name_of(text: str) -> str:
     kept = "".join(each if each.isascii() and (each.isalnum() or each in "_-") else "-" for each in text)
     if kept != text or not text[:1].isalpha() or len(text) > 32:
         raise FormatError("a name is a letter, then up to 31 letters, digits, _ or -")

@@ -1,4 +1,5 @@
-"""Plans of other programs for the pages: a file that was dropped is read, and a plan is written as one."""
+"""Plans of other programs for the pages: a file that was dropped is read, and a plan is written as one. And a
+vehicle's file, by the questions of `delfim new`, or checked."""
 
 import asyncio
 import json
@@ -18,8 +19,10 @@ class PlanFiles:
 
     def __init__(self) -> None:
         self._reader = FileReader("delfim.console.plans.planfile")
+        self._new = FileReader("delfim.commands.description.newform")
 
     def routes(self, app: web.Application) -> None:
+        app.router.add_post("/new", self.new)
         app.router.add_post("/plan", self.read)
         app.router.add_post("/plan/{kind}", self.write)
 
@@ -30,6 +33,12 @@ class PlanFiles:
             return web.json_response(told)
         left = told.pop("left")
         return web.json_response({"mission": told | {"name": Path(name).stem[:60] or "Plan"}, "left": left})
+
+    async def new(self, asked: web.Request) -> web.Response:
+        """Of the answers that a page sends (`?name=a.json`) the next `question`, or the `files`; of them, and of a vehicle's
+        file that it sends (`?name=a.toml`), what the check says; or why it is `refused`."""
+        _, told = await self._new.read(asked)
+        return web.json_response(told)
 
     async def write(self, asked: web.Request) -> web.Response:
         """The plan that a page sends, as a file to download; 400 with the reason where it is none."""

@@ -28,6 +28,7 @@ import { Menus } from "./menus";
 import { Messages } from "./messages";
 import { understood } from "./mission";
 import { Net } from "./net";
+import { NewBoat } from "./newboat";
 import { Planning } from "./planning";
 import { PlanFiles } from "./planfiles";
 import { Plans } from "./plans";
@@ -65,6 +66,7 @@ const alerts = new Alerts(element("bar"), state, net, sound);
 const watchLog = new WatchLog(document.body);
 const panes = new Panes(document.body, net);
 const picture = new Picture(document.body, net, state);
+const newBoat = new NewBoat(document.body);
 const drive = new Drive(net, state, () => strips.draw(false));
 const actions = new Actions(net, state, drive, (boat, severity, words) => messages.say(boat, severity, words), () => corner.draw());
 const popup = new Popup(document.body, element("corner"));
@@ -87,7 +89,7 @@ const depths = new Depths(element("depths"), chart, state, survey);
 const adopt = new Adopt(element("adopt"), chart, state, popup, net, messages);
 const values = new ValueTrack(element("values"), chart, state);
 const timeline = new Timeline(element("timeline"), state, values);
-const menus = new Menus(popup, state, actions, chart, fleet, plans, planning, () => watchLog.open(), sound, watch, wayHome, () => keyCard.toggle(), adopt, depths, panes, timeline, camera, chartFiles, values, new Push((severity, words) => messages.say(null, severity, words)), picture);
+const menus = new Menus(popup, state, actions, chart, fleet, plans, planning, () => watchLog.open(), sound, watch, wayHome, () => keyCard.toggle(), adopt, depths, panes, timeline, camera, chartFiles, values, new Push((severity, words) => messages.say(null, severity, words)), picture, () => newBoat.open());
 new Header(element("bar"), state, sound, menus, popup);
 const hints = new Hints(element("hint"), element("nobody"), state, actions.did, popup);
 const aim = new Aim(element("map"), chart, { seen: (place) => text(element("where"), whereWords(place, state)), chosen: press, added: (place) => !state.replaying && planning.add(place) });
@@ -95,7 +97,7 @@ const strips = new Strips(element("strips"), state, drive, actions, (boat, at) =
 const corner = new Corner(element("stop"), element("stop-all"), state, actions, () => popup.close(), nobody);
 const replay = new Replay(element("replay"), state, actions, camera.button);
 new Keys(state, actions, {
-  menuTakes: (key) => popup.takes(key) || panes.takes(key) || (key === "Escape" && (keyCard.close() || panes.close() || watchLog.close() || alerts.close())) || aim.takes(key),
+  menuTakes: (key) => popup.takes(key) || panes.takes(key) || newBoat.takes(key) || (key === "Escape" && (keyCard.close() || panes.close() || newBoat.close() || watchLog.close() || alerts.close())) || aim.takes(key),
   closeMenu: escape,
   openMenu,
   toggleCard: () => {

@@ -57,6 +57,7 @@ export class Menus {
     private readonly values: ValueTrack,
     private readonly push: Push,
     private readonly picture: Picture,
+    private readonly newBoat: () => void,
   ) {}
 
   boat(boat: Boat, at: Pixel): void {
@@ -245,6 +246,7 @@ export class Menus {
       "line",
       { title: "The last ten minutes", note: "speed, depth, link, modes and messages of the boat", tick: this.timeline.visible, do: () => this.timeline.toggle() },
       { title: "Log of the watch", do: this.log },
+      { title: "A boat’s file…", note: "of your boat, by questions; or check one", do: this.newBoat },
       { title: "Clear the tracks", do: () => this.fleet.clearTracks() },
       { title: "Full screen", do: () => void document.documentElement.requestFullscreen() },
     ];
