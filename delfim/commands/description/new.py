@@ -51,7 +51,7 @@ def _kinds(words: Mapping[str, tuple[str, MotorsAnswer | PositionsAnswer]]) -> d
     return {word: each.about for word, (_, each) in words.items()}
 
 
-class Ask(Protocol):
+class AsksFor(Protocol):
     """Asks for what an option names, in words, until `read` takes the answer; `kinds` are those that it may be, explained."""
 
     def __call__(
@@ -99,12 +99,12 @@ def _listed(kinds: dict[str, str]) -> str:
 
 
 def run(asked: argparse.Namespace) -> int:
-    file, mission = write(Path(asked.file), asked, Asking(asked))
+    file, mission = write(Path(asked.file), asked, AsksAtTerminal(asked))
     print(f"delfim: {file} and {mission} are written. Next:\n  delfim check {file}\n  delfim sim {file} --console")
     return 0
 
 
-def write(file: Path, asked: argparse.Namespace, ask: "Ask") -> tuple[Path, Path]:
+def write(file: Path, asked: argparse.Namespace, ask: "AsksFor") -> tuple[Path, Path]:
     """Write the vehicle's file and its mission, whose names are returned. Raises DelfimError: nothing is written then."""
     from delfim import config
 
@@ -142,7 +142,7 @@ def _about(place: Path) -> str:
     return read_text(place).removeprefix("# ").replace("\n# ", " ").partition(". ")[0]
 
 
-def _copied(ask: "Ask", place: Path, stem: str, mission: str) -> tuple[str, str]:
+def _copied(ask: "AsksFor", place: Path, stem: str, mission: str) -> tuple[str, str]:
     """Copy one of the boats to start from, with another name, number and place; and its mission."""
     from delfim import config
     from delfim.services.vehiclefile import changed
@@ -155,11 +155,11 @@ def _copied(ask: "Ask", place: Path, stem: str, mission: str) -> tuple[str, str]
     return f"{changed(str(place), values)}\n{UNPROVEN}", _mission_text(name, length_m, latitude_deg, longitude_deg)
 
 
-def _number_of(ask: "Ask") -> int:
+def _number_of(ask: "AsksFor") -> int:
     return int(ask("id", "Its number, 1 to 249, of which no other boat has the same", "1", _number))
 
 
-def _answers(ask: "Ask", stem: str) -> Answers:
+def _answers(ask: "AsksFor", stem: str) -> Answers:
     """Collect the answers, each from its option, or typed, or its default."""
     from delfim import config
     from delfim.vehicle.control.hull import full_mps
@@ -183,7 +183,7 @@ def _answers(ask: "Ask", stem: str) -> Answers:
     return Answers(name, number, *hull, motors, thrust_n, speed_mps, sensors, latitude_deg, longitude_deg)
 
 
-class Asking:
+class AsksAtTerminal:
     """Asks for what no option gave. A wrong option ends the command; a wrong word that was typed is asked for again."""
 
     def __init__(self, asked: argparse.Namespace) -> None:
