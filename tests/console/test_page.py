@@ -690,5 +690,8 @@ def test_the_page_in_the_wheel_is_that_of_the_sources(tmp_path: Path) -> None:
 
 def stamp() -> dict[str, str]:
     names = ("package-lock.json", "build.mjs", "harbours.tsv", "land.mjs")
-    files = [*(WEB / name for name in names), *sorted((WEB / "face").iterdir()), *sorted((WEB / "src").iterdir())]
+    files = [
+        *(WEB / name for name in names),
+        *(each for folder in ("face", "icon", "src") for each in (WEB / folder).iterdir()),
+    ]
     return {str(each.relative_to(WEB)): hashlib.sha256(each.read_bytes()).hexdigest() for each in files}
