@@ -10,14 +10,13 @@ from delfim.base.tables import Table, text
 
 PORTS = 14600  # and the boat's number: where its cameras are asked
 Side = Annotated[int, msgspec.Meta(ge=64, le=3840)]
+PictureOrigin = Annotated[str, text("(test|rtsps?://[^ ]+|/dev/[^ ]+)", '"rtsp://HOST/...", "/dev/video0", or "test"')]
 
 
 class CameraTable(Table, frozen=True):
     """A camera: its pictures go to the console with what the link leaves, and are kept aboard (docs/camera.md)."""
 
-    source: Annotated[
-        str, text("(test|rtsps?://[^ ]+|/dev/[^ ]+)", '"rtsp://HOST/...", "/dev/video0", or "test"')
-    ]  # "test" is played
+    source: PictureOrigin  # where the pictures come from; "test" is played
     credentials: str = ""  # of an RTSP camera: file with USER:PASSWORD in one line, mode 0600; "": it asks for none
     width_px: Side = 640  # of its largest pictures, an even number
     height_px: Side = 360  # of them
