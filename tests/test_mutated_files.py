@@ -523,7 +523,7 @@ OTHERS = {  # what the kernel tells, and what is only copied or digested
         "commands/aboard/image.py: status",
     ),
     *("console/charts/dropping.py: _keep", "console/gateway/plan_tools.py: renew", "console/gateway/plan_tools.py: work"),
-    "console/pages/installable.py: built",  # of the page that came with the program
+    *("console/pages/installable.py: built", "services/page/document.py: _read"),  # of the page that came with the program
     "console/logs/fetcher.py: main",  # it sends a file as it is
     *("base/input/untrusted.py: read_file", "base/input/untrusted.py: read_text"),
     *("logging/ashore/fetch.py: _condition", "logging/ashore/fetch.py: _digest", "logging/ashore/fetch.py: _read"),

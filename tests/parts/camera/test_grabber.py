@@ -163,7 +163,7 @@ def test_the_password_is_in_the_programs_words_and_in_no_others(
     assert its.why == "rtsp://...@10.0.0.5/main: 401, ..."
 
 
-@pytest.mark.skipif(shutil.which("ffmpeg") is None, reason="ffmpeg is not installed")
+@pytest.mark.xfail(shutil.which("ffmpeg") is None, run=False, reason="without ffmpeg, which make system does not bring")
 def test_ffmpeg_writes_what_is_read(readers: Readers, grab: Grab, monkeypatch: pytest.MonkeyPatch) -> None:
     table = CameraTable(source="/dev/video0")
 
