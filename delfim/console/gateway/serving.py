@@ -9,6 +9,7 @@ import ssl
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from functools import partial
 from importlib.util import find_spec
 from ipaddress import ip_address
 from pathlib import Path
@@ -26,9 +27,11 @@ from delfim.console.gateway.gateway import Gateway
 from delfim.console.link.mavlink import Key
 from delfim.console.logs.fetching import sources_of
 from delfim.console.pages.admission import bracketed, kept_token
+from delfim.console.pages.visitors import IDLE_S, OF_ALL, OF_ONE, PageVisitor
 from delfim.console.tapes.replay import open_tapes
 from delfim.console.watch.operators import OperatorsFile
 from delfim.parts.fleet.broker import UP, BrokerLine, BrokerPlace
+from delfim.services.access.connection_limits import ConnectionLimits
 
 TICK_S: Final = 0.05
 BROKER_FRAMES: Final = 1024  # that wait for the broker: some for each boat of a fleet
@@ -48,7 +51,7 @@ async def serve(
     visits = logging.getLogger(f"{__name__}.visits")
     visits.addFilter(_is_news)
     runner = web.AppRunner(gateway.app, access_log=None, logger=visits, shutdown_timeout=end_s)
-    transports = list[asyncio.DatagramTransport]()
+    transports, listener = list[asyncio.DatagramTransport](), None
     try:
         if boats is not None:
             with _refused("--boats", boats):
@@ -57,11 +60,14 @@ async def serve(
                 transports.append((await loop.create_datagram_endpoint(lambda: gateway.pictures.udp, local_addr=place))[0])
             gateway.heard_on.insert(0, f"{boats[0]}:{boats[1]}")
         await runner.setup()
+        assert runner.server is not None  # since setup
         with _refused("--page", page):
-            await web.TCPSite(runner, *page, ssl_context=tls).start()
+            visitor = partial(PageVisitor, runner.server, ConnectionLimits(OF_ALL, OF_ONE), visits)
+            late_s = IDLE_S if tls else None
+            listener = await loop.create_server(visitor, *page, ssl=tls, ssl_handshake_timeout=late_s)
         for each in gateway.radios.values():
             each.start()
-        port = runner.addresses[0][1]
+        port = listener.sockets[0].getsockname()[1]
         key = "KEY" if gateway.bridge.operators.closed else gateway.token
         ready(f"http{'s' if tls else ''}://{bracketed(ip_address(page[0]))}:{port}/?token={key}")
         async with asyncio.TaskGroup() as group:
@@ -78,6 +84,8 @@ async def serve(
                 if gateway.broker is not None:
                     await gateway.broker.flush()
     finally:
+        if listener is not None:
+            listener.close()
         await runner.cleanup()
         for transport in transports:
             transport.close()
