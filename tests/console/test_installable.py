@@ -109,6 +109,9 @@ GIVES = """navigator.serviceWorker.ready.then((registration) => {
   return true;
 })"""
 
+SHOWN = """new Promise((done) => setTimeout(done, 2000)).then(() => navigator.serviceWorker.ready)
+  .then((its) => its.getNotifications()).then((all) => all.map((each) => [each.title, each.body]))"""
+
 
 async def test_a_grave_alert_reaches_a_browser_by_its_push_service_and_is_shown(tmp_path: Path, certificate: Path) -> None:
     """All but the Internet's service: what the page gives of it is played, and its message is handed to the browser here."""
@@ -136,11 +139,11 @@ async def test_a_grave_alert_reaches_a_browser_by_its_push_service_and_is_shown(
                 while not service.heard:
                     await asyncio.sleep(0.02)
             said = its.reads(service.heard[0][2]).decode()
-            await deliver(page, origin, said)
-            shown = "navigator.serviceWorker.ready.then((its) => its.getNotifications())"
-            shown += ".then((all) => all.map((each) => [each.title, each.body]))"
-            await page.until(f"{shown}.then((all) => all.length === 1)")
-            assert await page.value(shown) == [["boat 1: alarm", "port propeller blocked: stop"]]
+            for _ in range(10):  # who asks while the browser is about to show one makes it forget that
+                await deliver(page, origin, said)
+                if shown := await page.value(SHOWN):
+                    break
+            assert shown == [["boat 1: alarm", "port propeller blocked: stop"]]
 
             await wake(page)
             async with asyncio.timeout(60.0):
