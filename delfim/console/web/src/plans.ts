@@ -22,6 +22,8 @@ const LEG_FOR_MIDDLE_PX = 80;
 const NUMBER_PX = 24; // between two discs with numbers
 const ASIDE_PX = 25; // between two discs that stand side by side
 const DRAFT = [8, 6];
+const TURNS = 90; // an arrow's courses, of which each has a picture
+const SHARED_MOST = 2000; // pictures
 const STATES: Record<Station["state"], "steer" | "done" | "bad"> = { waiting: "steer", sampled: "done", failed: "bad" }; // colours of a station's frame
 
 export interface Handle {
@@ -40,11 +42,12 @@ interface Look {
 type Changed = (mission: Mission) => void;
 
 export class Plans {
-  private readonly others = new VectorSource({ useSpatialIndex: false });
-  private readonly legs = new VectorSource({ useSpatialIndex: false });
-  private readonly marks = new VectorSource({ useSpatialIndex: false });
+  private readonly others = new VectorSource();
+  private readonly legs = new VectorSource(); // of a thousand waypoints most are out of sight when near
+  private readonly marks = new VectorSource();
   private readonly over = new VectorSource({ useSpatialIndex: false });
   private draft: Mission | null = null; // while something is dragged or a form is open
+  private frame = 0; // in which that is drawn
   stand = false; // handles stay where they are, because clicks are something else now
   private rulers: [Place, Place][] = [];
   private ruler: Place | null = null;
@@ -86,10 +89,12 @@ export class Plans {
     return this.marks.getFeatures().filter((each) => (each.getStyle() as Style).getText()).length;
   }
 
-  /** Show another mission in place of the plan; null shows the plan again. */
+  /** Show another mission in place of the plan, with the next frame; null shows the plan again. */
   preview(mission: Mission | null): void {
     this.draft = mission;
-    this.draw();
+    cancelAnimationFrame(this.frame);
+    if (mission) this.frame = requestAnimationFrame(() => this.draw());
+    else this.draw();
   }
 
   /** The handle at this pixel; points go before the middles of legs. */
@@ -195,10 +200,12 @@ export class Plans {
     const drawn = numbered(this.chart, mission.waypoints, current);
     const aside = besideTheFirst(this.chart, mission.waypoints);
     const hasLines = isSurvey(mission);
-    mission.waypoints.forEach((each, i) => {
-      if (hasLines && i && i < last && i !== current && !each.tries) this.marks.addFeature(drawnCorner(each, look.colour, 3));
-      else if (drawn.has(i) || each.tries) this.marks.addFeature(drawnWaypoint(each, i, i === current, look, aside && i === last ? ASIDE_PX : 0, look.lineDash ? undefined : boat?.stations?.[i + 1]));
+    const marks = mission.waypoints.map((each, i) => {
+      if (hasLines && i && i < last && i !== current && !each.tries) return drawnCorner(each, look.colour, 3);
+      if (!drawn.has(i) && !each.tries) return null;
+      return drawnWaypoint(each, i, i === current, look, aside && i === last ? ASIDE_PX : 0, look.lineDash ? undefined : boat?.stations?.[i + 1]);
     });
+    this.marks.addFeatures(marks.filter((each) => each !== null));
   }
 
   private drawOver(to?: Place): void {
@@ -273,6 +280,15 @@ function dragged(mission: Mission, { kind, index, ring = 0 }: Handle, to: Place)
   }
 }
 
+const kept = new Map<string, unknown>();
+
+/** Made once for all that look alike: a map that shares its pictures draws a thousand marks quickly. */
+function shared<T>(look: string, make: () => T): T {
+  if (kept.size > SHARED_MOST) kept.clear();
+  if (!kept.has(look)) kept.set(look, make());
+  return kept.get(look) as T;
+}
+
 function styled(geometry: LineString | Point, style: Style | Style[]): Feature {
   const feature = new Feature(geometry);
   feature.setStyle(style);
@@ -280,13 +296,16 @@ function styled(geometry: LineString | Point, style: Style | Style[]): Feature {
 }
 
 function drawnLegs(mission: Mission, colour: string, width: number, lineDash?: number[]): Feature[] {
+  const look = cased(colour, width, lineDash);
   return mission.waypoints.slice(1).flatMap((_, i) => {
     const points = leg(mission, i + 1).map(point);
-    const line = styled(new LineString(points), cased(colour, width, lineDash));
+    const line = styled(new LineString(points), look);
     const [a, b] = [points[Math.floor((points.length - 1) / 2)]!, points[Math.floor((points.length - 1) / 2) + 1]!];
     const arrow = new Feature(new Point([a[0]! + (b[0]! - a[0]!) * 0.62, a[1]! + (b[1]! - a[1]!) * 0.62]));
-    const rotation = Math.atan2(b[0]! - a[0]!, b[1]! - a[1]!);
-    arrow.setStyle(new Style({ image: new RegularShape({ points: 3, radius: 2.6 * width, rotation, rotateWithView: true, scale: [0.75, 1], fill: new Fill({ color: colour }) }) }));
+    const turned = Math.round(TURNS * (Math.atan2(b[0]! - a[0]!, b[1]! - a[1]!) / (2 * Math.PI)));
+    const rotation = (2 * Math.PI * turned) / TURNS;
+    const fill = () => new Fill({ color: colour });
+    arrow.setStyle(shared(`arrow ${colour} ${width} ${turned}`, () => new Style({ image: new RegularShape({ points: 3, radius: 2.6 * width, rotation, rotateWithView: true, scale: [0.75, 1], fill: fill() }) })));
     return [line, arrow];
   });
 }
@@ -334,16 +353,16 @@ function ribbon({ colour, lineDash }: Look): Style {
 
 function drawnWaypoint(place: Waypoint, index: number, current: boolean, { colour, small }: Look, aside_px: number, station?: Station): Feature {
   const feature = new Feature(new Point(point(place)));
-  const its = {
-    radius: small ? 10 : 12,
-    fill: new Fill({ color: current ? colour : palette.handle }),
-    stroke: new Stroke({ color: station ? palette[STATES[station.state]] : colour, width: station ? 4 : small ? 1.4 : 2.2 }),
-    displacement: [aside_px, 0],
-  };
+  const [radius, inside, frame] = [small ? 10 : 12, current ? colour : palette.handle, station ? palette[STATES[station.state]] : colour];
+  const width = station ? 4 : small ? 1.4 : 2.2;
+  const image = shared(`${place.tries ? "station" : "disc"} ${radius} ${inside} ${frame} ${width} ${aside_px}`, () => {
+    const its = { radius, fill: new Fill({ color: inside }), stroke: new Stroke({ color: frame, width }), displacement: [aside_px, 0] };
+    return place.tries ? new RegularShape({ ...its, points: 4, angle: Math.PI / 4, radius: 1.35 * radius }) : new Disc(its);
+  });
   feature.set("station", place.tries ? (station?.state ?? "ahead") : "");
   feature.setStyle(
     new Style({
-      image: place.tries ? new RegularShape({ ...its, points: 4, angle: Math.PI / 4, radius: 1.35 * its.radius }) : new Disc(its),
+      image,
       text: new Text({
         text: String(index + 1),
         font: `650 12px ${FACE}`,
@@ -358,7 +377,8 @@ function drawnWaypoint(place: Waypoint, index: number, current: boolean, { colou
 
 function drawnCorner(place: Place, colour: string, radius: number): Feature {
   const feature = new Feature(new Point(point(place)));
-  feature.setStyle(new Style({ image: new Disc({ radius, fill: new Fill({ color: palette.handle }), stroke: new Stroke({ color: colour, width: 2 }) }) }));
+  const drawn = () => new Disc({ radius, fill: new Fill({ color: palette.handle }), stroke: new Stroke({ color: colour, width: 2 }) });
+  feature.setStyle(new Style({ image: shared(`corner ${radius} ${palette.handle} ${colour}`, drawn) }));
   return feature;
 }
 
@@ -371,8 +391,11 @@ function drawnCrossing(place: Place): Feature {
 }
 
 function drawnPlus(place: Place, colour: string): Feature {
-  const feature = drawnCorner(place, colour, 4);
-  (feature.getStyle() as Style).getImage()!.setOpacity(0.65);
+  const feature = new Feature(new Point(point(place)));
+  const drawn = () => new Disc({ radius: 4, fill: new Fill({ color: palette.handle }), stroke: new Stroke({ color: colour, width: 2 }) });
+  const image = shared(`plus ${palette.handle} ${colour}`, drawn);
+  image.setOpacity(0.65);
+  feature.setStyle(new Style({ image }));
   return feature;
 }
 
