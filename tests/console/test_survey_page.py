@@ -54,7 +54,7 @@ async def drawn(you: Visit, boat: Boat) -> None:
     await you.chooses("Survey")
     await you.chooses("Draw an area")
     for place in (*places, places[0]):
-        await you.marks(place)
+        await you.taps_the_sea(place)
     assert "10.0 m apart" in await said(page, "covered: 100.0 %")
     assert " min " in await said(page, " Wh")
     assert await page.value("[delfim.areas(), delfim.survey()]") == [5, 10]

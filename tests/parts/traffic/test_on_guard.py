@@ -122,6 +122,7 @@ def test_a_boat_turns_as_its_autopilot_can(p_nm: float, d_nm: float, damping_nm:
         "small",
         10.0,
         30.0,
+        8.0,
     )
 
 

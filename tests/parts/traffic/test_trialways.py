@@ -54,7 +54,7 @@ def test_what_comes_after_half_an_hour_does_not_matter(first_m: float, legs: int
 )
 def test_a_turn_and_a_change_of_speed_are_a_wait_on_the_old_course(own_rad, course_rad, speed_mps, wait_s):
     boat = Caution(5.0, 0.25, 0.5)
-    assert boat[3:] == (180.0, "small", 10.0, 30.0)
+    assert boat[3:] == (180.0, "small", 10.0, 30.0, 8.0)
     first, then = trial_legs(boat, OWN._replace(course_rad=own_rad, speed_mps=1.0), course_rad, speed_mps)
     way = math.cos(own_rad), math.sin(own_rad)
     assert first == pytest.approx((0.0, wait_s, 100.0, -200.0, *way))
