@@ -4,6 +4,7 @@ import type { Net } from "./net";
 import type { State } from "./state";
 import type { Shot } from "./wire";
 
+const KEPT_MS = 4000;
 const LOOK_MS = 1000;
 const DRAW_MS = 100;
 const OLD_S = 3;
@@ -18,6 +19,7 @@ export class Picture {
   private readonly name = make("button.plain");
   private readonly age = make("output");
   private readonly said = make("b");
+  private kept: [string, number] = ["", 0]; // what became of Keep, and until when it is shown
   private readonly box = make("section", make("header", this.name, this.age), this.image, this.said);
 
   constructor(
@@ -91,7 +93,8 @@ export class Picture {
   private async keep(): Promise<void> {
     if (this.boat === null) return;
     const { ok, reason } = await this.net.ask({ t: "snapshot", boat: this.boat });
-    text(this.age, ok ? `kept as ${reason}` : reason);
+    this.kept = [ok ? `kept as ${reason}` : reason, performance.now() + KEPT_MS];
+    text(this.age, this.kept[0]);
   }
 
   /** Two clocks count: one of them stands still while the computer sleeps. */
@@ -107,7 +110,7 @@ export class Picture {
     const same_s = shot.same_s! + since_s;
     const old = age_s > OLD_S || !this.state.online;
     this.box.classList.toggle("old", old);
-    text(this.age, `${age_s.toFixed(1)} s${shot.kbps ? `, ${shot.kbps} kbit/s` : ""}`);
+    text(this.age, performance.now() < this.kept[1] ? this.kept[0] : `${age_s.toFixed(1)} s${shot.kbps ? `, ${shot.kbps} kbit/s` : ""}`);
     text(this.said, old ? `picture is ${Math.round(age_s)} s old${shot.why ? `: ${shot.why}` : ""}` : same_s > SAME_S && !this.state.replaying ? `picture has not changed for ${Math.round(same_s)} s` : "");
   }
 }
