@@ -467,15 +467,9 @@ def host_key(here: Path) -> Said:
 
 
 def certificate(here: Path) -> Said:
-    from delfim.services.files.ftpd import _tls
+    from delfim.services.access.certificates import server_tls
 
-    return refused(lambda: _tls(str(here / "boat.pem")))
-
-
-def page_certificate(here: Path) -> Said:
-    from delfim.console.tabletd import tls_of
-
-    return refused(lambda: tls_of(str(here / "boat.pem")))
+    return refused(lambda: server_tls(str(here / "boat.pem"), "ftpd.certificate"))
 
 
 def browsers_to_wake(here: Path) -> Said:
@@ -625,7 +619,6 @@ READERS = {
     "message by satellite": Reader("message.sbd", by_satellite, BINARY),
     "host key": Reader("host_key", host_key, TEXT),
     "certificate": Reader("boat.pem", certificate, TEXT),
-    "page's certificate": Reader("boat.pem", page_certificate, TEXT),
     "browsers to wake": Reader("push.json", browsers_to_wake, TEXT),
     "kept voyage": Reader("voyage-1", kept_voyage, (*BINARY, *TEXT)),
     "page's token": Reader("token", page_token, TEXT),

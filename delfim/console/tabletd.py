@@ -5,7 +5,6 @@ Its heartbeat, by which the boat knows that somebody is there, goes only while a
 console that is silent, and `failsafe.console_silent` says what the boat does.
 """
 
-import ssl
 from pathlib import Path
 from typing import Final
 
@@ -20,6 +19,7 @@ from delfim.console.pages.admission import kept_token
 from delfim.console.pages.pushing import PushDesk
 from delfim.console.watch.operators import OperatorsFile
 from delfim.parts.mavlink.table import Mavlink
+from delfim.services.access.certificates import server_tls
 from delfim.services.runtime import Runtime
 from delfim.services.tables import Tablet
 
@@ -60,19 +60,7 @@ async def serve(runtime: Runtime) -> None:
     try:
         gateway = tablet_gateway(settings, runtime.file)
         with runtime.publishing("tabletd", gateway.report):
-            tls = tls_of(table.certificate)
+            tls = server_tls(table.certificate, "tablet.certificate")
             await serve_pages(gateway, address(table.boats), address(table.listen), lambda url: None, tls, END_S)
     except ConfigError as error:
         raise PermanentFailure(f"tablet: {error}") from None
-
-
-def tls_of(certificate: str) -> ssl.SSLContext | None:
-    """Load the certificate. Raises PermanentFailure if the file is missing or not a certificate with its key."""
-    if not certificate:
-        return None
-    context = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH)
-    try:
-        context.load_cert_chain(certificate)
-    except (OSError, ssl.SSLError) as error:
-        raise PermanentFailure(f"tablet.certificate: {certificate}: {error.strerror or error}") from None
-    return context

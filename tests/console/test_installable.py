@@ -26,6 +26,7 @@ from delfim.console.pages import webpush
 from delfim.console.pages.installable import MANIFEST, PUBLIC, built
 from delfim.console.pages.pushing import KeptPush, PushDesk
 from delfim.console.watch.operators import OperatorsFile
+from delfim.services.access.certificates import server_tls
 from tests.certificates import certificate
 from tests.console.pushservice import Browser, PlayedService, ended
 from tests.console.scenes import choose
@@ -52,7 +53,7 @@ async def at_sea(folder: Path, pem: Path, port: int = 0, push: PushDesk | None =
     gateway = tabletd.tablet_gateway(decode(told, config.Vehicle, "test.toml"), "", push)
     ready: asyncio.Future[str] = asyncio.get_running_loop().create_future()
     async with ended(gateway.app):
-        tls = tabletd.tls_of(str(pem))
+        tls = server_tls(str(pem), "tablet.certificate")
         serving = asyncio.create_task(serve(gateway, ("127.0.0.1", 0), ("127.0.0.1", port), ready.set_result, tls, 0.2))
         try:
             yield await ready, gateway

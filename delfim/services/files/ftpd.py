@@ -9,7 +9,6 @@ connects where a client tells it to can be sent anywhere. How to use it: docs/ft
 import asyncio
 import contextlib
 import logging
-import ssl
 from collections.abc import Awaitable, Callable
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, Final, TypeVar
@@ -18,8 +17,9 @@ import aioftp
 
 from delfim import config
 from delfim.base.clock import Clock
-from delfim.base.errors import DelfimError, PermanentFailure
+from delfim.base.errors import DelfimError
 from delfim.base.ranges import address
+from delfim.services.access.certificates import server_tls
 from delfim.services.access.connection_limits import ConnectionLimits, Patience, bulk, hashed, matches
 from delfim.services.files import ftpdata
 from delfim.services.files.ftpfiles import FtpFiles
@@ -75,7 +75,9 @@ class FtpServer(aioftp.Server):
             block_size=ftpdata.BLOCK_BYTES,
             welcome_message=f"{settings.boat.name}",
         )
-        self._tls = _tls(table.certificate)
+        self._tls = server_tls(table.certificate, "ftpd.certificate")
+        if self._tls is not None:
+            self._tls.num_tickets = 0  # unread ones make an uploader's close a reset, which loses the end of his file
         self._files = FtpFiles(settings, clock, self._work)
         self.door, self.patience = ConnectionLimits(table.connections, table.connections_per_address), Patience()
         self._is_closing = False
@@ -326,16 +328,3 @@ async def serve(runtime: Runtime) -> None:
 
 def _address(writer: asyncio.StreamWriter) -> str:
     return str((writer.get_extra_info("peername") or ("",))[0])
-
-
-def _tls(certificate: str) -> ssl.SSLContext | None:
-    """Load the certificate. Raises PermanentFailure if the file is missing or not a certificate with its key."""
-    if not certificate:
-        return None
-    context = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH)
-    context.num_tickets = 0  # unread ones make an uploader's close a reset, which loses the end of his file
-    try:
-        context.load_cert_chain(certificate)
-    except (OSError, ssl.SSLError) as error:
-        raise PermanentFailure(f"ftpd.certificate: {certificate}: {error.strerror or error}") from None
-    return context

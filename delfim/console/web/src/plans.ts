@@ -186,7 +186,7 @@ export class Plans {
     mission.fence.forEach((each) => this.marks.addFeature(drawnCorner(cornerPlace(each), palette.limit, 5.5)));
     ringsOf(mission).forEach(({ corners }) => corners.forEach((each) => this.marks.addFeature(drawnCorner(cornerPlace(each), palette.survey, 5.5))));
     const tints: Record<string, string> = { edge: palette.limit, side: palette.survey };
-    this.middles(mission).forEach(({ kind, place }) => this.marks.addFeature(drawnPlus(place, tints[kind] ?? (isAboard ? palette.plan : palette.draft))));
+    this.middles(mission).forEach(({ kind, place }) => this.marks.addFeature(drawnCorner(place, tints[kind] ?? (isAboard ? palette.plan : palette.draft), 4, 0.65)));
   }
 
   /** Solid: the mission aboard. Dashed: a plan that is on the screen only. */
@@ -375,10 +375,14 @@ function drawnWaypoint(place: Waypoint, index: number, current: boolean, { colou
   return feature;
 }
 
-function drawnCorner(place: Place, colour: string, radius: number): Feature {
+function drawnCorner(place: Place, colour: string, radius: number, opacity = 1): Feature {
   const feature = new Feature(new Point(point(place)));
-  const drawn = () => new Disc({ radius, fill: new Fill({ color: palette.handle }), stroke: new Stroke({ color: colour, width: 2 }) });
-  feature.setStyle(new Style({ image: shared(`corner ${radius} ${palette.handle} ${colour}`, drawn) }));
+  const image = shared(`corner ${radius} ${opacity} ${palette.handle} ${colour}`, () => {
+    const drawn = new Disc({ radius, fill: new Fill({ color: palette.handle }), stroke: new Stroke({ color: colour, width: 2 }) });
+    drawn.setOpacity(opacity);
+    return drawn;
+  });
+  feature.setStyle(new Style({ image }));
   return feature;
 }
 
@@ -387,15 +391,6 @@ function drawnCrossing(place: Place): Feature {
   const feature = new Feature(new Point(point(place)));
   const ring = (color: string, width: number) => new Style({ image: new Disc({ radius: 12, stroke: new Stroke({ color, width }) }) });
   feature.setStyle([ring(palette.halo, 6), ring(palette.limit, 3)]);
-  return feature;
-}
-
-function drawnPlus(place: Place, colour: string): Feature {
-  const feature = new Feature(new Point(point(place)));
-  const drawn = () => new Disc({ radius: 4, fill: new Fill({ color: palette.handle }), stroke: new Stroke({ color: colour, width: 2 }) });
-  const image = shared(`plus ${palette.handle} ${colour}`, drawn);
-  image.setOpacity(0.65);
-  feature.setStyle(new Style({ image }));
   return feature;
 }
 
