@@ -15,14 +15,15 @@ import pytest
 
 from delfim import config
 from delfim.base.errors import DelfimError
+from delfim.base.frames import extended
 from delfim.canproxy.opening import open_can
-from delfim.canproxy.socket import ANYTHING
+from delfim.canproxy.socket import ANYTHING, CanAddress
 from delfim.parts.frontseats.table import OtterTable
 from delfim.services.supervision.stop import PropellerStop
 from delfim.vehicle.operator.link import Link
 from tests.afloat import running
 from tests.parts.pwm.test_outlet import chip, pulse_us
-from tests.vehicle.played_devices import PlayedPx4, PlayedSeat, PlayedTorqeedo, PlayedVesc
+from tests.vehicle.played_devices import PlayedPx4, PlayedSeat, PlayedTorqeedo, PlayedTorqlink, PlayedVesc
 
 PATIENCE_S = 200.0
 ROWS = ", ".join(
@@ -134,6 +135,36 @@ class TorqeedoMotors:
         return self.efforts() == (0.0, 0.0) and all(each.stopped for each in self._servers.values())
 
 
+class TorqlinkMotors:
+    """Two motors, each on a bus of its own, which are always ready."""
+
+    def __init__(self, place: Path, opened: contextlib.ExitStack) -> None:
+        buses = {name: f"canloop:torqlink-{name}-{os.getpid()}-{place.name[-8:]}" for name in ("starboard", "port")}
+        self.values = tuple(f'torqlink.ports.{name}.interface="{bus}"' for name, bus in buses.items())
+        self._played = {opened.enter_context(open_can(bus)): PlayedTorqlink() for bus in buses.values()}
+        for bus in self._played:
+            bus.bind(ANYTHING)
+        self._said_s = 0.0
+
+    def efforts(self) -> tuple[float, float]:
+        """Each says that it is ready ten times a second, as often as somebody looks."""
+        now_s = time.monotonic()
+        due = now_s - self._said_s >= 0.1
+        for bus, motor in self._played.items():
+            while (frame := bus.receive()) is not None:
+                motor.hear(frame.identifier, frame.data, now_s)
+            if due:
+                self._said_s, (word, data) = now_s, motor.status()
+                bus.sendto(data, CanAddress(extended(word)))
+        starboard, port = (motor.effort(now_s) for motor in self._played.values())
+        return starboard, port
+
+    def stopped(self) -> bool:
+        return self.efforts() == (0.0, 0.0) and all(
+            motor.stopped and time.monotonic() - motor.heard_s < motor.timeout_s for motor in self._played.values()
+        )
+
+
 class PwmMotors:
     def __init__(self, place: Path) -> None:
         self.place = chip(place / "pwmchip0", 0, 1)
@@ -154,6 +185,7 @@ MOTORS: dict[str, Callable[[Path, contextlib.ExitStack], Motors]] = {
     "mavlink_front_seat": lambda place, opened: BoardMotors(opened),
     "pwm": lambda place, opened: PwmMotors(place),
     "torqeedo": lambda place, opened: TorqeedoMotors(opened),
+    "torqlink": TorqlinkMotors,
 }
 
 

@@ -351,6 +351,7 @@ def test_the_vehicles_state_is_changed_by_the_loop_alone() -> None:
         "../parts/traffic/lookout",
         "../parts/traffic/watchkeeper",
         "../parts/frontseats/*",
+        "../parts/torqeedo/torqlink",
         "../simulator/replay/rerun",
     )
     inside = ROOT / "delfim"

@@ -274,6 +274,15 @@ OWN: Final = {  # in the order in which sources are listed
             drives=Drives(turns=0),
         ),
         Part(
+            "torqlink",
+            "delfim.parts.torqeedo.table:TorqlinkTable",
+            after="torqeedo",
+            ask="delfim.parts.torqeedo.ask_torqlink",
+            driver="delfim.parts.torqeedo.torqlink",
+            protocol="TorqLink",
+            drives=Drives(turns=0),
+        ),
+        Part(
             "vesc",
             "delfim.parts.vesc.table:Vesc",
             after="pwm",

@@ -159,7 +159,7 @@ def test_on_a_terminal_it_asks_and_asks_again_for_what_is_wrong(monkeypatch, cap
 @pytest.mark.parametrize(
     ("words", "told"),
     [
-        (["--yes", "--motors", "oars"], "--motors oars: there are esc, ardupilot, dronecan, rudder, torqeedo, vesc"),
+        (["--yes", "--motors", "oars"], "--motors oars: there are esc, ardupilot, dronecan, rudder, torqeedo, torqlink, vesc"),
         (["--yes", "--length", "-1"], "--length -1: this must be a number above 0"),
         (["--yes", "--mass", "2e6"], "nothing was written: boat.mass_kg: 2000000.0 is not allowed"),
         (

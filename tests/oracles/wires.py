@@ -11,10 +11,11 @@ import msgspec
 
 from delfim import config
 from delfim.base.clock import ManualClock
-from delfim.base.frames import Frame
+from delfim.base.frames import Frame, extended
 from delfim.canproxy.socket import ANYTHING, CanAddress, CanSocket
 from delfim.lines.forms import Form
 from delfim.parts.dronecan.table import Dronecan
+from delfim.parts.torqeedo.table import TorqeedoPort, TorqeedoTable, TorqlinkPort, TorqlinkTable
 from delfim.simulator.line import LockstepLine
 from delfim.simulator.lockstep import Lockstep
 from delfim.simulator.lockstepbus import LockstepBus
@@ -24,6 +25,7 @@ from delfim.vehicle.propulsion.actuators import open_actuator
 from delfim.vehicle.state import Actuation, NoLog, State
 from tests.oracles.keeping import Lines
 from tests.oracles.voyages import DELFIMX, ROOT
+from tests.vehicle.played_devices import PlayedTorqlink
 from tests.vehicle.test_drivers import AHEAD, DRIVERS, OFF, Device, Wire, greet, settings
 
 TURNED: Final = Actuation((0.5, -0.25), (0.3, -0.2), True)
@@ -49,10 +51,41 @@ def _turning() -> config.Vehicle:
     return msgspec.structs.replace(boat, thrusters=tuple(steered), dronecan=Dronecan(command="rpm"))
 
 
+class Ready(Silent):
+    """Torqeedo motors on TorqLink, which say all the time that they are ready: both on one bus here, which no boat has. What
+    they say is not kept."""
+
+    def __init__(self, bench: "DriverBench", bus: CanSocket) -> None:
+        self._bench, self._bus, self._send = bench, bus, bench.driver.send
+        bench.driver.send = self._awake  # type: ignore[method-assign]
+
+    def _awake(self, sent: Actuation, now_s: float) -> int:
+        word, data = PlayedTorqlink().status()
+        for tenths in range(-30, 1):
+            self._bus.sendto(data, CanAddress(extended(word)))
+            for each in self._bench.driver.inputs:
+                each.read(State(), now_s + 0.1 * tenths)
+        while self._bench.heard.receive() is not None:
+            pass
+        return self._send(sent, now_s)
+
+
+def _torqlink() -> config.Vehicle:
+    ports = {name: TorqlinkPort(interface=f"canloop:{name}") for name in ("starboard", "port")}
+    return settings("torqlink", torqlink=TorqlinkTable(ports=ports))
+
+
+def _torqeedo() -> config.Vehicle:
+    ports = {name: TorqeedoPort(device=f"/dev/{name}") for name in ("starboard", "port")}
+    return settings("torqeedo", torqeedo=TorqeedoTable(ports=ports))
+
+
 BENCHES: Final = {name: known.settings for name, known in DRIVERS.items()} | {
     "dsor": settings("dsor"),
     "dronecan": settings("dronecan"),
     "dronecan, rpm, steered": _turning(),
+    "torqeedo": _torqeedo(),
+    "torqlink": _torqlink(),
 }
 
 
@@ -66,10 +99,12 @@ class DriverBench:
 
     def __init__(self, name: str, boat: config.Vehicle) -> None:
         self._bus, self._wire = LockstepBus(ManualClock()), Wire()
-        self._heard = self._bus.bound(ANYTHING)
+        self.heard = self._bus.bound(ANYTHING)
         self._turns = any(row.steer for row in boat.thrusters)
-        self._driver = open_actuator(boat.thrusters[0].driver, boat, Links(self._open, self._line))
+        self.driver = open_actuator(boat.thrusters[0].driver, boat, Links(self._open, self._line))
         self._device: Device | Silent = Silent()
+        if name == "torqlink":
+            self._device = Ready(self, self._bus.bound(computer="device"))
         if name in DRIVERS:
             self._device = DRIVERS[name].device(self._bus.bound(ANYTHING, computer="device"), self._wire)
 
@@ -80,7 +115,7 @@ class DriverBench:
         return self._wire
 
     def lines(self) -> Iterator[str]:
-        driver = self._driver
+        driver = self.driver
         greet(driver, self._device)
         for _ in range(RESTS):
             driver.send(OFF, 0.5)
@@ -104,7 +139,7 @@ class DriverBench:
     def _sent(self) -> list[str]:
         """What the device hears now."""
         told = [_shown(data) for data in self._wire.written]
-        while (frame := self._heard.receive()) is not None:
+        while (frame := self.heard.receive()) is not None:
             told.append(_shown(frame))
         self._device.efforts(1.3)
         self._wire.written.clear()
@@ -115,7 +150,7 @@ class DriverBench:
         self._device.report(1.3)
         yield from (f"{what}, device: {_shown(data)}" for data in self._wire.waiting)
         yield from (f"{what}, device: {each}" for each in self._sent())
-        for each in self._driver.inputs:
+        for each in self.driver.inputs:
             each.read(state, 1.3)
         for name, report in state.thrusters.items():
             known = (f"{field}={value!r}" for field, value in report._asdict().items() if value)

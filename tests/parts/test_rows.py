@@ -160,7 +160,7 @@ def test_the_page_of_a_files_keys_has_those_of_its_parts(laboratory):
         "## `[failsafe.few_satellites]`\n\nFewer satellites than the boat shall sail by.\n",
         '| `weave` | `"same"` | same, warn, hold, back, home, stop | in weave mode; "same": as `action` |',
         "## `[[thrusters]]`\n\nA thruster: who drives it",
-        "otter, pwm, torqeedo, vesc, example_motor | who commands it |",
+        "otter, pwm, torqeedo, torqlink, vesc, example_motor | who commands it |",
     ):
         assert words in page
     assert len(page) > len(describe())

@@ -138,6 +138,37 @@ class PlayedTorqeedo:
         return self.reply(struct.pack(">hHHHhh", rpm, 132, 2410, 55, 250, 314)) if body == b"\x30\x03" else b""
 
 
+class PlayedTorqlink:
+    """A motor on its TorqLink bus, as ArduPilot's script drives one: it obeys while it is ready, for half a second after each
+    command, and says ten times a second whether it is. `turned` has each way that it was told to turn, with the time."""
+
+    def __init__(self, timeout_s: float = 0.5) -> None:
+        self.timeout_s, self.ready, self.turned = timeout_s, True, list[tuple[int, float]]()
+        self.heard_s, self._speed, self._gear = NEVER, 0, 125
+
+    def hear(self, identifier: int, data: bytes, now_s: float) -> None:
+        if identifier == 0x0CF003D0:
+            assert (len(data), min(data[1], 250)) == (8, data[1]), data.hex()
+            self._speed = data[1]
+        elif identifier == 0x0CF005D0:
+            assert (len(data), data[0] in (124, 125, 126)) == (8, True), data.hex()
+            self.heard_s, self._gear = now_s, data[0]
+            if not self.turned or self.turned[-1][0] != self._gear - 125:
+                self.turned.append((self._gear - 125, now_s))
+
+    def effort(self, now_s: float) -> float:
+        return (self._gear - 125) * self._speed / 250.0 if self.ready and now_s - self.heard_s <= self.timeout_s else 0.0
+
+    @property
+    def stopped(self) -> bool:
+        """Whether it was told so last."""
+        return (self._gear, self._speed) == (125, 0)
+
+    def status(self) -> tuple[int, bytes]:
+        """Identifier and data."""
+        return 0x18FF1350, bytes((1, 2, 3, 4, 0x80 if self.ready else 0x7F, 6, 7, 8))
+
+
 class PlayedRover:
     """A board with ArduRover, armed and in MANUAL: it obeys its ground station 255 for 3 s, and mixes two sides."""
 

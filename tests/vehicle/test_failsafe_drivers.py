@@ -303,7 +303,10 @@ def test_a_boat_at_rest_starts_and_stops_on_the_wire(driver):
 
 
 def test_every_driver_is_tried():
-    elsewhere = {"torqeedo"}  # a line for each motor, not one for both: its stops are in tests/parts/torqeedo
+    elsewhere = {
+        "torqeedo",
+        "torqlink",
+    }  # a line or bus for each motor, not one for both: their stops are in tests/parts/torqeedo
     assert set(KNOWN) - {"px4"} | elsewhere == set(get_args(config.DriverName)), (
         "and a board with PX4 beside one with ArduRover"
     )
