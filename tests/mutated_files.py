@@ -1,11 +1,13 @@
-"""`python -m tests.mutated_files READER FOLDER COUNT`: a reader of files is given its sample, mutated so many times, in a
-process with a bound on memory and, for each file, on processor time. It prints what it must not have done, as JSON.
+"""`python -m tests.mutated_files` takes lines of JSON, `["READER", "FOLDER", COUNT]`: the reader of files is given its sample,
+mutated so many times, in a process with a bound on memory and, for each file, on processor time. What it must not have done
+is printed as JSON, and its exit code as a second line.
 
 A reader says yes, or one line of error. `tests/test_mutated_files.py` makes the samples and runs all readers.
 """
 
 import asyncio
 import contextlib
+import importlib
 import io
 import json
 import logging
@@ -31,6 +33,7 @@ MEMORY_BYTES = 1 << 28  # more than the program has before it reads
 LOG_BYTES = 1 << 22  # instead of the limit of a computer that looks at logs
 PROCESSOR_S = 20.0  # for one file, of a mebibyte at most: none takes a tenth of it
 LINE_MAX = 1000
+PRELOADED = "delfim.__main__", "delfim.simulator.lockstep", "delfim.logging.ashore.tree", "delfim.console.boats.fleet"
 LINES_MAX = 60  # of a list of mistakes, or warnings of a command that goes on
 
 Said = list[str]
@@ -661,8 +664,9 @@ def judged(read: Callable[[Path], Said], here: Path) -> list[str]:
         signal.setitimer(signal.ITIMER_PROF, 0.0)
 
 
-def main(name: str, sample: str, count: str) -> None:
-    reader, folder = READERS[name], Path(sample)
+def tried(name: str, folder: Path, count: int) -> dict[str, list[str]]:
+    """What a reader must not have done, by the mutation that made it."""
+    reader = READERS[name]
     signal.signal(signal.SIGPROF, _alarm)
     reading.LOG_BYTES = LOG_BYTES  # type: ignore[misc]
     there = next(iter(sorted(folder.glob(reader.file))))
@@ -681,10 +685,22 @@ def main(name: str, sample: str, count: str) -> None:
     one("sample", data)
     used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
     resource.setrlimit(resource.RLIMIT_AS, (used + MEMORY_BYTES, resource.RLIM_INFINITY))
-    for label, mutant in mutants(reader, data, int(count), name):
+    for label, mutant in mutants(reader, data, count, name):
         one(label, mutant)
-    print(json.dumps(wrong))
+    return wrong
+
+
+def main() -> None:
+    """Each reader in a process of its own, which has what most of them import already: that costs as much as to read."""
+    for module in PRELOADED:
+        importlib.import_module(module)
+    for line in sys.stdin:
+        name, sample, count = json.loads(line)
+        if (child := os.fork()) == 0:
+            print(json.dumps(tried(name, Path(sample), count)), flush=True)
+            os._exit(0)
+        print(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]), flush=True)
 
 
 if __name__ == "__main__":
-    main(*sys.argv[1:])
+    main()

@@ -8,6 +8,7 @@ import shutil
 import subprocess
 import sys
 import zipfile
+from collections.abc import Iterator
 from pathlib import Path
 
 import asyncssh
@@ -402,13 +403,28 @@ def samples(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     return folders
 
 
-@pytest.mark.parametrize("name", READERS)
-def test_a_mutated_file_is_read_or_refused_in_words(name: str, samples: dict[str, Path], mutations: int) -> None:
-    words = [sys.executable, "-m", "tests.mutated_files", name, str(samples[name]), str(mutations)]
+@pytest.fixture(scope="module")
+def trying(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[subprocess.Popen[str], Path]]:
+    """The program that tries the readers, and the file of what it complains of."""
+    errors = tmp_path_factory.mktemp("trying") / "errors"
     here = os.environ | {"PYTHONSAFEPATH": ""}  # make sets it: then a module of the working directory is not found
-    done = subprocess.run(words, cwd=ROOT, env=here, capture_output=True, text=True)
-    assert (done.returncode, done.stderr) == (0, "")
-    assert json.loads(done.stdout) == {}
+    words, pipe = [sys.executable, "-m", "tests.mutated_files"], subprocess.PIPE
+    with errors.open("w") as file, subprocess.Popen(words, cwd=ROOT, env=here, stdin=pipe, stdout=pipe, stderr=file, text=True) as it:
+        yield it, errors
+        it.communicate()
+
+
+@pytest.mark.parametrize("name", READERS)
+def test_a_mutated_file_is_read_or_refused_in_words(
+    name: str, samples: dict[str, Path], trying: tuple[subprocess.Popen[str], Path], mutations: int
+) -> None:
+    program, errors = trying
+    assert program.stdin and program.stdout
+    before = len(errors.read_text())
+    print(json.dumps([name, str(samples[name]), mutations]), file=program.stdin, flush=True)
+    said = program.stdout.readline()
+    assert json.loads(said) == {}, errors.read_text()[before:]
+    assert (program.stdout.readline(), errors.read_text()[before:]) == ("0\n", "")
 
 
 OPENERS = {"read_file", "read_text", "read_bytes", "raw", "load_cert_chain", "read_private_key", "load_file"}
