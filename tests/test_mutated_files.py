@@ -409,7 +409,10 @@ def trying(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[subproces
     errors = tmp_path_factory.mktemp("trying") / "errors"
     here = os.environ | {"PYTHONSAFEPATH": ""}  # make sets it: then a module of the working directory is not found
     words, pipe = [sys.executable, "-m", "tests.mutated_files"], subprocess.PIPE
-    with errors.open("w") as file, subprocess.Popen(words, cwd=ROOT, env=here, stdin=pipe, stdout=pipe, stderr=file, text=True) as it:
+    with (
+        errors.open("w") as file,
+        subprocess.Popen(words, cwd=ROOT, env=here, stdin=pipe, stdout=pipe, stderr=file, text=True) as it,
+    ):
         yield it, errors
         it.communicate()
 
@@ -419,7 +422,8 @@ def test_a_mutated_file_is_read_or_refused_in_words(
     name: str, samples: dict[str, Path], trying: tuple[subprocess.Popen[str], Path], mutations: int
 ) -> None:
     program, errors = trying
-    assert program.stdin and program.stdout
+    assert program.stdin
+    assert program.stdout
     before = len(errors.read_text())
     print(json.dumps([name, str(samples[name]), mutations]), file=program.stdin, flush=True)
     said = program.stdout.readline()

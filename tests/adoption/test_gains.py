@@ -60,6 +60,7 @@ def test_an_integral_costs_phase_and_too_much_gain_has_no_margin() -> None:
     assert not loop._replace(p=60.0, d=90.0).margins.holds((0.0, 1.0))
 
 
+@pytest.mark.long
 def test_the_chosen_gains_have_the_margins_and_are_no_worse_than_todays(choice: ChosenGains) -> None:
     best = choice.best
     assert best.is_steady

@@ -112,6 +112,7 @@ def test_a_fit_that_is_refused_writes_nothing(voyage: Sailed, tmp_path: Path) ->
     assert file.read_text() == voyage.file.read_text()
 
 
+@pytest.mark.long
 def test_the_command_prints_writes_its_report_and_the_file(
     voyage: Sailed, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

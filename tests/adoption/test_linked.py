@@ -98,6 +98,7 @@ def file(tmp_path: Path) -> Path:
     return place
 
 
+@pytest.mark.long
 def test_a_whole_trial_over_the_link_finds_the_motors_and_writes_what_is_agreed_to(file: Path, tmp_path: Path) -> None:
     settings = config.load(file, NOISE)
     hidden = next(each for each in (drawn(settings, seed) for seed in range(1, 50)) if each.swapped and each.reversed[0])

@@ -37,6 +37,7 @@ async def findings(page: Page, gateway: Standin, screen: str) -> list[str]:
 
 
 @pytest.mark.parametrize("size", [DESK, PHONE], ids=["desk", "phone"])
+@pytest.mark.long
 async def test_axe_finds_nothing_on_any_screen_in_any_theme(size: tuple[int, int]) -> None:
     if not AXE.exists():
         pytest.skip("axe-core is missing (make page installs it, where there is npm)")

@@ -85,6 +85,7 @@ async def nothing(page: Page, name: str) -> None:
     """No picture is kept."""
 
 
+@pytest.mark.long
 def test_a_trial_is_begun_and_asked_about_on_the_page_and_stop_ends_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     asyncio.run(tried(tmp_path, DESK, nothing))

@@ -148,6 +148,7 @@ async def walked(folder: Path, sea: Sea, chart: Path, picture: Picture) -> None:
     await sea.nothing_amiss()
 
 
+@pytest.mark.long
 def test_a_cell_with_its_update_is_shown_sent_to_the_boat_and_there_after_a_restart(tmp_path: Path) -> None:
     asyncio.run(sailed_by(tmp_path, nothing))
 

@@ -74,6 +74,7 @@ async def seen(folder: Path, picture: Picture, *, dark: bool) -> None:
 
 
 @pytest.mark.parametrize("dark", [False, True], ids=["day", "night"])
+@pytest.mark.long
 def test_a_plan_across_an_island_is_refused_with_the_place_and_the_reason(dark: bool, tmp_path: Path) -> None:
     asyncio.run(seen(tmp_path, nothing, dark=dark))
 

@@ -9,6 +9,8 @@ import sys
 import tempfile
 from pathlib import Path
 
+import pytest
+
 from tests.console.chain import PATIENCE_S, Boat, Radio, afloat
 from tests.console.test_first_voyage import Visit, console
 from tests.console.test_survey_page import FIELDS, Picture, around, nothing, said, typed
@@ -93,6 +95,7 @@ async def voyage(folder: Path, picture: Picture) -> None:
             assert await sent(you, one) == whole
 
 
+@pytest.mark.long
 def test_lines_are_divided_among_boats_and_again_when_one_goes_home(tmp_path: Path) -> None:
     asyncio.run(voyage(tmp_path, nothing))
 

@@ -9,6 +9,8 @@ import tempfile
 from collections.abc import Awaitable, Callable
 from pathlib import Path
 
+import pytest
+
 from delfim.vehicle.operator.link import Link
 from tests.console.chain import PATIENCE_S, Boat, afloat
 from tests.console.test_first_voyage import Visit, console
@@ -76,6 +78,7 @@ async def nothing(*_: object) -> None:
     """No picture is kept."""
 
 
+@pytest.mark.long
 def test_the_range_and_what_the_way_home_takes_are_drawn_while_the_menu_is_open(tmp_path: Path) -> None:
     asyncio.run(shown(tmp_path, nothing, nothing))
 

@@ -11,6 +11,7 @@ import tempfile
 from pathlib import Path
 
 import msgspec
+import pytest
 
 from delfim import config
 from delfim.console.boats.soundings import HEAD
@@ -142,6 +143,7 @@ async def voyage(folder: Path, size: Size, picture: Picture) -> None:
         you.page.complaints.clear()
 
 
+@pytest.mark.long
 def test_the_gaps_of_a_survey_are_filled_also_after_console_and_page_were_started_again(tmp_path: Path) -> None:
     asyncio.run(voyage(tmp_path, PHONE, nothing))
 

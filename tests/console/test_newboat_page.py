@@ -10,6 +10,8 @@ from collections.abc import Awaitable, Callable
 from pathlib import Path
 from typing import Any
 
+import pytest
+
 from delfim import config
 from tests.console.chain import PATIENCE_S
 from tests.console.scenes import choose
@@ -82,6 +84,7 @@ async def asked(folder: Path, picture: Keep | None) -> None:
         await page.nothing_amiss()
 
 
+@pytest.mark.long
 def test_a_boats_file_is_written_by_questions_saved_and_checked(tmp_path: Path) -> None:
     asyncio.run(asked(tmp_path, None))
 

@@ -9,6 +9,8 @@ import tempfile
 from collections.abc import Awaitable, Callable
 from pathlib import Path
 
+import pytest
+
 from tests.console.chain import afloat
 from tests.console.scenes import choose
 from tests.console.test_first_voyage import DESK, PATIENCE_S, console
@@ -62,6 +64,7 @@ async def voyage(folder: Path, picture: Keep | None) -> None:
         await page.nothing_amiss()
 
 
+@pytest.mark.long
 def test_a_payloads_values_are_on_the_page_and_it_is_stopped_and_started_there(tmp_path: Path) -> None:
     asyncio.run(voyage(tmp_path, None))
 

@@ -4,6 +4,8 @@ import asyncio
 import json
 from pathlib import Path
 
+import pytest
+
 from delfim.console.plans.planfile import read_plan
 from tests.console.chain import PATIENCE_S, Boat, afloat
 from tests.console.test_first_voyage import DESK, Visit, console
@@ -80,5 +82,6 @@ async def visited(folder: Path) -> None:
             await walked(folder, you, boat)
 
 
+@pytest.mark.long
 def test_a_plan_of_another_program_is_dropped_sent_and_saved(tmp_path: Path) -> None:
     asyncio.run(visited(tmp_path))

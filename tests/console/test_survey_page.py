@@ -11,6 +11,8 @@ from collections.abc import AsyncIterator, Awaitable, Callable
 from pathlib import Path
 from typing import Any
 
+import pytest
+
 from tests.console.chain import PATIENCE_S, Boat, afloat
 from tests.console.test_first_voyage import NORTH_M, PHONE, TEXT, Size, Visit, console
 from tests.kit.pictures import keeper
@@ -140,6 +142,7 @@ async def nothing(page: Page, name: str) -> None:
     """No picture is kept."""
 
 
+@pytest.mark.long
 def test_an_area_is_drawn_its_lines_are_seen_while_the_form_changes_and_the_boat_gets_them(tmp_path: Path) -> None:
     asyncio.run(surveyed(tmp_path, DESK, nothing))
 

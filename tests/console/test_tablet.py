@@ -7,6 +7,8 @@ import socket
 from collections.abc import AsyncIterator
 from pathlib import Path
 
+import pytest
+
 from tests.console.chain import PATIENCE_S, Boat, _unused, afloat, select, shown_mode
 from tests.services.browser import Page, tab
 
@@ -90,6 +92,7 @@ async def enters(page: Page, url: str, token: str) -> None:
     await page.until("window.delfim !== undefined && document.querySelectorAll('.chip, .strip').length > 0", PATIENCE_S)
 
 
+@pytest.mark.long
 async def test_a_phone_alone_operates_the_boat_and_its_network_is_the_boats_link(tmp_path: Path) -> None:
     async with boat_with_page(tmp_path) as (boat, wireless, url), tab() as page:
         await enters(page, url, (tmp_path / "tablet/token").read_text().strip())

@@ -168,6 +168,7 @@ def test_the_command_tells_by_its_exit_code_and_how_to_repeat(tmp_path, seconds,
     assert (f"again: delfim sim {VEHICLE} --scenario {file} --seed 4" in ran.stderr) is bool(code)
 
 
+@pytest.mark.long
 def test_mixed_faults_end_in_nothing_that_must_never_happen(seeds):
     """No exception, not adrift under power, inside the fence, no stop without a reason; nothing that the second auditor finds:
     `pytest --seeds 1000` for more."""

@@ -209,6 +209,7 @@ def _middle(latitude_deg: float, longitude_deg: float) -> Origin:
 
 
 @pytest.mark.parametrize(("place", "count"), [(PELEE, 100_000), (BAY, 20_000)])
+@pytest.mark.long
 def test_no_dangerous_place_is_said_to_be_free(place: tuple[float, float], count: int, lake: EncCell) -> None:
     """The judge measures from the shapes themselves, without sides, knots or codes."""
     chart, boats = charted([lake], Need(0.5)), _middle(place[0] + 0.01, place[1] - 0.01)
