@@ -12,6 +12,7 @@ import { text } from "./dom";
 import { FACE, palette } from "./palette";
 import type { State } from "./state";
 
+const SEEN_MS = 500; // before it is loaded: most pages show the sea about a boat by then, where no land is drawn
 const STEPS = 500; // of a degree: web/land.mjs
 const FADES_FROM = 10; // zoom levels: 120 m a pixel off Lisbon, where its errors begin to be seen,
 const GONE_AT = 12; // and 30 m, where they would be taken for the shore
@@ -33,6 +34,7 @@ export class Land {
   private style = new Style();
   private dot = new Circle({ radius: 2.5 });
   private zoom = 0;
+  private due = 0;
 
   constructor(
     private readonly chart: Chart,
@@ -44,10 +46,18 @@ export class Land {
     chart.onZoom((zoom) => this.fade(zoom));
     state.on(["theme", "hello"], () => this.paint());
     this.paint();
-    void this.load();
   }
 
-  private async load(): Promise<void> {
+  /** Once, when it has been in sight for a moment. */
+  private load(): void {
+    if (this.due || !this.layer.getVisible()) return;
+    this.due = window.setTimeout(() => {
+      if (this.layer.getVisible()) void this.fetched();
+      else this.due = 0;
+    }, SEEN_MS);
+  }
+
+  private async fetched(): Promise<void> {
     const answer = await fetch("land.bin");
     if (!answer.ok) return;
     const features = [...polygons(new Uint8Array(await answer.arrayBuffer()))].map((rings) => new Feature(new Polygon(rings)));
@@ -74,6 +84,7 @@ export class Land {
       layer.setOpacity(opacity);
       layer.setVisible(opacity > 0);
     }
+    this.load();
     this.tell();
   }
 
