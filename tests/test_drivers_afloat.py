@@ -6,6 +6,7 @@ import os
 import select
 import signal
 import socket
+import threading
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -136,27 +137,31 @@ class TorqeedoMotors:
 
 
 class TorqlinkMotors:
-    """Two motors, each on a bus of its own, which are always ready."""
+    """Two motors, each on a bus of its own, which say ten times a second that they are ready, however busy the test is."""
 
     def __init__(self, place: Path, opened: contextlib.ExitStack) -> None:
-        buses = {name: f"canloop:torqlink-{name}-{os.getpid()}-{place.name[-8:]}" for name in ("starboard", "port")}
+        buses = {name: f"canloop:tq-{name[0]}-{os.getpid()}-{place.name[-8:]}" for name in ("starboard", "port")}
         self.values = tuple(f'torqlink.ports.{name}.interface="{bus}"' for name, bus in buses.items())
         self._played = {opened.enter_context(open_can(bus)): PlayedTorqlink() for bus in buses.values()}
         for bus in self._played:
             bus.bind(ANYTHING)
-        self._said_s = 0.0
+        ended = threading.Event()
+        speaking = threading.Thread(target=self._say, args=(ended,))
+        speaking.start()
+        opened.callback(speaking.join)
+        opened.callback(ended.set)
+
+    def _say(self, ended: threading.Event) -> None:
+        while not ended.wait(0.1):
+            for bus, motor in self._played.items():
+                word, data = motor.status()
+                bus.sendto(data, CanAddress(extended(word)))
 
     def efforts(self) -> tuple[float, float]:
-        """Each says that it is ready ten times a second, as often as somebody looks."""
-        now_s = time.monotonic()
-        due = now_s - self._said_s >= 0.1
         for bus, motor in self._played.items():
             while (frame := bus.receive()) is not None:
-                motor.hear(frame.identifier, frame.data, now_s)
-            if due:
-                self._said_s, (word, data) = now_s, motor.status()
-                bus.sendto(data, CanAddress(extended(word)))
-        starboard, port = (motor.effort(now_s) for motor in self._played.values())
+                motor.hear(frame.identifier, frame.data, time.monotonic())
+        starboard, port = (motor.effort(time.monotonic()) for motor in self._played.values())
         return starboard, port
 
     def stopped(self) -> bool:

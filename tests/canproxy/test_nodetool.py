@@ -1,17 +1,17 @@
-"""`delfim can nodes`, `param` and `firmware` against a node of pydronecan's on a loopback bus."""
+"""`delfim can nodes`, `param`, `restart` and `firmware` against a node of pydronecan's on a loopback bus."""
 
 import contextlib
 import itertools
 import os
-import threading
+import signal
+import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import dronecan
 import pytest
 from dronecan import uavcan
-from dronecan.node import Node
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -19,101 +19,12 @@ from delfim.__main__ import main
 from delfim.base.errors import FormatError
 from delfim.base.frames import Frame, extended
 from delfim.canproxy.dronecan import requests
-from delfim.canproxy.dronecan.datatypes import ARMING_STATUS, ON
 from delfim.canproxy.dronecan.requests import Parameter, ServiceReceiver, service_frames
-from delfim.canproxy.dronecan.transfers import COMMAND, Publisher
 from delfim.console.terminal import nodes
-from tests.esc_pair import Bus
+from delfim.console.terminal.nodes import HandedFile
+from tests.dronecan_device import PARAM, Device
 
-NUMBER = 42
-PARAM = uavcan.protocol.param
 _names = itertools.count()
-
-
-class Device:
-    """A node with parameters and a boot loader, in a thread of its own."""
-
-    def __init__(self, interface: str) -> None:
-        info = uavcan.protocol.GetNodeInfo.Response(name="org.example.esc")
-        info.software_version.major = 1
-        self.node = Node(Bus(interface), node_id=NUMBER, node_info=info)
-        self.node.mode = 0
-        self.values: dict[str, Any] = {"ESC_INDEX": 0, "KP": 0.25, "BI_DIRECTIONAL": False, "NAME": "esc"}
-        self.saved: dict[str, Any] | None = None
-        self.fetched, self.path, self.armed = b"", "", False
-        self.begins = 0  # the error by which it refuses an update
-        for kind, answer in (
-            (PARAM.GetSet, self._get_set),
-            (PARAM.ExecuteOpcode, self._execute),
-            (uavcan.protocol.file.BeginFirmwareUpdate, self._begin),
-        ):
-            self.node.add_handler(kind, answer)
-        self._stop = threading.Event()
-        self._thread = threading.Thread(target=self._run)
-        self._arming = Publisher(ARMING_STATUS, 10, COMMAND)
-        self._thread.start()
-
-    def close(self) -> None:
-        self._stop.set()
-        self._thread.join()
-        self.node.close()
-
-    def _run(self) -> None:
-        while not self._stop.is_set():
-            if self.armed:
-                for arb, data in self._arming.frames(ON):
-                    self.node.can_driver.can.sendmsg(Frame(arb, data))
-            self.node.spin(0.01)
-
-    def _get_set(self, event: Any) -> Any:
-        name = event.request.name.decode()
-        index = event.request.index
-        if not name and index < len(self.values):
-            name = list(self.values)[index]
-        answer = PARAM.GetSet.Response()
-        if name not in self.values:
-            return answer
-        asked = event.request.value
-        kind = dronecan.get_active_union_field(asked)
-        if kind != "empty":
-            value = getattr(asked, kind)
-            value = value.decode() if kind == "string_value" else bool(value) if kind == "boolean_value" else value
-            if name != "KP" or value <= 1.0:
-                self.values[name] = value
-        value = self.values[name]
-        fields = {bool: "boolean_value", int: "integer_value", float: "real_value", str: "string_value"}
-        setattr(answer.value, fields[type(value)], value)
-        if name == "ESC_INDEX":
-            answer.min_value.integer_value, answer.max_value.integer_value = 0, 31
-        answer.name = name
-        return answer
-
-    def _execute(self, event: Any) -> Any:
-        self.saved = dict(self.values) if event.request.opcode == event.request.OPCODE_SAVE else None
-        return PARAM.ExecuteOpcode.Response(ok=True)
-
-    def _begin(self, event: Any) -> Any:
-        if not self.begins:
-            self.node.mode = uavcan.protocol.NodeStatus().MODE_SOFTWARE_UPDATE
-            self.path, self.fetched = event.request.image_file_remote_path.path.decode(), b""
-            self._fetch(event.request.source_node_id)
-        return uavcan.protocol.file.BeginFirmwareUpdate.Response(error=self.begins)
-
-    def _fetch(self, server: int) -> None:
-        """As a boot loader does: again where no answer came, and the next piece until one is short."""
-        asked = uavcan.protocol.file.Read.Request(offset=len(self.fetched))
-        asked.path.path = self.path
-
-        def came(event: Any) -> None:
-            if event is not None:
-                data = bytes(event.response.data)
-                self.fetched += data
-                if len(data) < 256:
-                    self.node.mode, self.node.node_info.software_version.major = 0, 2
-                    return
-            self._fetch(server)
-
-        self.node.request(asked, server, came)
 
 
 @pytest.fixture
@@ -131,17 +42,18 @@ def test_a_node_is_listed_and_its_parameters_are_printed_set_saved_and_erased(
     device: Device, name: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["can", "nodes", name]) == 0
-    assert "42  org.example.esc                 1.0      well, operational" in capsys.readouterr().out
+    (row,) = [line for line in capsys.readouterr().out.splitlines() if line.startswith("  42")]
+    assert row.split() == ["42", "org.example.esc", "1.0", "well,", "operational", row.split()[5], "0.0", "00" * 16]
     assert main(["can", "param", name, "42"]) == 0
     assert capsys.readouterr().out.splitlines() == [
-        "ESC_INDEX = 0  (least 0, greatest 31)",
-        "KP = 0.25",
-        "BI_DIRECTIONAL = False",
-        "NAME = esc",
+        "ESC_INDEX = 0  (integer, least 0, greatest 31)",
+        "KP = 0.25  (real)",
+        "BI_DIRECTIONAL = False  (boolean)",
+        "NAME = esc  (text)",
     ]
     words = ["ESC_INDEX=3", "KP=0.1", "BI_DIRECTIONAL=true", "NAME=port", "ESC_INDEX", "--save"]
     assert main(["can", "param", name, "42", *words]) == 0
-    assert capsys.readouterr().out.splitlines()[-2:] == ["ESC_INDEX = 3  (least 0, greatest 31)", "node 42: saved"]
+    assert capsys.readouterr().out.splitlines()[-2:] == ["ESC_INDEX = 3  (integer, least 0, greatest 31)", "node 42: saved"]
     assert device.saved == {"ESC_INDEX": 3, "KP": pytest.approx(0.1), "BI_DIRECTIONAL": True, "NAME": "port"}
     assert main(["can", "param", name, "42", "--erase"]) == 0
     assert device.saved is None
@@ -200,17 +112,172 @@ def test_a_node_that_refuses_an_update_or_is_not_there(
     assert "node 43 does not answer GetSet" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("words", [["nodes"], ["param", "42", "ESC_INDEX=3"], ["firmware", "42", "FILE"]])
+def handing(name: str, file: Path, *words: str) -> int:
+    return main(["can", "firmware", name, "42", str(file), *words])
+
+
+@pytest.fixture
+def image(tmp_path: Path) -> Path:
+    """A program of 100 kB."""
+    file = tmp_path / "esc-2.0.bin"
+    file.write_bytes(b"DELF" + os.urandom(102_396))
+    return file
+
+
+@pytest.mark.usefixtures("at_once")
+def test_a_large_program_arrives_whole_though_the_bus_loses_frames(
+    device: Device, name: str, image: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """One of 997 frames, both ways: some five of a hundred pieces come damaged, and are asked for again."""
+    device.bus.each = 997
+    assert handing(name, image) == 0
+    assert device.fetched == image.read_bytes()
+    assert device.bus.lost > 10
+    assert [line for line in capsys.readouterr().out.splitlines() if line.endswith("%")] == [f"{n}0 %" for n in range(1, 11)]
+
+
+@pytest.mark.usefixtures("at_once")
+def test_a_node_that_falls_silent_is_told_with_what_it_got(
+    device: Device, name: str, image: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(nodes, "READ_S", 1.5)
+    device.silent_at = 25_600
+    assert handing(name, image) == 1
+    told = "node 42 got no further for 2 s; node 42 was handed 25600 of 102400 bytes: it needs a whole program before it can"
+    assert told in capsys.readouterr().err
+    device.silent_at, device.is_silent = -1, False
+    assert handing(name, image) == 0, "and gets it from its beginning"
+    assert device.fetched == image.read_bytes()
+
+
+@pytest.mark.usefixtures("at_once")
+def test_a_program_that_the_node_does_not_run_is_told(
+    device: Device, name: str, image: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its checksum is wrong, or it is another device's."""
+    monkeypatch.setattr(nodes, "BACK_S", 1.5)
+    device.wants_sound = True
+    image.write_bytes(b"WRONG" * 60)
+    assert handing(name, image) == 1
+    assert "node 42 has the whole file, and does not run its program: critical, maintenance" in capsys.readouterr().err
+    image.write_bytes(b"DELF" + bytes(300))
+    assert handing(name, image) == 0
+
+
+@pytest.mark.usefixtures("at_once")
+def test_a_node_whose_answer_gets_lost_has_begun_all_the_same(device: Device, name: str, image: Path) -> None:
+    device.is_mute = True
+    assert handing(name, image) == 0
+    assert device.fetched == image.read_bytes()
+
+
+def test_a_tool_that_is_killed_half_way_leaves_a_node_that_takes_the_program_anew(
+    device: Device, name: str, image: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    words = [sys.executable, "-m", "delfim", "can", "firmware", name, "42", str(image)]
+    with subprocess.Popen(words, stdout=subprocess.PIPE, text=True) as tool:
+        assert tool.stdout is not None
+        while tool.stdout.readline() != "40 %\n":
+            assert tool.poll() is None
+        tool.send_signal(signal.SIGKILL)
+    assert 0 < len(device.fetched) < 102_400
+    monkeypatch.setattr(nodes, "LISTEN_S", 0.1)
+    image.write_bytes(b"DELF" + os.urandom(102_396))
+    assert handing(name, image) == 0
+    assert device.fetched == image.read_bytes(), "and nothing of the one before"
+
+
+@pytest.mark.usefixtures("at_once")
+def test_an_update_that_is_broken_off_by_hand_says_what_the_node_lacks(
+    device: Device, name: str, image: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupted(tool: object, file: object) -> Iterator[int]:
+        yield 25_600
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(nodes.NodeTool, "serve", interrupted)
+    assert handing(name, image) == 1
+    assert "broken off; node 42 was handed" in capsys.readouterr().err
+
+
+@pytest.mark.usefixtures("at_once")
+def test_no_program_is_begun_while_a_boat_commands_motors_and_none_goes_on_while_they_are_armed(
+    device: Device, name: str, image: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    device.says = "idle"
+    assert handing(name, image) == 1
+    assert nodes.COMMANDED in capsys.readouterr().err
+    assert device.path == ""
+    assert main(["can", "param", name, "42", "ESC_INDEX=3"]) == 0, "parameters may be set in idle"
+    served = nodes.NodeTool.serve
+
+    def armed_under_way(tool: nodes.NodeTool, file: HandedFile) -> Iterator[int]:
+        for handed in served(tool, file):
+            device.says = "armed" if handed > 25_600 else "idle"
+            yield handed
+
+    monkeypatch.setattr(nodes.NodeTool, "serve", armed_under_way)
+    assert handing(name, image, "--idle") == 1
+    told = capsys.readouterr().err
+    assert f"{nodes.ARMED}; node 42 was handed " in told
+    assert len(device.fetched) < 102_400
+
+
+@pytest.mark.usefixtures("at_once")
+def test_a_node_starts_again_whether_it_answers_or_not(
+    device: Device, name: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    device.node.start_time_monotonic -= 3600.0
+    assert main(["can", "restart", name, "42"]) == 0
+    assert device.restarts == 1
+    assert "node 42 started again, and runs for" in capsys.readouterr().out
+    device.node.start_time_monotonic -= 3600.0
+    monkeypatch.setattr(requests, "RESTART", bytes(5))
+    assert main(["can", "restart", name, "42"]) == 1
+    assert "node 42 does not start again now" in capsys.readouterr().err
+    assert device.restarts == 1
+
+
+@given(st.lists(st.tuples(st.integers(0, 700), st.sampled_from(("esc.bin", "passwd"))), max_size=20), st.integers(1, 600))
+def test_a_file_is_handed_over_from_its_beginning_alone_and_no_other_is(asked: list[tuple[int, str]], length: int) -> None:
+    image, begun = os.urandom(length), False
+    file = HandedFile(42, "esc.bin", image)
+    for offset, path in asked:
+        answer = file.answer(offset.to_bytes(5, "little") + path.encode())
+        if path != "esc.bin":
+            assert answer == b"\x02\x00"
+            continue
+        begun = begun or offset == 0
+        assert answer == (b"\0\0" + image[offset : offset + 256] if begun else None)
+    assert file.handed <= length
+
+
+@given(st.binary(max_size=4))
+def test_a_request_that_is_cut_short_is_none(data: bytes) -> None:
+    with pytest.raises(FormatError):
+        HandedFile(42, "esc.bin", b"program").answer(data)
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["nodes"],
+        ["param", "42", "ESC_INDEX=3"],
+        ["restart", "42"],
+        ["firmware", "42", "FILE"],
+        ["firmware", "42", "FILE", "--idle"],
+    ],
+)
 def test_nothing_is_asked_while_motors_are_armed(
     device: Device, name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], words: list[str]
 ) -> None:
-    device.armed = True
+    device.says = "armed"
     file = tmp_path / "esc.bin"
     file.write_bytes(b"program")
     verb, *rest = words
     assert main(["can", verb, name, *[str(file) if word == "FILE" else word for word in rest]]) != 0
     assert nodes.ARMED in capsys.readouterr().err
-    assert (device.values["ESC_INDEX"], device.path) == (0, "")
+    assert (device.values["ESC_INDEX"], device.path, device.restarts) == (0, "", 0)
 
 
 # The codec.
