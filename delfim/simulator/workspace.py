@@ -35,6 +35,7 @@ NUMBERS: Final = 20  # simulations on one computer at most
 PORTS: Final = 10  # distance between the ports of two simulations
 PAGE, BOATS = "127.0.0.1:8765", "127.0.0.1:14550"  # of the console, where it is free
 RADIOS = ("mavlink.key", "mavlink.serial", "slipd.device")
+SIMULATED_PULSES: Final = {"pwm.arm_s": "0.5", "pwm.channel": "{}", "pwm.telemetry": "{}"}  # of ESCs that tell nothing
 HANDS: Final = ("handset.device", "kill.chip", "kill.line", "pwm.cut.chip", "pwm.cut.line")  # none of the real boat's
 
 
@@ -161,7 +162,7 @@ def settings_of(
     texts = {key: text for key, text in texts.items() if not (key.startswith("nmea0183.") and f"{key}.".startswith(given))}
     if vehicle.driven("played", False):
         texts["pwm.chip"] = f"{place}/pwmchip0"
-        values |= {"pwm.arm_s": "0.5", "pwm.channel": "{}", "thrusters": tables.inline(_by_pulses(vehicle, truth))}
+        values |= SIMULATED_PULSES | {"thrusters": tables.inline(_by_pulses(vehicle, truth))}
     texts = {key: text for key, text in texts.items() if not (key in OWN_PLACES and key in named)}
     if own := sorted({*texts, *values}.intersection(named) - HEEDED):
         raise DelfimError(f"--set {own[0]}: each simulation has its own; --output DIRECTORY names its folder")

@@ -1,9 +1,10 @@
 """The keys of motors and servos that are told by pulses (docs/pwm.md)."""
 
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import msgspec
 
+from delfim.base.ranges import Device, Name
 from delfim.base.tables import Table, text
 
 Pulse = Annotated[float, msgspec.Meta(ge=400.0, le=2600.0)]  # us
@@ -40,6 +41,13 @@ class PwmCut(Table, frozen=True):
             raise ValueError("an output needs both its chip and its line")
 
 
+class PwmTelemetry(Table, frozen=True):
+    """The telemetry wire of one ESC, which speaks by itself (KISS telemetry)."""
+
+    device: Device  # the serial port that it is wired to
+    pole_pairs: Annotated[int, msgspec.Meta(ge=1, le=100)] = 7  # of its motor: half of the magnets
+
+
 class Pwm(Table, frozen=True):
     """Motors and servos that are told by pulses: the kernel's PWM, or a PCA9685 (docs/pwm.md)."""
 
@@ -50,3 +58,16 @@ class Pwm(Table, frozen=True):
     arm_s: Annotated[float, msgspec.Meta(ge=0.0, le=60.0)] = 3.0  # neutral for so long after the start: an ESC arms by it
     channel: dict[PwmNumber, PwmChannel] = msgspec.field(default_factory=dict)  # those with other pulses than usual
     cut: PwmCut = PwmCut()
+    telemetry: dict[Name, PwmTelemetry] = msgspec.field(default_factory=dict)  # by the names of the thrusters
+
+    @property
+    def lines(self) -> dict[str, Table]:
+        """The lines of telemetry, by their keys."""
+        return {f"pwm.telemetry.{name}": wire for name, wire in self.telemetry.items()}
+
+    def settled(self, vehicle: Any) -> "Pwm":
+        names = {row.name for row in vehicle.thrusters if row.driver == "pwm"}
+        for name in self.telemetry:
+            if name not in names:
+                raise ValueError(f"pwm.telemetry: {name} is no thruster that is told by pulses")
+        return self
