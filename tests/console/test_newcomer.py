@@ -55,12 +55,15 @@ class Console:
         return boat
 
     async def until(self, expression: str) -> None:
-        """Until it is so in the page; boats speak meanwhile."""
-        async with asyncio.timeout(200):
-            while not await self.page.value(expression):
-                for boat in self.boats:
-                    boat.tick()
-                await asyncio.sleep(0.05)
+        """Until it is so in the page."""
+        await self.page.until(expression)
+
+    async def speak(self) -> None:
+        """The boats speak, whatever the test waits for."""
+        while True:
+            for boat in self.boats:
+                boat.tick()
+            await asyncio.sleep(0.05)
 
     async def said(self, words: str) -> None:
         await self.until(f"document.getElementById('messages').textContent.includes({words!r})")
@@ -83,6 +86,7 @@ async def console(
     async with asyncio.TaskGroup() as group, tab() as page:
         task = group.create_task(serve(gateway, None if tapes else ("127.0.0.1", port), ("127.0.0.1", 0), ready.set_result))
         it = Console(gateway, port, await ready, page, folder)
+        speaking = group.create_task(it.speak())
         try:
             await page.open(it.url, width=1200, height=760, scale=1.0, dark=dark)
             await it.page.until("delfim.online()")
@@ -92,6 +96,7 @@ async def console(
             sized = await page.value("document.querySelector('meta[name=viewport]').content")
             assert "user-scalable" not in sized, "two fingers make it larger"
         finally:
+            speaking.cancel()
             it.hang_up()
             task.cancel()
 
@@ -184,7 +189,7 @@ async def test_what_is_aboard_is_drawn_and_a_mode_that_would_sail_it_asks_first(
     ]
     await it.until("delfim.drawn().aboard === 3 && delfim.drawn().plan === 3")
     await it.page.press("y")
-    await until(it, boat, 1)
+    await until(boat, 1)
     boat.mode = 4
     for _ in range(2):
         await it.page.press("w")
@@ -196,24 +201,23 @@ async def test_what_is_aboard_is_drawn_and_a_mode_that_would_sail_it_asks_first(
         await it.page.until("document.querySelector('.popup header')?.textContent.includes('The plan is not aboard')")
         await it.page.press("Escape")
     await it.page.press("h")
-    await until(it, boat, 1)
+    await until(boat, 1)
     assert boat.obeyed[0]["command"] == "heading"
     boat.obeyed.clear()
     boat.mode = Mode.PLAY
     await it.until("document.querySelector('.chip.selected').dataset.mode === 'play'")
     await it.page.press("y")
     await choose(it.page, "Hold, send the plan, then play it")
-    await until(it, boat, 2)
+    await until(boat, 2)
     assert boat.obeyed == [{"command": "mode", "mode": "hold"}, {"command": "play"}]
     assert len(boat.aboard[0]) == 4, "it was sent before"
     assert await it.page.value("delfim.drawn().aboard") == 4
 
 
-async def until(it: Console, boat: FakeBoat, commands: int) -> None:
+async def until(boat: FakeBoat, commands: int) -> None:
     """Until the boat has obeyed so many."""
     async with asyncio.timeout(200):
         while len(boat.obeyed) < commands:
-            boat.tick()
             await asyncio.sleep(0.02)
 
 
