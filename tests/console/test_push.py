@@ -72,6 +72,10 @@ def test_whatever_a_page_gives_is_checked(p256dh: str, auth: str, endpoint: str)
         "https://[::1]/a",
         "https://localhost/a",
         "https://boat/a",
+        "https://push..example.org/a",
+        f"https://{'a' * 64}.example.org/a",
+        "https://pus\u0301h.example.org/a",
+        "https://push.exam ple.org/a",
         "https://ana:secret@push.example.org/a",
         "https://push.example.org:x/a",
         "file:///etc/passwd",
@@ -212,3 +216,21 @@ def test_a_file_that_is_wrong_says_so_and_wakes_nobody(tmp_path: Path) -> None:
         desk = PushDesk(tmp_path / "push.json", OperatorsFile(None), ManualClock())
         assert "who is to be woken is lost" in desk.reason
     assert BROWSERS_MAX == 16
+
+
+async def test_a_place_that_cannot_be_asked_is_told_and_the_others_are_woken(tmp_path: Path, certificate: Path) -> None:
+    wrong = PushSubscription("https://wrong.example.org/a", Browser().keys)
+    async with watching(tmp_path, certificate, wrong, Browser().at("one")) as watch:
+        found = watch.service.resolve
+
+        async def resolve(name: str, *rest: Any) -> Any:
+            if name.startswith("wrong"):
+                raise UnicodeError("label empty or too long")
+            return await found(name, *rest)
+
+        watch.service.resolve = resolve  # type: ignore[method-assign]
+        watch.look()
+        watch.alerts.hear(1, ALARM, "port propeller blocked: stop")
+        watch.look()
+        assert len(await watch.heard(1)) == 1
+        assert "nobody is woken by push: label empty or too long" in watch.desk.reason

@@ -134,7 +134,7 @@ class PushDesk:
             await asyncio.sleep(wait_s)
             try:
                 why, is_final = await self._ask(session, to, message)
-            except (ClientError, OSError, TimeoutError, DelfimError) as error:
+            except (ClientError, OSError, TimeoutError, DelfimError, ValueError) as error:  # a name that is none, too
                 why, is_final = f"nobody is woken by push: {in_words(error) or type(error).__name__}", False
             if is_final:
                 break

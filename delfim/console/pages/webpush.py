@@ -5,6 +5,7 @@ import base64
 import binascii
 import json
 import os
+import re
 import struct
 from typing import TYPE_CHECKING, Annotated, Final
 from urllib.parse import urlsplit
@@ -19,6 +20,7 @@ if TYPE_CHECKING:  # asyncssh brings it; a console without a subscription does w
 PLAIN_MAX: Final = 3000  # bytes of a message: services take 4096 with all that is around
 RECORD: Final = 4096
 LIFE_S: Final = 12 * 3600  # of a word for a service, which may last for a day
+_NAME: Final = re.compile(r"[a-z0-9-]{1,63}(\.[a-z0-9-]{1,63})+", re.ASCII)  # another cannot be looked up
 Coded = Annotated[str, msgspec.Meta(max_length=100)]  # bytes as base64url
 
 
@@ -41,7 +43,7 @@ class PushSubscription(msgspec.Struct, frozen=True):
             host, port = place.hostname or "", place.port
         except ValueError:
             raise FormatError("endpoint: not an address") from None
-        is_name = "." in host and not host.replace(".", "").isdigit() and ":" not in host
+        is_name = _NAME.fullmatch(host) and not host.replace(".", "").isdigit()
         if place.scheme != "https" or port not in (None, 443) or not is_name or place.username is not None:
             raise FormatError("endpoint: only https at a public name")
         if len(decoded(self.keys.auth)) != 16:
