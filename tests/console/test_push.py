@@ -223,10 +223,10 @@ async def test_a_place_that_cannot_be_asked_is_told_and_the_others_are_woken(tmp
     async with watching(tmp_path, certificate, wrong, Browser().at("one")) as watch:
         found = watch.service.resolve
 
-        async def resolve(name: str, *rest: Any) -> Any:
+        async def resolve(name: str, *rest: Any, **more: Any) -> Any:
             if name.startswith("wrong"):
                 raise UnicodeError("label empty or too long")
-            return await found(name, *rest)
+            return await found(name, *rest, **more)
 
         watch.service.resolve = resolve  # type: ignore[method-assign]
         watch.look()
