@@ -279,7 +279,6 @@ OWN: Final = {  # in the order in which sources are listed
             after="torqeedo",
             ask="delfim.parts.torqeedo.ask_torqlink",
             driver="delfim.parts.torqeedo.torqlink",
-            protocol="TorqLink",
             drives=Drives(turns=0),
         ),
         Part(

@@ -29,6 +29,10 @@ BOATS = {
     "vesc-duty": (f"thrusters=[{SKIFF}]".replace("DRIVER", "vesc"), 'vesc.command="duty"'),
     "pwm": (f"thrusters=[{OUTBOARD}]".replace("DRIVER", "pwm"),),
     "otter": (f"thrusters=[{SKIFF}]".replace("DRIVER", "otter"),),
+    "torqlink": (
+        f"thrusters=[{SKIFF}]".replace("DRIVER", "torqlink"),
+        *(f'torqlink.ports.{name}.interface="can{at}"' for at, name in ((1, "starboard"), (2, "port"))),
+    ),
     "mavlink": (f"thrusters=[{SKIFF}]".replace("DRIVER", "mavlink_front_seat"),),
 }
 COMMANDED = {"dronecan": r" 0804060A#", "vesc": r" 000003[0-9A-F]{2}#"}

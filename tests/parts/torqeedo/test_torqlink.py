@@ -236,5 +236,5 @@ def test_each_motor_has_a_bus_of_its_own_which_nobody_else_shares() -> None:
         loaded(ports[0])
     with pytest.raises(ConfigError, match="starboard and port have one bus, can1: both would obey each command"):
         loaded(ports[0], 'torqlink.ports.port.interface="can1"')
-    with pytest.raises(ConfigError, match=r"can0 carries DSOR \(can.interface\) already, and this is TorqLink"):
+    with pytest.raises(ConfigError, match=r"can0 carries DSOR \(can.interface\) already, and this is torqlink"):
         loaded(ports[0], 'torqlink.ports.port.interface="can0"')
