@@ -77,7 +77,9 @@ class Part(NamedTuple):
     troubles: tuple[TroubleRow, ...] = ()
     modes: tuple[ModeRow, ...] = ()
     orders: tuple[OrderRow, ...] = ()
-    played: str = ""  # its device in simulation: module with `devices_of` on a bus, or `instrument_of` on a line
+    played: str = (
+        ""  # its device in simulation: module with `devices_of` on a bus (`buses_of`: several), or `instrument_of` on a line
+    )
     api: int = API
     drives: Drives = Drives()  # the facts of its driver
     protocol: str = ""  # that its bus carries, where others have it, too
@@ -279,6 +281,7 @@ OWN: Final = {  # in the order in which sources are listed
             after="torqeedo",
             ask="delfim.parts.torqeedo.ask_torqlink",
             driver="delfim.parts.torqeedo.torqlink",
+            played="delfim.parts.torqeedo.sim",
             drives=Drives(turns=0),
         ),
         Part(

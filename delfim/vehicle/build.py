@@ -76,6 +76,9 @@ def build(
     actuators = tuple(open_actuator(name, settings, to_actuators) for name in settings.drivers)
     if settings.aboard:
         actuators = foreign.actuators(settings, actuators, state)
+    for each in actuators:
+        if hasattr(each, "begin"):  # its motors turn only once they were heard
+            each.begin(state, clock.monotonic_s())
     propulsion = Propulsion(actuators, links.bus(settings.can.interface, ()), settings.thrusters, state)
     guest = make_guest(state, clock)
     aboard = tuple(opened_part(part, OpenedWith(settings, clock, state, links, log, guest)) for part in fitted(settings))

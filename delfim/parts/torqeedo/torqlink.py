@@ -107,6 +107,10 @@ class Torqlinks:
         self._motors = self.inputs = motors
         self._told_s = -math.inf
 
+    def begin(self, state: State, now_s: float) -> None:
+        """Note that no motor is ready before it says so: one that is never heard is a thruster that does not obey."""
+        state.thrusters |= {each.name: ThrusterReport(now_s, refuses=each.withheld(now_s)) for each in self._motors}
+
     def send(self, sent: Actuation, now_s: float) -> int:
         self._told_s = now_s
         return sum(each.send(sent, now_s) for each in self._motors)
@@ -124,7 +128,7 @@ class Torqlinks:
         """Do nothing: the bus has no message for that."""
 
     def report(self) -> dict[str, object]:
-        """The motors that are told nothing but neutral, and why: of one that was never heard nothing else tells."""
+        """The motors that are told nothing but neutral, and why."""
         return {each.name: why for each in self._motors if (why := each.withheld(self._told_s))}
 
 

@@ -14,7 +14,8 @@ from delfim.vehicle.state import Actuation
 
 
 class Actuator(Protocol):
-    """A driver takes its rows of a command for all thrusters. No method waits, and only `stop` raises."""
+    """A driver takes its rows of a command for all thrusters. No method waits, and only `stop` raises. One whose motors turn
+    only once they were heard has `begin(state, now_s)`, too, which says so in the state."""
 
     name: str  # as `driver` in the vehicle's file
     period_s: float | None  # how often its devices want to hear something; None: once per control cycle is enough

@@ -16,10 +16,13 @@ from delfim.base.errors import ConfigError
 from delfim.base.frames import extended, identifier
 from delfim.canproxy.opening import open_bound
 from delfim.canproxy.socket import ANYTHING, CanAddress, CanSocket, accepts
+from delfim.parts.torqeedo.sim import ReadyMotor
 from delfim.parts.torqeedo.table import TorqlinkPort, TorqlinkTable
 from delfim.parts.torqeedo.torqlink import HEARD, NEUTRAL_S, SETTLE_S, SILENT_S, Torqlinks, command, open_actuator
+from delfim.simulator.lockstep import Lockstep
+from delfim.vehicle import console
 from delfim.vehicle.links import Links
-from delfim.vehicle.state import State, ThrusterReport
+from delfim.vehicle.state import NoLog, State, ThrusterReport
 from tests.vehicle.played_devices import PlayedTorqlink
 from tests.vehicle.test_drivers import AHEAD, NAMES, OFF, near, settings
 
@@ -238,3 +241,29 @@ def test_each_motor_has_a_bus_of_its_own_which_nobody_else_shares() -> None:
         loaded(ports[0], 'torqlink.ports.port.interface="can1"')
     with pytest.raises(ConfigError, match=r"can0 carries DSOR \(can.interface\) already, and this is torqlink"):
         loaded(ports[0], 'torqlink.ports.port.interface="can0"')
+
+
+def boat(*values: str) -> Lockstep:
+    ports = [f'torqlink.ports.{name}.interface="can{at + 1}"' for at, name in enumerate(NAMES)]
+    return Lockstep(loaded(*ports, *values), 1, lambda clock: NoLog())
+
+
+def test_a_boat_is_driven_in_lock_step() -> None:
+    run = boat()
+    list(run.cycles(3.0))
+    for _ in run.cycles(10.0):
+        assert run.command(console.Manual(starboard=0.6, port=0.6)) is None
+    assert run.nodes.model.surge_mps > 0.5
+    assert not run.state.notices
+    assert [run.state.thrusters[name].refuses for name in NAMES] == ["", ""]
+    run.close()
+
+
+def test_motors_that_were_never_heard_are_told_in_words(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(ReadyMotor, "step", lambda motor, now_s, utc_ns: [])
+    run = boat()
+    list(run.cycles(3.0))
+    for _ in run.cycles(8.0):
+        run.command(console.Manual(starboard=0.6, port=0.6))
+    assert any("propeller silent for" in each.reason for each in run.state.notices), run.state.notices
+    run.close()
