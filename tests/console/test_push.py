@@ -233,4 +233,4 @@ async def test_a_place_that_cannot_be_asked_is_told_and_the_others_are_woken(tmp
         watch.alerts.hear(1, ALARM, "port propeller blocked: stop")
         watch.look()
         assert len(await watch.heard(1)) == 1
-        assert "nobody is woken by push: label empty or too long" in watch.desk.reason
+        assert "label empty or too long" in watch.desk.reason
