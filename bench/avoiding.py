@@ -3,7 +3,7 @@
 MOOS-IvP is found by its `MOOSDB` in PATH, in the checkout in which it was built; a C++ compiler must be there, too. Its helm
 runs in lock step (`bench/moosavoid.cpp`): four times a second it is told where the boat and all ships truly are, and what it
 decides the boat steers, as a front seat does (grex mode), with the guard off. The guard hears perfect AIS each second. No wind,
-no current. What is fair about it and what is not: docs/encounters.md
+no current, whatever the vehicle's file has. What is fair about it and what is not: docs/encounters.md
 """
 
 import argparse
@@ -28,11 +28,29 @@ from delfim.vehicle import console
 from delfim.vehicle.state import NoLog
 
 FILE: Final = "etc/encounters/imazu22-similar.toml"
-PERFECT: Final = 'simulation.traffic.heard="perfect"'
+CALM: Final = ('simulation.traffic.heard="perfect"', "simulation.sea.current_mps=0.0", "simulation.sea.wind_mps=0.0")
 HELM_S: Final = 0.25
-DEFAULT: Final = "pwt_outer_dist=100"  # as the behaviour has them without a file: inner 90 m, CPA 10 to 75 m
-SCALED: Final = "pwt_outer_dist=540 pwt_inner_dist=270 min_util_cpa_dist=60 max_util_cpa_dist=120"
-PILOTS: Final = {"Delfim, as shipped": None, "MOOS-IvP, its defaults": DEFAULT, "MOOS-IvP, as large as these domains": SCALED}
+
+
+class Parameters(NamedTuple):
+    """What the helm's behaviours are told, as "name=value" after each other."""
+
+    avoid: str  # BHV_AvdColregsV22
+    way: str = ""  # BHV_Waypoint. Without `lead` it steers for the end of the line, else for a point so far ahead on it
+
+
+DEFAULT: Final = Parameters("pwt_outer_dist=100")  # as the behaviour has them without a file: inner 90 m, CPA 10 to 75 m
+SCALED: Final = Parameters("pwt_outer_dist=540 pwt_inner_dist=270 min_util_cpa_dist=60 max_util_cpa_dist=120")
+BERTA: Final = Parameters(  # of the mission m2_berta, which is for smaller boats, six times as large
+    "pwt=150 pwt_outer_dist=480 pwt_inner_dist=300 min_util_cpa_dist=60 max_util_cpa_dist=108 use_refinery=true", "lead=48"
+)
+PILOTS: Final = {
+    "Delfim, as shipped": None,
+    "MOOS-IvP, its defaults": DEFAULT,
+    "MOOS-IvP, as large as these domains": SCALED,
+    "the same, led along the line (lead 20 m)": SCALED._replace(way="lead=20"),
+    "MOOS-IvP, its mission Berta, six times as large": BERTA,
+}
 
 
 class Avoided(NamedTuple):
@@ -50,9 +68,9 @@ class Avoided(NamedTuple):
 class MoosHelm:
     """The helm of MOOS-IvP, in a process of its own."""
 
-    def __init__(self, program: Path, run: Lockstep, speed_mps: float, parameters: str) -> None:
+    def __init__(self, program: Path, run: Lockstep, speed_mps: float, parameters: Parameters) -> None:
         self._run, self._due_s = run, START_S
-        words = [str(program), f"{speed_mps}", str(len(run.nodes.vessels)), "0", f"{1e5}", parameters]
+        words = [str(program), f"{speed_mps}", str(len(run.nodes.vessels)), "0", f"{1e5}", *parameters]
         pipe, nowhere = subprocess.PIPE, subprocess.DEVNULL
         self.process = subprocess.Popen(words, text=True, bufsize=1, stdin=pipe, stdout=pipe, stderr=nowhere)
         self._asked = 0.0, speed_mps
@@ -95,9 +113,9 @@ def built(place: Path) -> Path | None:
     return program
 
 
-def sailed(staged: Staged, file: str, program: Path | None, parameters: str | None) -> Avoided:
+def sailed(staged: Staged, file: str, program: Path | None, parameters: Parameters | None) -> Avoided:
     """One encounter, by the guard, or where there are parameters by the helm. Raises DelfimError."""
-    lower = (PERFECT, f"traffic.guard.enabled={'true' if parameters is None else 'false'}")
+    lower = (*CALM, f"traffic.guard.enabled={'true' if parameters is None else 'false'}")
     settings = settings_of(staged.scenario, file, lower)
     run = Lockstep(settings, 1, lambda clock: NoLog())
     tape, speed_mps, helm = RuleTape(run), settings.control.speed.cruise_mps, None
@@ -137,6 +155,13 @@ def _north_m(tape: RuleTape) -> float:
     return next(each.north_m for each in tape.instants if each.t_s >= START_S)
 
 
+def told(row: Avoided) -> str:
+    """A case in a line."""
+    near = ", ".join(f"{each:.2f}" for each in row.nearest)
+    words = f"{row.name}: {row.collisions} collisions, {row.entered} entered, {near}, {row.late_s:.0f} s late"
+    return f"{words}, not kept: {', '.join(row.broken)}" if row.broken else words
+
+
 def table(rows: dict[str, list[Avoided]]) -> str:
     """The table of the document."""
     lines = [
@@ -165,12 +190,10 @@ def run(asked: argparse.Namespace) -> int:
             print("MOOS-IvP is not built here (no MOOSDB in PATH): Delfim alone")
         for name, parameters in PILOTS.items():
             if parameters is None or program is not None:
-                rows[name] = [sailed(each, asked.file, program, parameters) for each in cases(asked.quick)]
-                for row in rows[name]:
-                    if row.entered or row.broken:
-                        print(
-                            f"  {name}: {row.name}: {row.entered} entered, {min(row.nearest):.2f}, {', '.join(row.broken)}",
-                            flush=True,
-                        )
+                rows[name] = []
+                for each in cases(asked.quick):
+                    row = sailed(each, asked.file, program, parameters)
+                    rows[name].append(row)
+                    print(f"  {name}: {told(row)}", flush=True)
     print(table(rows))
     return 0

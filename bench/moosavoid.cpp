@@ -1,8 +1,8 @@
-// The helm of MOOS-IvP in lock step, for `python -m bench.colregs`: its engine, BHV_Waypoint along a line, and BHV_AvdColregsV22 for
+// The helm of MOOS-IvP in lock step, for `python -m bench avoiding`: its engine, BHV_Waypoint along a line, and BHV_AvdColregsV22 for
 // each ship, without its data base and its clock. What pContactMgr and pHelmIvP's mail do is done here: each ship is in the ledger.
 //
-// moosavoid TURN_MPS COUNT X Y PARAMETERS   X, Y: the end of the line, m to the east and the north; PARAMETERS of the behaviour, as
-//                                           "pwt_outer_dist=540 max_util_cpa_dist=120"
+// moosavoid SPEED COUNT X Y PARAMETERS WAY   X, Y: the end of the line, m to the east and the north; PARAMETERS of BHV_AvdColregsV22,
+//                                            as "pwt_outer_dist=540 max_util_cpa_dist=120"; WAY: those of BHV_Waypoint, as "lead=20"
 // It reads lines "TIME X Y HEADING SPEED", each followed by "X Y HEADING SPEED" of all COUNT ships, in s, m, degrees and m/s, and
 // answers each with "HEADING SPEED", or "none".
 
@@ -28,6 +28,11 @@ void take(IvPBehavior& behavior, const std::string& name, const std::string& val
   }
 }
 
+void take_all(IvPBehavior& behavior, const char* words) {
+  std::istringstream parameters(words);
+  for (std::string each; parameters >> each;) take(behavior, each.substr(0, each.find('=')), each.substr(each.find('=') + 1));
+}
+
 void begin(IvPBehavior& behavior, const std::string& name, InfoBuffer& known, LedgerSnap& ships) {
   behavior.setInfoBuffer(&known);
   behavior.setLedgerSnap(&ships);
@@ -40,7 +45,7 @@ std::string ship(int number) { return "ship" + std::to_string(number); }
 }  // namespace
 
 int main(int count_of_words, char** words) {
-  if (count_of_words != 6) return 2;
+  if (count_of_words != 7) return 2;
   const std::string speed = words[1], end = std::string(words[3]) + "," + words[4];
   const int ships = std::atoi(words[2]);
   std::ostream answers(std::cout.rdbuf());
@@ -60,8 +65,9 @@ int main(int count_of_words, char** words) {
   auto* way = new BHV_Waypoint(domain);
   begin(*way, "way", known, ledger);
   for (const auto& [name, value] : std::vector<std::pair<std::string, std::string>>{
-           {"points", "0,0:" + end}, {"speed", speed}, {"capture_radius", "10"}, {"slip_radius", "30"}, {"lead", "20"}, {"pwt", "100"}})
+           {"points", "0,0:" + end}, {"speed", speed}, {"capture_radius", "10"}, {"slip_radius", "30"}, {"pwt", "100"}})
     take(*way, name, value);
+  take_all(*way, words[6]);
   way->onSetParamComplete();
   behaviors.addBehavior(way);
   for (int i = 0; i < ships; ++i) {
@@ -70,8 +76,7 @@ int main(int count_of_words, char** words) {
     take(*avoid, "contact", ship(i));
     take(*avoid, "pwt", "500");
     take(*avoid, "completed_dist", "100000");  // it is there from the start, as pContactMgr would have it nearer by
-    std::istringstream parameters(words[5]);
-    for (std::string each; parameters >> each;) take(*avoid, each.substr(0, each.find('=')), each.substr(each.find('=') + 1));
+    take_all(*avoid, words[5]);
     avoid->onSetParamComplete();
     behaviors.addBehavior(avoid);
   }

@@ -2,13 +2,16 @@
 
 import sys
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import pytest
 
 from bench import avoiding
 from delfim.base.errors import DelfimError
+from delfim.config import Vehicle
 from delfim.simulator.scenarios.encounters import Staged
+from delfim.simulator.tables import Sea
 
 VEHICLE = "etc/delfimx.toml"
 TO_THE_EAST = """
@@ -36,16 +39,30 @@ def helm(tmp_path: Path, text: str) -> Path:
 
 
 def test_what_the_helm_decides_is_steered(short: Staged, tmp_path: Path) -> None:
-    away = avoiding.sailed(short, VEHICLE, helm(tmp_path, TO_THE_EAST), "pwt_outer_dist=100")
+    away = avoiding.sailed(short, VEHICLE, helm(tmp_path, TO_THE_EAST), avoiding.DEFAULT)
     on = avoiding.sailed(short, VEHICLE, None, None)
     assert away.late_s > 40.0
     assert abs(on.late_s) < 10.0
     assert (away.collisions, on.entered, len(on.nearest)) == (0, 0, 1)
 
 
+def test_all_pilots_sail_in_a_calm(short: Staged, monkeypatch: pytest.MonkeyPatch) -> None:
+    seen = list[Sea]()
+    started = avoiding.settings_of
+
+    def checked(*words: Any) -> Vehicle:
+        settings = started(*words)
+        seen.append(settings.simulation.sea)
+        return settings
+
+    monkeypatch.setattr(avoiding, "settings_of", checked)
+    avoiding.sailed(short, VEHICLE, None, None)
+    assert [(each.current_mps, each.wind_mps) for each in seen] == [(0.0, 0.0)]
+
+
 def test_a_helm_that_ends_is_told(short: Staged, tmp_path: Path) -> None:
     with pytest.raises(DelfimError, match="moosavoid ended"):
-        avoiding.sailed(short, VEHICLE, helm(tmp_path, "import sys; sys.stdin.readline()"), "pwt_outer_dist=100")
+        avoiding.sailed(short, VEHICLE, helm(tmp_path, "import sys; sys.stdin.readline()"), avoiding.DEFAULT)
 
 
 def test_without_moos_there_is_no_helm(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
