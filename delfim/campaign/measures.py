@@ -3,7 +3,7 @@
 import hashlib
 import math
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Final, NamedTuple
 
 from delfim.base.clock import ManualClock
@@ -142,6 +142,11 @@ def _checks(sailed: Sailed) -> list[Check]:
     return sailed.truth.rules.checks()
 
 
+def _least(distances_m: Iterable[float]) -> float | None:
+    """The smallest distance; None of those that were never measured, which are infinite."""
+    return min(filter(math.isfinite, distances_m), default=None)
+
+
 def _entered(sailed: Sailed) -> int:
     return sum(each.nearest < 1.0 for each in sailed.run.nodes.vessels)
 
@@ -186,13 +191,13 @@ MEASURES: Final = (
         "clear_m",
         "DOUBLE",
         "smallest distance from the hull to one of them, of swimmers while a propeller turned; negative: it struck it",
-        lambda s: min((each.nearest_m for each in s.run.nodes.things), default=None),
+        lambda s: _least(each.nearest_m for each in s.run.nodes.things),
     ),
     Measure(
         "still_m",
         "DOUBLE",
         "the same to a swimmer while the propellers stood still; negative: it touched",
-        lambda s: min((each.still_m for each in s.run.nodes.things), default=None),
+        lambda s: _least(each.still_m for each in s.run.nodes.things),
     ),
     Measure("alterations", "INTEGER", "courses that were taken and kept", lambda s: alterations(s.truth.rules.instants)),
     Measure("off_m", "DOUBLE", "farthest from the line of an encounter", lambda s: s.truth.rules.off_m),

@@ -51,6 +51,15 @@ def test_a_mission_is_measured(tmp_path):
     assert row["faults"] == 0
 
 
+def test_what_was_never_beside_a_swimmer_has_no_distance_to_one(tmp_path):
+    """A page cannot draw how infinite distances are spread."""
+    vary = "[vary]", '"simulation.things.world" = ["pocket"]'
+    _, plan = read(written(tmp_path, f'mission = "{ETC}/missions/doca.toml"', "seeds = {count = 1}", "seconds = 20.0", *vary))
+    (row,) = sailing.sail_batch(plan, Batch(0, ((0, 1),)), sailing.VERSION)
+    assert (row["things"] > 0, row["still_m"]) == (True, None)
+    assert row["clear_m"] > 0.0
+
+
 def test_a_fault_of_a_scenario_is_varied_and_drawn(tmp_path):
     trial = f'scenario = "{ETC}/campaigns/trials/one-fault.toml"'
     vary = '"fault.kind" = ["navigation_silent", "gnss_poor"]'
