@@ -10,7 +10,7 @@ where all of it is in a domain: where none is left, no boat could have stayed cl
 import argparse
 import math
 from collections.abc import Sequence
-from typing import Final
+from typing import Final, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,21 +23,28 @@ OWN_MPS: Final = 1.5
 CELL_M: Final = 2.0
 STEP_S: Final = 12.0  # in which the boat sails nine squares
 AFTER_S: Final = 300.0
-SQUARES_A_STEP: Final = round(OWN_MPS * STEP_S / CELL_M) + 1  # one more, because squares are coarse
-SQUARES: Final = 2 * SQUARES_A_STEP * round(AFTER_S / STEP_S) + 1
 SMALL: Final = LIMITS._replace(stand_on="small")
 Squares = NDArray[np.bool_]
 
 
-def escapes(begin: Instant, ships: Sequence[Ship]) -> bool:
+class Sailing(Protocol):
+    """A ship, at any time."""
+
+    def at(self, t_s: float) -> Ship:
+        """Where it is then."""
+
+
+def escapes(begin: Instant, ships: Sequence[Sailing], own_mps: float = OWN_MPS) -> bool:
     """Whether some way from here stays out of all domains for five minutes."""
-    middle = SQUARES // 2
-    steps = (np.arange(SQUARES) - middle) * CELL_M
+    squares_a_step = round(own_mps * STEP_S / CELL_M) + 1  # one more, because squares are coarse
+    middle = squares_a_step * round(AFTER_S / STEP_S)
+    squares = 2 * middle + 1
+    steps = (np.arange(squares) - middle) * CELL_M
     north_m, east_m = np.meshgrid(begin.own.north_m + steps, begin.own.east_m + steps, indexing="ij")
-    there = np.zeros((SQUARES, SQUARES), dtype=bool)
+    there = np.zeros((squares, squares), dtype=bool)
     there[middle, middle] = True
     for tick in range(1, round(AFTER_S / STEP_S) + 1):
-        there = spread(there)
+        there = spread(there, squares_a_step)
         for ship in ships:
             there &= ~taken(ship, begin.t_s + tick * STEP_S, north_m, east_m)
         if not there.any():
@@ -45,13 +52,13 @@ def escapes(begin: Instant, ships: Sequence[Ship]) -> bool:
     return True
 
 
-def spread(there: Squares) -> Squares:
-    """The squares that are reached within a step."""
-    found: Squares = distance_transform_edt(~there) <= SQUARES_A_STEP
+def spread(there: Squares, squares: int) -> Squares:
+    """All that is so many squares from these, or less."""
+    found: Squares = distance_transform_edt(~there) <= squares
     return found
 
 
-def taken(ship: Ship, t_s: float, north_m: NDArray[np.float64], east_m: NDArray[np.float64]) -> Squares:
+def taken(ship: Sailing, t_s: float, north_m: NDArray[np.float64], east_m: NDArray[np.float64]) -> Squares:
     """The squares of which all is in the domain of a ship then."""
     at = ship.at(t_s)
     along_m, across_m = axes_m(at.length_m)

@@ -126,7 +126,7 @@ class SimulatedLookout(Table, frozen=True):
 class SimulatedThings(Table, frozen=True):
     """What stands in the simulated water, and who looks out for it (docs/traffic.md)."""
 
-    world: Literal["", "field", "moorings", "bathers", "entrance", "pocket"] = ""  # more of it to the north, drawn by the seed
+    world: Literal["", "field", "moorings", "bathers", "entrance", "pocket", "harbour"] = ""  # more to the north, by the seed
     thing: Annotated[tuple[SimulatedThing, ...], msgspec.Meta(max_length=200)] = ()  # each a table of its own, below
     lookout: Annotated[tuple[SimulatedLookout, ...], msgspec.Meta(max_length=8)] = ()  # the same
 

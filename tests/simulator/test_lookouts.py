@@ -99,12 +99,12 @@ def test_the_same_seed_sees_the_same(tmp_path: Path) -> None:
     assert told(around(tmp_path, text), 20.0) == told(around(tmp_path, text), 20.0)
 
 
-@pytest.mark.parametrize("world", ["field", "moorings", "bathers", "entrance", "pocket"])
+@pytest.mark.parametrize("world", ["field", "moorings", "bathers", "entrance", "pocket", "harbour"])
 def test_a_world_lies_to_the_north_and_is_of_its_seed(world: str) -> None:
     for seed in range(20):
         things = drawn(world, Random(seed))
         assert things == drawn(world, Random(seed))
-        assert 5 <= len(things) <= 60
+        assert 5 <= len(things) <= 80
         assert all(20.0 < each.north_m < 400.0 and each.radius_m > 0.0 for each in things)
 
 

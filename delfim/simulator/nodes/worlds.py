@@ -22,7 +22,7 @@ class Standing(NamedTuple):
 
 
 def drawn(world: str, random: Random) -> list[Standing]:
-    """The things of a world: "field", "moorings", "bathers", "entrance" or "pocket"; none of another name."""
+    """The things of a world: "field", "moorings", "bathers", "entrance", "pocket" or "harbour"; none of another name."""
     if world == "field":
         return _scattered(random, random.randint(5, 50))
     if world == "moorings":  # rows of boats, 30 to 45 m from one to the next
@@ -31,13 +31,16 @@ def drawn(world: str, random: Random) -> list[Standing]:
         boats = random.sample(rows, random.randint(5, len(rows)))
         return [Standing(n + random.gauss(0, 2), e + random.gauss(0, 2), random.uniform(*MOORED_M)) for n, e in boats]
     if world == "bathers":
-        swimmers = [
-            Standing(*_place(random), 0.3, "person", random.uniform(0.0, 360.0), random.uniform(0.0, 0.8)) for _ in range(5)
-        ]
-        return swimmers + _scattered(random, random.randint(0, 10))
+        return _swimmers(random, 5) + _scattered(random, random.randint(0, 10))
     at_m, half_m = random.uniform(-60.0, 60.0), random.uniform(*STRAIT_M)
-    if world == "entrance":  # two walls, and a gap between them
-        return [Standing(200.0 + random.uniform(-1, 1), float(e), 0.5) for e in range(-150, 150, 5) if abs(e - at_m) > half_m]
+    if world in ("entrance", "harbour"):  # two walls, and a gap between them
+        walls = [Standing(200.0 + random.uniform(-1, 1), float(e), 0.5) for e in range(-150, 150, 5) if abs(e - at_m) > half_m]
+        if world == "entrance":
+            return walls
+        rows = [(240.0 + 40.0 * i, at_m + 40.0 * (k + 0.5 * (i % 2))) for i in range(3) for k in range(-3, 4)]
+        boats = random.sample(rows, random.randint(5, 14))
+        moored = [Standing(n + random.gauss(0, 2), e + random.gauss(0, 2), random.uniform(*MOORED_M)) for n, e in boats]
+        return walls + moored + _swimmers(random, 4)
     if world == "pocket":  # three walls, open to the south
         back = [Standing(240.0, at_m + e, 0.5) for e in range(-35, 36, 6)]
         return back + [Standing(float(n), at_m + e, 0.5) for n in range(180, 240, 6) for e in (-35.0, 35.0)]
@@ -46,6 +49,12 @@ def drawn(world: str, random: Random) -> list[Standing]:
 
 def _place(random: Random) -> tuple[float, float]:
     return random.uniform(40.0, 360.0), random.uniform(-100.0, 100.0)
+
+
+def _swimmers(random: Random, count: int) -> list[Standing]:
+    return [
+        Standing(*_place(random), 0.3, "person", random.uniform(0.0, 360.0), random.uniform(0.0, 0.8)) for _ in range(count)
+    ]
 
 
 def _scattered(random: Random, count: int) -> list[Standing]:
