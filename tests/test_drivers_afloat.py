@@ -3,6 +3,7 @@
 import contextlib
 import json
 import os
+import pty
 import select
 import signal
 import socket
@@ -23,6 +24,7 @@ from delfim.parts.frontseats.table import OtterTable
 from delfim.services.supervision.stop import PropellerStop
 from delfim.vehicle.operator.link import Link
 from tests.afloat import running
+from tests.parts.pwm.test_esc_telemetry import told as esc_frame
 from tests.parts.pwm.test_outlet import chip, pulse_us
 from tests.vehicle.played_devices import PlayedPx4, PlayedSeat, PlayedTorqeedo, PlayedTorqlink, PlayedVesc
 
@@ -307,6 +309,28 @@ def test_an_outlet_that_hangs_under_way_is_ended_and_the_boat_says_why(tmp_path:
                     assert time.monotonic() < deadline_s, state["reason"]
                 link.ask("stop")  # the stick was never let go
         sailed(motors, command, until=(0.5, 0.5))
+
+
+def test_what_an_esc_tells_on_its_wire_is_in_the_boats_report(tmp_path: Path) -> None:
+    """On a pseudo-terminal, which speaks each 30 ms as AM32 does."""
+    with contextlib.ExitStack() as opened:
+        esc, wire = pty.openpty()
+        opened.callback(os.close, esc)
+        opened.callback(os.close, wire)
+        os.set_blocking(esc, False)  # nobody reads it yet
+        motors = PwmMotors(tmp_path)
+        rows = ROWS.replace("DRIVER", "pwm")
+        values = (f"thrusters=[{rows}]", 'sysstat.required=["gps"]', "mavlink.enabled=false", "simulation.motors=false")
+        values += (*motors.values, f'pwm.telemetry.starboard.device="{os.ttyname(wire)}"')
+        command = opened.enter_context(running(tmp_path, 14550, *values))
+        deadline_s, told = time.monotonic() + PATIENCE_S, dict[str, Any]()
+        while told.get("rpm") != 1500.0:
+            assert time.monotonic() < deadline_s, told
+            with contextlib.suppress(BlockingIOError):
+                os.write(esc, 2 * esc_frame())
+            with contextlib.suppress(DelfimError), Link(command, PATIENCE_S) as link:
+                told = link.ask("state")["thrusters"]["starboard"]
+        assert (told["voltage_v"], told["current_a"], told["temperature_c"], told["faults"]) == (15.2, 4.5, 31.0, [])
 
 
 def test_the_connection_of_a_stop_ends_with_it() -> None:
