@@ -240,7 +240,7 @@ def test_a_node_starts_again_whether_it_answers_or_not(
 
 @given(st.lists(st.tuples(st.integers(0, 700), st.sampled_from(("esc.bin", "passwd"))), max_size=20), st.integers(1, 600))
 def test_a_file_is_handed_over_from_its_beginning_alone_and_no_other_is(asked: list[tuple[int, str]], length: int) -> None:
-    image, begun = os.urandom(length), False
+    image, begun, ended = os.urandom(length), False, False
     file = HandedFile(42, "esc.bin", image)
     for offset, path in asked:
         answer = file.answer(offset.to_bytes(5, "little") + path.encode())
@@ -249,7 +249,9 @@ def test_a_file_is_handed_over_from_its_beginning_alone_and_no_other_is(asked: l
             continue
         begun = begun or offset == 0
         assert answer == (b"\0\0" + image[offset : offset + 256] if begun else None)
+        ended = ended or (begun and length - 256 < offset <= length)
     assert file.handed <= length
+    assert file.is_whole is ended
 
 
 @given(st.binary(max_size=4))

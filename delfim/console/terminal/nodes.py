@@ -76,8 +76,9 @@ class HandedFile:
         if not self._is_begun:  # it has the beginning of another file, which is not to be mixed with this one
             return None
         data = self._image[offset : offset + requests.CHUNK_BYTES]
-        self.handed = max(self.handed, min(offset, len(self._image)) + len(data))
-        self.is_whole |= len(data) < requests.CHUNK_BYTES
+        if offset <= len(self._image):  # nothing lies beyond its end, and who asks for that has not read it
+            self.handed = max(self.handed, offset + len(data))
+            self.is_whole |= len(data) < requests.CHUNK_BYTES
         return requests.chunk(data)
 
 
