@@ -313,6 +313,8 @@ async def test_the_graphs_of_port_and_starboard_have_one_zero_line(page: Page, g
       return [...Array(each.height).keys()].filter((y) => column[4 * y + 3] > 0);
     })"""
     gateway.boat(1)["rpm"] = [900.0, -300.0]
+    await page.value("document.querySelector('.chip.selected .fold').click()")
+    await page.value("new Promise((drawn) => requestAnimationFrame(() => requestAnimationFrame(drawn)))")
     await settled(page, gateway)
     port, starboard = await page.value(zero)
     assert port

@@ -19,3 +19,7 @@ export function text(element: Element, words: string): void {
 export function attribute(element: Element, name: string, value: string): void {
   if (element.getAttribute(name) !== value) element.setAttribute(name, value);
 }
+
+export function hide(element: HTMLElement, on: boolean): void {
+  if (element.hidden !== on) element.hidden = on;
+}

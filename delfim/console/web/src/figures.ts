@@ -1,6 +1,6 @@
 // The figures of the selected boat, large and in fixed places, with what is asked beside what is: a bar, a tape of the compass, and the
 // two thrusters. Neutral ink: colours are for alerts.
-import { attribute, make, text } from "./dom";
+import { attribute, hide, make, text } from "./dom";
 import type { Hand } from "./drive";
 import { bearing, metres } from "./geo";
 import { shownSpeed, speedUnit } from "./units";
@@ -112,7 +112,7 @@ class Thruster {
     const now = Math.max(-100, Math.min(100, pct ?? 0));
     this.fill.style.left = `${50 + Math.min(now, 0) / 2}%`;
     this.fill.style.width = `${Math.abs(now) / 2}%`;
-    this.mark.hidden = asked_pct === undefined;
+    hide(this.mark, asked_pct === undefined);
     this.mark.style.left = `${50 + (asked_pct ?? 0) / 2}%`;
     text(this.words, pct === null ? "–" : `${Math.round(pct)} %`);
     text(this.rpm, rpm === null ? "" : `${Math.round(rpm)} rpm`);

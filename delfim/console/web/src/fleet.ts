@@ -25,6 +25,9 @@ const JUMP_MPS = 15; // nor where a boat would have been faster, beyond ...
 const JUMP_M = 20; // ... so far: another boat, or another fix
 const AHEAD_S = 60; // of a heading that it steers for
 const RAD = Math.PI / 180;
+const STILL_MPS = 0.1;
+const STEP_PX = 1; // a smaller step is not drawn
+const BOW_PX = 46;
 const LETTER_PX = 8;
 const LINE_PX = 18;
 const MARK_PX = 12; // radius of a waypoint's disc
@@ -56,6 +59,7 @@ interface Shown {
   side: (typeof SIDES)[number];
   label: string;
   look: string;
+  pixels: number[]; // as it is drawn
 }
 
 export class Fleet {
@@ -78,8 +82,12 @@ export class Fleet {
     chart.add(layer(this.tails), 4);
     chart.add(layer(this.aboard), 2);
     chart.add(layer(this.live), 6);
-    state.on(["boats"], () => this.extend());
-    state.on(["boats", "selection"], () => this.draw());
+    state.on(["boats"], () => {
+      this.extend();
+      if (this.isMoved()) this.draw();
+      else this.drawAboard();
+    });
+    state.on(["selection", "plan"], () => this.draw());
     state.on(["theme"], () => this.repaint());
     state.on(["forgotten"], () => this.sweep());
   }
@@ -173,9 +181,33 @@ export class Fleet {
     }
   }
 
+  /** Whether any boat looks otherwise than it is drawn, or stands a pixel beside that. */
+  private isMoved(): boolean {
+    return this.state.boats.some((boat) => {
+      const { look, pixels } = this.of(boat);
+      const now = this.pixels(boat);
+      return look !== this.look(boat) || now.length !== pixels.length || now.some((each, i) => Math.abs(each - pixels[i]!) >= STEP_PX);
+    });
+  }
+
+  /** Where the parts of a boat are on the screen: itself, its bow, the ends of its course and of its way, its ghost and how large that is. */
+  private pixels(boat: Boat): number[] {
+    const place = position(boat);
+    const here = place && this.chart.pixelOf(place);
+    const ghost = boat.ghost && [boat.ghost, towards(boat.ghost, 90, boat.ghost.radius_m)];
+    const far_m = boat.speed_mps !== null && boat.speed_mps > STILL_MPS ? boat.speed_mps * 60 * ahead_min : 0;
+    const { latitude_deg = null, longitude_deg = null, heading_deg = null } = boat.reference ?? {};
+    const ends = place && [towards(place, boat.course_deg ?? 0, far_m), towards(place, heading_deg ?? 0, AHEAD_S)];
+    if (latitude_deg !== null && longitude_deg !== null) ends?.push({ latitude_deg, longitude_deg });
+    const turned = (boat.heading_deg ?? boat.course_deg ?? 0) * RAD;
+    const bow = here ? [here[0] + BOW_PX * Math.sin(turned), here[1] - BOW_PX * Math.cos(turned)] : [];
+    return [...(here ?? []), ...bow, ...[...(ends ?? []), ...(ghost ?? [])].flatMap((each) => this.chart.pixelOf(each) ?? [])];
+  }
+
   private draw(): void {
     const marks = this.marks();
     for (const boat of this.state.boats) {
+      this.of(boat).pixels = this.pixels(boat);
       this.drawBoat(boat);
       this.placeName(this.of(boat), boat, marks);
     }
@@ -222,7 +254,7 @@ export class Fleet {
     put(shown.tail, here && shown.points.length ? new LineString([...shown.points, here]) : null);
     shown.icon?.setRotation((boat.heading_deg ?? boat.course_deg ?? 0) * RAD);
     shown.tick?.setRotation((boat.course_deg ?? 0) * RAD);
-    const course = !lost && place && boat.course_deg !== null && boat.speed_mps !== null && boat.speed_mps > 0.1;
+    const course = !lost && place && boat.course_deg !== null && boat.speed_mps !== null && boat.speed_mps > STILL_MPS;
     put(shown.course, course ? new LineString([here!, point(towards(place, boat.course_deg!, boat.speed_mps! * 60 * ahead_min))]) : null);
     put(shown.reference, !lost && here ? reference(boat, place!, here) : null);
     const { ghost } = boat;
@@ -264,6 +296,7 @@ export class Fleet {
       side: SIDES[0],
       label: "",
       look: "",
+      pixels: [],
     };
     this.shown.set(boat.id, shown);
     const { tail, ghost, ghostSymbol, reference: to, course, ring, symbol } = shown;
@@ -272,15 +305,25 @@ export class Fleet {
     return shown;
   }
 
-  private dress(shown: Shown, boat: Boat, lost: boolean): void {
+  private label(boat: Boat): string {
     const age = age_s(this.state, boat);
-    const label = freshness(age) === "fresh" ? boat.name : `${boat.name}  ${ageWords(age)}`;
+    return freshness(age) === "fresh" ? boat.name : `${boat.name}  ${ageWords(age)}`;
+  }
+
+  private look(boat: Boat): string {
+    const { colour, heading_deg, mode, reference: to } = boat;
+    const refers = to && mode !== "idle" && mode !== "manual" && [to.latitude_deg !== null, to.heading_deg !== null];
+    return [theme, colour, freshness(age_s(this.state, boat)), this.label(boat), boat.id === this.state.selected, refers, heading_deg !== null, this.chart.charted].join("|");
+  }
+
+  private dress(shown: Shown, boat: Boat, lost: boolean): void {
+    const look = this.look(boat);
+    if (look === shown.look) return;
     const chosen = boat.id === this.state.selected;
     const isPlace = boat.reference?.latitude_deg != null;
     const turned = boat.heading_deg !== null && !lost;
     const plate = this.chart.charted;
-    const look = [theme, boat.colour, lost, label, chosen, isPlace, turned, plate].join("|");
-    if (look === shown.look) return;
+    const label = this.label(boat);
     [shown.look, shown.label] = [look, label];
     shown.icon = new Icon({ img: symbol(boat.colour, lost, turned), rotateWithView: true, scale: 0.5 });
     shown.tick = new RegularShape({ points: 2, radius: 5, angle: Math.PI / 2, rotateWithView: true, stroke: new Stroke({ color: inked(boat.colour), width: 1.6 }) });

@@ -364,13 +364,14 @@ function pad(): void {
   chart.setPadding(innerWidth <= 700 && innerHeight > 480 ? [offsetHeight + top + 20, 30, bar || 130, 30] : [40 + top, 110, 60 + bar, offsetWidth + 30]);
 }
 
-/** For tests and for the curious. `frames`: how often the map was drawn in the last second. */
+/** For tests and for the curious. `frames` and `drawings`: how often the map was drawn in the last second, and in all. */
 const drawn: number[] = [];
+let drawings = 0;
 const ofLastSecond = (): number => {
   while (drawn.length && drawn[0]! < performance.now() - 1000) drawn.shift();
   return drawn.length;
 };
-chart.map.on("postrender", ({ frameState }) => frameState && drawn.push(performance.now()) && ofLastSecond());
+chart.map.on("postrender", ({ frameState }) => frameState && ++drawings && drawn.push(performance.now()) && ofLastSecond());
 Object.assign(window, {
   delfim: {
     pixel: (latitude_deg: number, longitude_deg: number) => chart.pixelOf({ latitude_deg, longitude_deg }),
@@ -396,6 +397,7 @@ Object.assign(window, {
     pieces: (boat: number) => fleet.pieces(boat),
     long: (boat: number) => fleet.long(boat),
     frames: ofLastSecond,
+    drawings: () => drawings,
     numbers: () => plans.numbers,
     lines: () => plans.progress,
     crossed: () => state.crossed.get(state.planning) ?? null,

@@ -29,6 +29,8 @@ export class Others {
   private readonly source = new VectorSource({ useSpatialIndex: false });
   private readonly own = new VectorSource({ useSpatialIndex: false }); // orders and guard zones, which move with the boats
   private zoom = 0;
+  private looks: string[] = []; // as they are drawn
+  private pixels: Pixel[] = [];
 
   constructor(
     private readonly chart: Chart,
@@ -42,7 +44,8 @@ export class Others {
       this.zoom = zoom;
       if (named !== zoom >= NAMES_FROM_ZOOM) this.draw();
     });
-    state.on(["vessels", "theme"], () => this.draw());
+    state.on(["vessels"], () => this.isMoved() && this.draw());
+    state.on(["theme"], () => this.draw());
     state.on(["boats", "vessels"], () => this.drawOwn());
   }
 
@@ -57,9 +60,26 @@ export class Others {
     return best;
   }
 
+  /** Whether any vessel looks otherwise than it is drawn, or has moved by a pixel. */
+  private isMoved(): boolean {
+    const { vessels } = this.state;
+    return vessels.length !== this.looks.length || vessels.some((each, i) => {
+      const [[x, y], [left, top]] = [this.chart.pixelOf(each) ?? [0, 0], this.pixels[i]!];
+      return Math.hypot(x - left, y - top) >= 1 || this.looks[i] !== this.look(each, i);
+    });
+  }
+
+  /** All of a vessel but its place. */
+  private look(vessel: Vessel, i: number): string {
+    const { key, kind, lost, margin_m, course_deg, heading_deg, speed_mps, length_m, beam_m, domain_m } = vessel;
+    return [key, kind, lost, lost && margin_m, course_deg, heading_deg, speed_mps, length_m, beam_m, domain_m, this.watch.gravity(vessel), i < NAMED && labelWords(vessel)].join("|");
+  }
+
   private draw(): void {
+    const { vessels } = this.state;
+    [this.looks, this.pixels] = [vessels.map((each, i) => this.look(each, i)), vessels.map((each) => this.chart.pixelOf(each) ?? [0, 0])];
     this.source.clear(true);
-    this.source.addFeatures(this.state.vessels.flatMap((each, i) => this.vessel(each, i < NAMED)));
+    this.source.addFeatures(vessels.flatMap((each, i) => this.vessel(each, i < NAMED)));
   }
 
   private drawOwn(): void {

@@ -11,6 +11,7 @@ export class RpmGraph {
   private readonly canvas = make("canvas");
   private points: [at_s: number, rpm: number | null][] = [];
   private shown = [0, -75, 500]; // at_s, least, most
+  private wide = 0; // pixels; 0: nobody sees it
   highest = 0;
   lowest = 0;
 
@@ -19,6 +20,7 @@ export class RpmGraph {
     this.root.append(this.canvas, this.value);
     new ResizeObserver(([entry]) => {
       const { width, height } = entry!.contentRect;
+      this.wide = width * devicePixelRatio;
       if (!width) return; // it is folded away
       [this.canvas.width, this.canvas.height] = [Math.round(width * devicePixelRatio), Math.round(height * devicePixelRatio)];
       this.repaint();
@@ -41,11 +43,15 @@ export class RpmGraph {
   }
 
   draw(at_s: number, least: number, most: number): void {
+    const [was_s, ...was] = this.shown as [number, number, number];
+    const moved = ((at_s - was_s) / SPAN_S) * this.wide;
+    if (moved >= 0 && moved < 1 && was.join() === [least, most].join()) return; // less than a pixel
     this.shown = [at_s, least, most];
     this.repaint();
   }
 
   repaint(): void {
+    if (!this.wide) return;
     const [{ width, height }, [at_s, least, most], pen] = [this.canvas, this.shown as [number, number, number], this.canvas.getContext("2d")!];
     const [margin, wide] = [3 * devicePixelRatio, 1.6 * devicePixelRatio];
     const x = (each_s: number) => width * (1 + (each_s - at_s) / SPAN_S);

@@ -1,6 +1,6 @@
 // A narrow strip for each boat: mode, thrust, battery, trouble, port and starboard rpm, the age of the data, the link.
 import type { Actions } from "./actions";
-import { attribute, make, text } from "./dom";
+import { attribute, hide, make, text } from "./dom";
 import type { Drive } from "./drive";
 import { Figures } from "./figures";
 import { bearing, metres } from "./geo";
@@ -18,6 +18,7 @@ import { speedWords } from "./units";
 import type { Boat } from "./wire";
 
 const CONFIRM_LATE_MS = 3000;
+const SILENT_S = 0.2;
 const FULL_AT_MOST = 3; // boats; with more of them only the selected one is shown in full
 
 const UNFOLDED = "delfim.unfolded";
@@ -45,7 +46,7 @@ export class Strips {
     state.on(["forgotten"], () => {
       for (const [id, chip] of this.chips) if (!state.byId(id) && this.chips.delete(id)) chip.root.remove();
     });
-    setInterval(() => this.draw(false), 250); // ages grow while nothing arrives
+    setInterval(() => state.frameAge_s > SILENT_S && this.draw(false), 250); // ages grow while nothing arrives
   }
 
   draw(fresh: boolean): void {
@@ -159,13 +160,13 @@ class Chip {
     this.drawTrouble(boat, state);
     const values = measuredWords(boat, Math.max(0, state.frameAge_s - 0.2));
     text(this.measured, values);
-    this.measured.hidden = !values;
+    hide(this.measured, !values);
     GROUPS.forEach((group, i) => {
       const its = age_s(state, boat, group);
       attribute(this.groups[i]!, "data-age", boat.age_s[group] === null ? "none" : freshness(its, group));
       attribute(this.groups[i]!, "title", `${group}: ${ageWords(its)}${group === "position" && boat.fix ? ` · ${boat.fix}, ${boat.satellites ?? "?"} satellites` : ""}`);
     });
-    this.revolutions.hidden = boat.age_s.rpm === null; // motors on pulses tell none
+    hide(this.revolutions, boat.age_s.rpm === null); // motors on pulses tell none
     this.drawMission(boat, state);
     this.drawLink(boat, age);
     if (fresh) {
@@ -205,7 +206,7 @@ class Chip {
     const elsewhere = state.drivenElsewhere(boat) ? { words: "driven from another page: M here takes over", grave: false } : null;
     const found = trouble(boat) ?? elsewhere;
     text(this.trouble, found?.words ?? "");
-    this.trouble.hidden = !found;
+    hide(this.trouble, !found);
     this.trouble.classList.toggle("bad", found?.grave ?? false);
   }
 
@@ -214,8 +215,8 @@ class Chip {
     text(this.link, linkWords(boat));
     text(this.links, linksWords(boat));
     text(this.weak, weak);
-    this.weak.hidden = !weak || count === 0;
-    this.bars.hidden = count === null;
+    hide(this.weak, !weak || count === 0);
+    hide(this.bars, count === null);
     attribute(this.bars, "data-bars", String(count));
     attribute(this.bars, "aria-label", `link: ${count} of 4 bars`);
     attribute(this.bars, "role", "img");
@@ -232,8 +233,8 @@ class Chip {
     const words = boat.link.kind === "log" ? "" : !count ? (planned ? "not sent" : "") : compared === "unknown" ? "unread" : compared;
     text(this.badge, words);
     attribute(this.badge, "data-state", words.replace(" ", "-"));
-    this.badge.hidden = !words;
-    this.changes.hidden = !(planned && compared === "differs" && isSailing(boat) && !progress && !state.replaying);
+    hide(this.badge, !words);
+    hide(this.changes, !(planned && compared === "differs" && isSailing(boat) && !progress && !state.replaying));
   }
 }
 

@@ -35,10 +35,13 @@ export class ValueTrack {
     chart: Chart,
     private readonly state: State,
   ) {
-    this.layer = new Layer({ render: (frame) => this.render(frame!) });
+    this.layer = new Layer({ render: (frame) => this.render(frame!), visible: false });
     chart.add(this.layer, 5);
     state.on(["boats"], () => this.take());
-    state.on(["hello"], () => this.kept.clear());
+    state.on(["hello"], () => {
+      this.kept.clear();
+      this.draw();
+    });
   }
 
   /** What the tracks can be coloured by. */
@@ -59,6 +62,7 @@ export class ValueTrack {
   }
 
   private take(): void {
+    let told = false; // a value of what is shown
     for (const boat of this.state.boats) {
       const place = position(boat);
       for (const [name, { value, age_s }] of place ? Object.entries(boat.measured ?? {}) : []) {
@@ -72,15 +76,17 @@ export class ValueTrack {
         points.push({ at_s, place: point(place!), value });
         if (points.length > POINTS_MOST) points.shift();
         boats.set(boat.id, points);
+        told ||= name === this.name;
       }
     }
-    this.draw();
+    if (told) this.draw();
   }
 
   private draw(): void {
     const all = this.kept.get(this.name);
     this.box.hidden = !all;
-    if (!all) return this.layer.changed();
+    this.layer.setVisible(all !== undefined);
+    if (!all) return;
     const [least, most] = this.range;
     this.box.replaceChildren(make("i.ramp"), make("span.labels", ...[least, (least + most) / 2, most].map((each) => make("b", valueWords(this.name, each)))));
     this.layer.changed();

@@ -65,7 +65,7 @@ export class WayHome {
   }
 
   private draw(): void {
-    this.lines.clear();
+    if (this.lines.getFeatures().length) this.lines.clear(); // an empty one would have the map drawn, too
     for (const boat of this.state.boats) {
       const goes = boat.mode === "home";
       if (!this.state.replaying && (goes || boat.id === this.menu)) this.reach(boat);
