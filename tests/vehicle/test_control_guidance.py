@@ -3,13 +3,15 @@
 import math
 from itertools import pairwise
 
+import msgspec
 import pytest
+from hypothesis import given, strategies
 
 from delfim.base.geodesy import wrap
 from delfim.base.modes import Mode
 from delfim.simulator.tables import Sea
 from delfim.vehicle.control.control import admit, control, enter
-from delfim.vehicle.control.guidance import along
+from delfim.vehicle.control.guidance import along, course_to_steer, turn_onto
 from delfim.vehicle.control.memory import LineOfSight
 from delfim.vehicle.control.modes.path import APPROACH
 from delfim.vehicle.helm.setpoints import first
@@ -166,6 +168,34 @@ def test_from_far_off_a_path_the_boat_comes_back_at_45_degrees_but_not_past_its_
     _, reference, _ = control(Mode.PATH, memory, away, setpoint, SETTINGS, DT_S)
     assert reference.heading_rad is not None
     assert math.degrees(reference.heading_rad) == pytest.approx(-onto_deg, abs=0.5)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_before_the_wind_the_boat_settles_on_its_line_without_crossing_it_to_and_fro(seed: int) -> None:
+    """It came out of the turn too fast, and its heading came late: it was 1.2 m off to one side, and 0.8 to the other."""
+    sea = Sea(current_mps=0.3, current_to_deg=180.0, wind_mps=6.0, wind_from_deg=0.0)
+    corners = (0.0, 0.0), (60.0, 0.0), (60.0, -10.0), (-60.0, -10.0)
+    path = tuple(Line(*here, *to, 1.5) for here, to in pairwise(corners))
+    sailed = Boat(seed, sea, noise=0.1).sail(Mode.PATH, Setpoint(plan=Plan("", (), path)), 200.0)
+    off_m = [abs(x.truth.east_m + 10.0) for x in sailed if x.mode is Mode.PATH and x.leg == 2 and x.truth.north_m < 40.0]
+    assert len(off_m) > 200
+    assert max(off_m) < 0.8
+
+
+@given(
+    *(strategies.floats(*each, allow_nan=False) for each in ((-8.0, 8.0), (-3.0, 3.0), (-1.5, 1.5), (1.0, 20.0))),
+)
+def test_the_turn_fed_forward_is_what_the_course_to_steer_does(
+    off_m: float, tangent_rad: float, aside: float, ahead_m: float
+) -> None:
+    motion = HERE._replace(north_mps=-aside * math.sin(tangent_rad), east_mps=aside * math.cos(tangent_rad))
+    table = msgspec.structs.replace(SETTINGS.control.path, lookahead_m=ahead_m, integral_gain=0.0)
+    before, after = (course_to_steer(LineOfSight(), motion, 0.0, off_m + aside * s, table, 0.0)[1] for s in (-1e-4, 1e-4))
+    assert turn_onto(motion, tangent_rad, off_m, ahead_m, 1.5) == pytest.approx((after - before) / 2e-4, abs=1e-6)
+
+
+def test_the_turn_fed_forward_is_bounded_by_the_speed_asked_for() -> None:
+    assert turn_onto(HERE._replace(east_mps=1e9), 0.0, 0.0, 5.0, 1.5) == pytest.approx(-0.3)
 
 
 @pytest.mark.parametrize(("off_m", "turns"), [(0.5, True), (1.9, True), (2.1, False), (40.0, False)])

@@ -42,6 +42,13 @@ def course_to_steer(
     return _new(LineOfSight, (crab_rad, shift_m)), tangent_rad - math.atan2(shifted_m, ahead_m) - crab_rad
 
 
+def turn_onto(motion: Motion, tangent_rad: float, cross_m: float, ahead_m: float, most_mps: float) -> float:
+    """The rate of turn, rad/s, of the course to steer while the boat nears the line, or leaves it, at up to `most_mps`: without
+    it the heading comes late by the autopilot's lag, and the boat crosses the line to and fro."""
+    aside_mps = clamp(motion.east_mps * math.cos(tangent_rad) - motion.north_mps * math.sin(tangent_rad), -most_mps, most_mps)
+    return -aside_mps * ahead_m / (ahead_m * ahead_m + cross_m * cross_m)
+
+
 def along(motion: Motion, north_m: float, east_m: float, to_north_m: float, to_east_m: float) -> tuple[float, float, float]:
     """(bearing, cross-track, left to go) of the boat on a line: rad, m to starboard of it, m to its end along it."""
     bearing_rad = math.atan2(to_east_m - east_m, to_north_m - north_m)

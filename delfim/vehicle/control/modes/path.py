@@ -12,7 +12,7 @@ from collections.abc import Sequence
 
 from delfim.base.geodesy import wrap
 from delfim.vehicle.control.autopilot import entered, steer
-from delfim.vehicle.control.guidance import CREEP_MPS, along, course_to_steer
+from delfim.vehicle.control.guidance import CREEP_MPS, along, course_to_steer, turn_onto
 from delfim.vehicle.control.memory import LineOfSight, Memory, Settings
 from delfim.vehicle.control.modes import hold
 from delfim.vehicle.control.safe import STOP
@@ -103,6 +103,8 @@ def step(
     turn_radps = 0.0
     if isinstance(piece, Arc) and abs(cross_m) <= piece.radius_m:  # farther off it the boat comes back straight
         turn_radps = math.copysign(speed_mps / piece.radius_m, piece.turn_rad)
+    elif isinstance(piece, Line) and not is_gentle:
+        turn_radps = turn_onto(motion, tangent_rad, cross_m, ahead_m, speed_mps)
     integrals, wanted = steer(memory.integrals, motion, heading_rad, speed_mps, settings, dt_s, turn_radps)
     north_m, east_m = end_of(piece)
     reference = Reference(wrap(heading_rad), speed_mps, cross_m, max(left_m, 0.0), north_m, east_m, piece_of(memory.leg))
