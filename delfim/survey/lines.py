@@ -20,6 +20,7 @@ from delfim.vehicle.plans.mission import ROWS
 
 STRIPS: Final = ROWS // 2  # a line is two places of a mission
 LEAST_M: Final = 2.0  # a line is no shorter
+HARDLY: Final = 0.004  # of a spacing: what an area is wider, as by the digits of its corners, gets no line
 IGNORED: Final = 0.02  # of the square of the spacing: a part of a strip that is no larger gets no line
 ROUNDS: Final = 3  # of lines for what the lines before have left
 LOOKS: Final = 7  # places across such a part where its line may lie
@@ -109,7 +110,7 @@ def _aside_m(sense: int, cut: Cut) -> float:
 
 def rows(south: float, north: float, cut: Cut) -> list[float]:
     """Where lines lie across an area, centred. Raises DelfimError where there are too many."""
-    count = max(1, math.ceil((north - south - cut.wide_m) / cut.spacing_m - 1e-9) + 1)
+    count = max(1, math.ceil((north - south - cut.wide_m) / cut.spacing_m - HARDLY) + 1)
     if count > STRIPS:
         raise DelfimError(
             f"{count} lines {cut.spacing_m:g} m apart, and more than {STRIPS} are no survey: take the area in parts"
@@ -186,7 +187,7 @@ def headings(area: BaseGeometry, spacing_m: float) -> list[float]:
         for (x, y), (to_x, to_y) in pairwise(ring):
             if (long_m := math.hypot(to_x - x, to_y - y)) > 2.0 * spacing_m:
                 sides.append((long_m, math.degrees(math.atan2(to_x - x, to_y - y)) % 180.0))
-    return sorted(found | {round(heading, 1) for _, heading in sorted(sides, reverse=True)[:SIDES]})
+    return sorted(found | {round(heading, 3) for _, heading in sorted(sides, reverse=True)[:SIDES]})
 
 
 def rings(area: BaseGeometry) -> list[list[Place]]:

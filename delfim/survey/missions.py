@@ -114,7 +114,8 @@ def written(
         planning.check(mission, plan, settings)
         save_mission(mission, ours)
         across = f", {plan.across} of them across" if plan.across else ""
-        yield f"{ours}: {len(plan.lines)} lines {plan.wanted.spacing_m:g} m apart at {plan.heading_deg:.0f}°{across}"
+        lines = f"{len(plan.lines)} lines {plan.wanted.spacing_m:g} m apart" if len(plan.lines) > 1 else "a line"
+        yield f"{ours}: {lines} at {plan.heading_deg:.0f}°{across}"
         yield f"  {plan.line_m:,.0f} m of lines, {plan.way_m:,.0f} m in all, {_foretold(its, plan)}"
 
 

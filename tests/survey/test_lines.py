@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 import shapely
+from shapely import affinity
 from shapely.geometry import LineString, MultiPolygon, Point, Polygon, box
 
 from delfim import config
@@ -147,6 +148,15 @@ def test_lines_that_begin_or_end_at_a_hole_have_a_piece_of_run_in_and_short_ones
     assert short >= 4
     rocks = shapely.unary_union([Polygon(each.exterior) for each in ground.holes.geoms])
     assert rocks.distance(LineString(places)) >= 8.0 - 0.05  # missions keep off 6 m
+
+
+@pytest.mark.parametrize("turned_deg", [33.333, 12.345, 77.77])
+def test_a_long_thin_area_gets_no_line_for_a_rounded_heading(turned_deg: float) -> None:
+    """A twentieth of a degree is a third of a metre at its end: it had a fourth line."""
+    thin = affinity.rotate(box(0, 0, 400, 15.01), turned_deg, origin=(0, 0))
+    plan = survey(Ground(AT, MultiPolygon([thin]), MultiPolygon()), spacing_m=5.0)
+    assert len(plan.lines) == 3
+    assert plan.covered()[0] > 0.995
 
 
 def test_inside_lines_end_where_they_leave_the_area() -> None:

@@ -10,6 +10,7 @@ from delfim.base.errors import DelfimError
 from delfim.commands import OWN_FILE, Formatter, overrides, place, shipped
 
 MOST_M = 1000.0  # of a spacing, a swath, a run-in
+SEEN = 0.0005  # a part of the area that the printed figure shows
 
 
 def options(parser: argparse.ArgumentParser) -> None:
@@ -184,7 +185,7 @@ def _lines(asked: argparse.Namespace) -> int:
     print(*missions.written(plans, boats, name, file, actions), sep="\n")
     free, area = plan.covered()
     room = f", which is {100.0 * area:.1f} % of the area: {plan.wanted.room_m:g} m about holes and fences are left"
-    print(f"  covered: {100.0 * free:.1f} % of what may be sailed{room if area < free else ''}")
+    print(f"  covered: {100.0 * free:.1f} % of what may be sailed{room if area < free - SEEN else ''}")
     if plan.rough:
         lines = f"{len(plan.rough)} lines begin" if len(plan.rough) > 1 else "a line begins"
         print(f"  {lines} at a hole, without room to settle: up to 3 m off at first")
