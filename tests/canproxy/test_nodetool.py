@@ -59,6 +59,12 @@ def test_a_node_is_listed_and_its_parameters_are_printed_set_saved_and_erased(
     assert device.saved is None
 
 
+def test_what_a_node_says_of_itself_moves_no_terminal() -> None:
+    assert nodes.shown(Parameter("K\x1b[2J", "a\nb", None, None, None)).startswith("K\\x1b[2J = a b  (")
+    answer = bytes(41) + b"esc\x1b[2J"
+    assert nodes.identity(answer).name == "esc\\x1b[2J"
+
+
 @pytest.fixture
 def at_once(monkeypatch: pytest.MonkeyPatch) -> None:
     """The tool listens for long enough to hear a status, where that matters."""

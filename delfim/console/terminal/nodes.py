@@ -14,7 +14,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Final, NamedTuple
 
-from delfim.base.errors import DelfimError, FormatError, Refused, in_words
+from delfim.base.errors import DelfimError, FormatError, Refused, in_words, one_line
 from delfim.base.input.untrusted import read_file
 from delfim.canproxy.dronecan import requests
 from delfim.canproxy.dronecan.datatypes import (
@@ -237,7 +237,7 @@ def identity(answer: bytes) -> NodeIdentity:
     values, letters = unpack(GET_NODE_INFO, answer)
     name, unique_id = (bytes(map(int, each)) for each in (letters, values[12:28]))
     version, hardware = (f"{values[at]:.0f}.{values[at + 1]:.0f}" for at in (5, 10))  # behind the status; behind a checksum
-    return NodeIdentity(name.decode("ascii", "replace"), version, hardware, unique_id.hex())
+    return NodeIdentity(one_line(name.decode("ascii", "replace")), version, hardware, unique_id.hex())
 
 
 def state_of(status: NodeStatus) -> str:
@@ -298,8 +298,8 @@ def shown(each: Parameter) -> str:
     bounds = [
         f"{word} {value}" for word, value in (("default", each.default), ("least", each.least), ("greatest", each.greatest))
     ]
-    kind = KINDS.get(type(each.value), "not told")
-    return f"{each.name} = {each.value}  ({', '.join([kind, *(text for text in bounds if not text.endswith(' None'))])})"
+    known = [KINDS.get(type(each.value), "not told"), *(text for text in bounds if not text.endswith(" None"))]
+    return f"{one_line(f'{each.name} = {each.value}')}  ({', '.join(known)})"
 
 
 def execute(tool: NodeTool, node: int, code: int) -> None:
