@@ -203,6 +203,7 @@ OWN: Final = {  # in the order in which sources are listed
         ),
         Part("handset", keys=("handset.device", "kill.chip"), aboard="delfim.parts.handset.aboard:opened"),
         Part("corrections", "delfim.parts.gnss.table:Corrections", after="nmea0183"),
+        Part("i2c", "delfim.parts.i2c.table:I2cTable", after="corrections", ask="delfim.parts.i2c.ask"),
         Part(
             "fleet",
             "delfim.parts.fleet.table:FleetTable",

@@ -135,6 +135,13 @@ SERVICES = (
         when=lambda settings: settings.table("corrections").to,
     ),
     Service(
+        "i2cd",
+        "delfim.parts.i2c.i2cd:serve",
+        place="process",
+        uvloop=False,
+        when=lambda settings: settings.table("i2c").sensors and not settings.of(Simulation).faults,  # there others play them
+    ),
+    Service(
         "fleetd",
         "delfim.parts.fleet.fleetd:serve",
         place="process",

@@ -4,7 +4,7 @@ import math
 from collections.abc import Callable
 from typing import Final
 
-from delfim.canproxy.dsor.messages import Navigation
+from delfim.canproxy.dsor.messages import BatteriesStatus, Fault, Navigation, Node, Status, SystemStatus
 from delfim.lines.nmea0183.framing import Sentence
 from delfim.lines.nmea0183.sentences import (
     ActiveSatellites,
@@ -19,12 +19,17 @@ from delfim.lines.nmea0183.sentences import (
     Turning,
 )
 from delfim.parts.nmea0183.table import Nmea0183
+from delfim.vehicle.failsafe.nodehealth import NAMES
 from delfim.vehicle.navigation.fusion import MOVING, SLOW_S, SQRT2, UNSTATED, VARIATION_S, Fusion, Quality, over_ground
 from delfim.vehicle.navigation.iron import Iron
 from delfim.vehicle.state import Ping
 
 TALKERS_MAX: Final = 32
 UBX: Final = "UB"  # the talker of delfim.lines.ubx: of a receiver that sends both, it is the better one
+SIDES: Final = tuple(NAMES[node] for node in (Node.BATTERIES_STARBOARD, Node.BATTERIES_PORT))
+PRESSURES: Final = {"B": 1e5, "P": 1.0}  # Pa of the units of XDR
+PRESSURE_PA: Final = 30_000.0, 125_000.0  # of the air
+VOLTS_MAX: Final = 1000.0
 _GNSS: Final = {
     "GP",
     "GN",
@@ -97,10 +102,11 @@ class Combined:
         measured: dict[str, tuple[float, float]],
         iron: Iron | None = None,
         sound: Callable[[Ping], object] = lambda ping: None,
+        health: dict[str, tuple[SystemStatus, float]] | None = None,
     ) -> None:
-        """measured: gets the values beside navigation, with their times; `sound` gets the depths. `iron` is undone in magnetic
-        headings."""
-        self._sound = sound
+        """measured: gets the values beside navigation, with their times; `sound` gets the depths, `health` the batteries.
+        `iron` is undone in magnetic headings."""
+        self._sound, self._health = sound, {} if health is None else health
         self._iron = iron
         self._settings, self._stale_s, self._measured = settings, stale_s, measured
         self.fusion: Fusion[str] = Fusion(_KINDS, stale_s, variation_deg=settings.variation_deg)
@@ -175,6 +181,7 @@ class Combined:
                     self._measure(f"{name} wind", talker, values, now_s)
             case tuple():
                 self._attitude(talker, message, now_s)
+                self._transducers(message, now_s)
 
     def _measure(self, kind: str, talker: str, values: dict[str, float], now_s: float, kept: object = True) -> None:
         self.fusion.put(kind, talker, kept, now_s)
@@ -220,6 +227,22 @@ class Combined:
             )
         if found != [None, None]:
             self.fusion.put("attitude", talker, tuple(found), now_s)
+
+    def _transducers(self, measurements: tuple[Measurement, ...], now_s: float) -> None:
+        """File the pressure and the batteries of the transducers that the file names."""
+        if not (self._settings.barometer or self._settings.batteries):
+            return
+        found = {(m.name, m.kind, m.unit): m.value for m in measurements if m.name and m.value is not None}
+        for unit, pascals in PRESSURES.items():
+            pressure_pa = pascals * found.get((self._settings.barometer, "P", unit), 0.0)
+            if PRESSURE_PA[0] <= pressure_pa <= PRESSURE_PA[1]:
+                self._measured["air_pa"] = pressure_pa, now_s
+        for side, name in zip(SIDES, self._settings.batteries, strict=False):
+            volts, amperes = found.get((name, "U", "V")), found.get((name, "I", "A"))
+            if volts is not None and 0.0 <= volts <= VOLTS_MAX:
+                per_cent = found.get((name, "E", "P"), -1.0)
+                charge = per_cent / 100.0 if 0.0 <= per_cent <= 100.0 else None
+                self._health[side] = BatteriesStatus(Status.GOOD, Fault(0), volts, amperes, charge, None), now_s
 
     def _moving(self, talker: str, formatter: str, said: Located | Movement, now_s: float) -> Navigation | None:
         """File position and velocity; returns the message when an instant of the chosen receiver is complete."""

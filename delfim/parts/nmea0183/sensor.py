@@ -4,6 +4,7 @@ source reads them, and leaves these values in the state.
 
 from delfim import config
 from delfim.base.vessels import Report
+from delfim.canproxy.dsor.messages import SystemStatus
 from delfim.lines.nmea0183.sentences import RadarTarget
 from delfim.parts.nmea0183 import radar
 from delfim.parts.nmea0183.source import AnyPort, Nmea0183Navigation, opened
@@ -20,6 +21,7 @@ VALUES = (
     Value("position_sigma_m", "m", "standard deviation of the position, as the receiver states it", "sigma_m"),
     Value("corrections_age_s", "s", "since the receiver's last correction", "corr_s"),
     Value("height_m", "m", "of the antenna above the ellipsoid of WGS 84"),
+    Value("air_pa", "Pa", "pressure of the air"),
 )
 
 
@@ -34,13 +36,15 @@ class Instruments:
         measured: dict[str, tuple[float, float]],
         heard: list[tuple[Report | RadarTarget | str, str, float]],
         pings: list[Ping],
+        health: dict[str, tuple[SystemStatus, float]],
     ) -> None:
         self.input: Readable = lines.input
-        self._lines, self._measured, self._heard, self._pings = lines, measured, heard, pings
+        self._lines, self._measured, self._heard, self._pings, self._health = lines, measured, heard, pings, health
 
     def read(self, state: State, now_s: float) -> None:
         self._lines.read(now_s)
         state.measured.update(self._measured)
+        state.sysstat.update(self._health)
         for each in self._heard:
             radar.hear(state, *each)
         for ping in self._pings:
@@ -64,10 +68,11 @@ class ReadByTheSource:
 def open_sensor(settings: config.Vehicle, links: Links) -> Sensor:
     if "nmea0183" in settings.navigation.sources:
         return ReadByTheSource()
-    measured, heard, pings = (
+    measured, heard, pings, health = (
         dict[str, tuple[float, float]](),
         list[tuple[Report | RadarTarget | str, str, float]](),
         list[Ping](),
+        dict[str, tuple[SystemStatus, float]](),
     )
-    lines = opened(settings, links, measured, lambda *report: heard.append(report), pings.append)
-    return Instruments(lines, measured, heard, pings)
+    lines = opened(settings, links, measured, lambda *report: heard.append(report), pings.append, health)
+    return Instruments(lines, measured, heard, pings, health)

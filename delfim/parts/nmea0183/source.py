@@ -9,6 +9,7 @@ from typing import Final, NamedTuple
 from delfim import config
 from delfim.base.errors import FormatError
 from delfim.base.vessels import Report
+from delfim.canproxy.dsor.messages import SystemStatus
 from delfim.lines.nmea0183.aissentences import AisMessages, AisPart
 from delfim.lines.nmea0183.sentences import RadarTarget
 from delfim.parts.nmea0183 import radar
@@ -147,8 +148,8 @@ class Nmea0183Navigation:
 
 def open_source(settings: config.Vehicle, links: Links, state: State) -> Nmea0183Navigation:
     if NAME in settings.sensors.names:
-        return opened(settings, links, state.measured, partial(radar.hear, state), state.sound)
-    return opened(settings, links, {}, partial(radar.hear, state))
+        return opened(settings, links, state.measured, partial(radar.hear, state), state.sound, state.sysstat)
+    return opened(settings, links, {}, partial(radar.hear, state), health=state.sysstat)
 
 
 def opened(
@@ -157,9 +158,10 @@ def opened(
     measured: dict[str, tuple[float, float]],
     hear: HearAis,
     sound: Callable[[Ping], object] = lambda ping: None,
+    health: dict[str, tuple[SystemStatus, float]] | None = None,
 ) -> Nmea0183Navigation:
-    """Open the source. `measured` gets the values beside navigation, `hear` the reports of other vessels, `sound` the depths.
-    Raises DelfimError."""
+    """Open the source. `measured` gets the values beside navigation, `hear` the reports of other vessels, `sound` the depths,
+    `health` the batteries. Raises DelfimError."""
     table = settings.of(Nmea0183)
     ports = tuple(
         Port(
@@ -170,5 +172,5 @@ def opened(
         )
         for name, port in table.ports.items()
     )
-    combined = Combined(table, settings.navigation.stale_s, measured, iron_of(settings.compass), sound)
+    combined = Combined(table, settings.navigation.stale_s, measured, iron_of(settings.compass), sound, health)
     return Nmea0183Navigation(ports, combined, hear if NAME in settings.traffic.hears else None)

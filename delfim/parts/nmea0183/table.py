@@ -44,6 +44,10 @@ TransducerName = Annotated[
     str, text(r"-?[^ ,*$\x00-\x1f-]{0,32}", "the name that the device sends, or - and the name, or empty")
 ]
 
+XdrBatteries = Annotated[
+    tuple[Annotated[str, text("[^ ,*$]{1,32}", "the name that the device sends")], ...], msgspec.Meta(max_length=2)
+]
+
 
 class Nmea0183Port(Table, frozen=True):
     """A line of NMEA 0183, of UBX, or of both."""
@@ -94,6 +98,8 @@ class Nmea0183(Table, frozen=True):
     variation_deg: Annotated[float, msgspec.Meta(ge=-180.0, le=180.0)] = 0.0  # used while nobody sends one; east positive
     pitch: TransducerName = ""  # name of the XDR transducer that measures it, with - before it if bow up is negative there
     roll: TransducerName = ""  # likewise; starboard down is positive here
+    barometer: TransducerName = ""  # name of the XDR transducer that measures the pressure of the air
+    batteries: XdrBatteries = ()  # names of XDR's of the starboard or only battery, and of the port one; empty: not read
     ports: dict[Name, Nmea0183Port] = msgspec.field(default_factory=dict)
     out: dict[Name, Nmea0183Out] = msgspec.field(default_factory=dict)
     guest: Nmea0183Guest = Nmea0183Guest()

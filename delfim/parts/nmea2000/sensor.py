@@ -24,7 +24,7 @@ from delfim.vehicle.sensors import Value
 from delfim.vehicle.state import Ping, State
 
 VALUES = (
-    *(each for each in nmea0183.VALUES if each.name not in ("position_sigma_m", "corrections_age_s", "height_m")),
+    *(each for each in nmea0183.VALUES if each.name not in ("position_sigma_m", "corrections_age_s", "height_m", "air_pa")),
     Value("speed_water_mps", "m/s", "through the water", "stw_mps"),
     Value("water_c", "degC", "temperature of the water"),
     Value("air_c", "degC", "temperature of the air"),
