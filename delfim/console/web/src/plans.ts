@@ -4,6 +4,7 @@ import type MapBrowserEvent from "ol/MapBrowserEvent";
 import { LineString, Point, Polygon } from "ol/geom";
 import PointerInteraction from "ol/interaction/Pointer";
 import VectorLayer from "ol/layer/Vector";
+import VectorImageLayer from "ol/layer/VectorImage";
 import VectorSource from "ol/source/Vector";
 import { Circle as Disc, Fill, RegularShape, Stroke, Style, Text } from "ol/style";
 import type { Chart, Pixel } from "./chart";
@@ -24,6 +25,7 @@ const ASIDE_PX = 25; // between two discs that stand side by side
 const DRAFT = [8, 6];
 const TURNS = 90; // an arrow's courses, of which each has a picture
 const SHARED_MOST = 2000; // pictures
+const MANY = 200; // waypoints, of which the map keeps a picture while it moves
 const STATES: Record<Station["state"], "steer" | "done" | "bad"> = { waiting: "steer", sampled: "done", failed: "bad" }; // colours of a station's frame
 
 export interface Handle {
@@ -45,9 +47,16 @@ export class Plans {
   private readonly others = new VectorSource();
   private readonly legs = new VectorSource(); // of a thousand waypoints most are out of sight when near
   private readonly marks = new VectorSource();
+  private readonly shapes = new VectorSource(); // areas, fence, and the legs of a waypoint that is dragged
+  private readonly corners = new VectorSource(); // of these, and that waypoint
   private readonly over = new VectorSource({ useSpatialIndex: false });
+  private readonly pictures: VectorImageLayer[]; // of legs and marks
+  private readonly drawn: VectorLayer[]; // the same
   private draft: Mission | null = null; // while something is dragged or a form is open
+  private held: Handle | null = null; // what is dragged
   private frame = 0; // in which that is drawn
+  private rendered: number | undefined; // resolution of the map on the screen
+  private resolution: number | undefined; // for which numbers and handles were chosen
   stand = false; // handles stay where they are, because clicks are something else now
   private rulers: [Place, Place][] = [];
   private ruler: Place | null = null;
@@ -58,9 +67,13 @@ export class Plans {
     changed: Changed,
   ) {
     const layer = (source: VectorSource) => new VectorLayer({ source, updateWhileAnimating: true, updateWhileInteracting: true });
-    chart.add(layer(this.others), 3);
-    chart.add(layer(this.legs), 3);
-    chart.add(layer(this.marks), 5);
+    const picture = (source: VectorSource) => new VectorImageLayer({ source, imageRatio: 1.5, visible: false });
+    [this.drawn, this.pictures] = [[layer(this.legs), layer(this.marks)], [picture(this.legs), picture(this.marks)]];
+    chart.add(new VectorImageLayer({ source: this.others, imageRatio: 1.5 }), 3);
+    chart.add(layer(this.shapes), 3);
+    for (const each of [this.drawn[0]!, this.pictures[0]!]) chart.add(each, 3);
+    for (const each of [this.drawn[1]!, this.pictures[1]!]) chart.add(each, 5);
+    chart.add(layer(this.corners), 5);
     chart.add(layer(this.over), 7);
     state.on(["plan", "selection", "theme", "hello"], () => this.draw());
     state.on(["dryrun", "theme"], () => this.drawOver());
@@ -70,7 +83,11 @@ export class Plans {
       if (now !== current) this.draw();
       current = now;
     });
-    chart.map.on("moveend", () => this.draw());
+    chart.map.on("postrender", ({ frameState }) => (this.rendered = frameState?.viewState.resolution));
+    chart.map.on("moveend", ({ frameState }) => {
+      this.rendered = frameState?.viewState.resolution;
+      if (this.rendered !== this.resolution) this.draw();
+    });
     chart.map.addInteraction(new Dragging(this, state, changed));
   }
 
@@ -86,15 +103,16 @@ export class Plans {
 
   /** How many numbers of waypoints are drawn. */
   get numbers(): number {
-    return this.marks.getFeatures().filter((each) => (each.getStyle() as Style).getText()).length;
+    return [...this.marks.getFeatures(), ...this.corners.getFeatures()].filter((each) => (each.getStyle() as Style).getText()).length;
   }
 
-  /** Show another mission in place of the plan, with the next frame; null shows the plan again. */
-  preview(mission: Mission | null): void {
+  /** Show another mission in place of the plan, with the next frame; null shows the plan again. While one of many waypoints is dragged by
+   * a handle the picture of the plan stays, and what moves is drawn over it. */
+  preview(mission: Mission | null, handle: Handle | null = null): void {
     this.draft = mission;
+    this.held = mission && mission.waypoints.length > MANY ? handle : null;
     cancelAnimationFrame(this.frame);
-    if (mission) this.frame = requestAnimationFrame(() => this.draw());
-    else this.draw();
+    this.frame = requestAnimationFrame(() => (this.held ? this.drawMoving() : this.draw()));
   }
 
   /** The handle at this pixel; points go before the middles of legs. */
@@ -169,6 +187,7 @@ export class Plans {
   }
 
   private draw(): void {
+    cancelAnimationFrame(this.frame);
     this.others.clear();
     for (const boat of this.state.boats) {
       const [aboard, planned] = [this.state.aboardOf(boat), this.state.plans.get(boat.id)?.mission];
@@ -177,35 +196,61 @@ export class Plans {
     }
     this.legs.clear();
     this.marks.clear();
+    this.resolution = this.rendered;
     const [mission, boat] = [this.mission(), this.state.boat];
+    const many = mission.waypoints.length > MANY;
+    for (const each of this.pictures) each.setVisible(many);
+    for (const each of this.drawn) each.setVisible(!many);
     const aboard = boat && this.state.aboardOf(boat);
-    const isAboard = aboard !== null && alike(mission, aboard);
-    if (aboard && !isAboard) this.drawMission(aboard, boat!, { colour: palette.plan, small: mission.waypoints.length > 0 });
-    this.legs.addFeatures([...drawnAreas(mission), ...keptAboard(mission, true)]);
-    this.drawMission(mission, boat, isAboard ? { colour: palette.plan } : { colour: palette.draft, lineDash: DRAFT });
-    mission.fence.forEach((each) => this.marks.addFeature(drawnCorner(cornerPlace(each), palette.limit, 5.5)));
-    ringsOf(mission).forEach(({ corners }) => corners.forEach((each) => this.marks.addFeature(drawnCorner(cornerPlace(each), palette.survey, 5.5))));
+    if (aboard && !this.isAboard) this.drawMission(aboard, boat!, { colour: palette.plan, small: mission.waypoints.length > 0 }, [this.legs, this.marks], () => true);
+    this.drawMission(mission, boat, this.look, [this.legs, this.marks], () => true);
+    this.drawMoving();
+  }
+
+  /** What a drag changes, and all that is not waypoints. */
+  private drawMoving(): void {
+    this.shapes.clear();
+    this.corners.clear();
+    const [mission, boat] = [this.mission(), this.state.boat];
+    this.shapes.addFeatures([...drawnAreas(mission), ...keptAboard(mission, true)]);
+    const [path, look] = [pathOf(mission).map(point), this.look];
+    if (path.length > 1 && boat?.mode === "path") this.shapes.addFeature(styled(new LineString(path), ribbon(look)));
+    const { kind, index = 0 } = this.held ?? {};
+    if (kind === "waypoint" || kind === "middle") this.drawMission(mission, boat, look, [this.shapes, this.corners], (i, after) => i === index || i === index + after);
+    mission.fence.forEach((each) => this.corners.addFeature(drawnCorner(cornerPlace(each), palette.limit, 5.5)));
+    ringsOf(mission).forEach(({ corners }) => corners.forEach((each) => this.corners.addFeature(drawnCorner(cornerPlace(each), palette.survey, 5.5))));
     const tints: Record<string, string> = { edge: palette.limit, side: palette.survey };
-    this.middles(mission).forEach(({ kind, place }) => this.marks.addFeature(drawnCorner(place, tints[kind] ?? (isAboard ? palette.plan : palette.draft), 4, 0.65)));
+    for (const { kind, place } of this.middles(mission)) if (kind !== "middle") this.corners.addFeature(drawnCorner(place, tints[kind]!, 4, 0.65));
+  }
+
+  private get isAboard(): boolean {
+    const aboard = this.state.boat && this.state.aboardOf(this.state.boat);
+    return aboard !== null && alike(this.mission(), aboard);
   }
 
   /** Solid: the mission aboard. Dashed: a plan that is on the screen only. */
-  private drawMission(mission: Mission, boat: Boat | null, look: Look): void {
-    const path = pathOf(mission).map(point);
-    if (path.length > 1 && boat?.mode === "path") this.legs.addFeature(styled(new LineString(path), ribbon(look)));
-    this.legs.addFeatures(drawnLegs(mission, look.colour, 2.2, look.lineDash));
-    if (boat && !look.lineDash) this.legs.addFeatures(drawnProgress(mission, boat));
+  private get look(): Look {
+    return this.isAboard ? { colour: palette.plan } : { colour: palette.draft, lineDash: DRAFT };
+  }
+
+  /** Some waypoints of a mission, and legs that lead to them or, `after` being 1, from the one before. */
+  private drawMission(mission: Mission, boat: Boat | null, look: Look, [legs, marks]: [VectorSource, VectorSource], isIn: (index: number, after: number) => boolean): void {
+    const leads = (to: number) => isIn(to, 1);
+    legs.addFeatures(drawnLegs(mission, look.colour, 2.2, look.lineDash, leads));
+    if (boat && !look.lineDash) legs.addFeatures(drawnProgress(mission, boat, leads));
     const sails = !look.lineDash && (boat?.mode === "play" || boat?.mode === "goto");
     const [current, last] = [sails ? boat!.mission.current : null, mission.waypoints.length - 1];
-    const drawn = numbered(this.chart, mission.waypoints, current);
+    const drawn = marks === this.marks ? numbered(this.chart, mission.waypoints, current) : null;
     const aside = besideTheFirst(this.chart, mission.waypoints);
     const hasLines = isSurvey(mission);
-    const marks = mission.waypoints.map((each, i) => {
+    const made = mission.waypoints.map((each, i) => {
+      if (!isIn(i, 0)) return null;
       if (hasLines && i && i < last && i !== current && !each.tries) return drawnCorner(each, look.colour, 3);
-      if (!drawn.has(i) && !each.tries) return null;
+      if (drawn && !drawn.has(i) && !each.tries) return null;
       return drawnWaypoint(each, i, i === current, look, aside && i === last ? ASIDE_PX : 0, look.lineDash ? undefined : boat?.stations?.[i + 1]);
     });
-    this.marks.addFeatures(marks.filter((each) => each !== null));
+    const middles = mission !== this.mission() ? [] : this.middles(mission).filter(({ kind, index }) => kind === "middle" && leads(index));
+    marks.addFeatures([...made.filter((each) => each !== null), ...middles.map(({ place }) => drawnCorner(place, look.colour, 4, 0.65))]);
   }
 
   private drawOver(to?: Place): void {
@@ -248,7 +293,7 @@ class Dragging extends PointerInteraction {
   override handleDragEvent(event: MapBrowserEvent): void {
     if (!this.handle || !this.before) return;
     this.now = dragged(this.before, this.handle, placeOf(event.coordinate));
-    this.plans.preview(this.now);
+    this.plans.preview(this.now, this.handle);
   }
 
   override handleUpEvent(): boolean {
@@ -295,9 +340,10 @@ function styled(geometry: LineString | Point, style: Style | Style[]): Feature {
   return feature;
 }
 
-function drawnLegs(mission: Mission, colour: string, width: number, lineDash?: number[]): Feature[] {
+function drawnLegs(mission: Mission, colour: string, width: number, lineDash?: number[], isIn = (_to: number): boolean => true): Feature[] {
   const look = cased(colour, width, lineDash);
   return mission.waypoints.slice(1).flatMap((_, i) => {
+    if (!isIn(i + 1)) return [];
     const points = leg(mission, i + 1).map(point);
     const line = styled(new LineString(points), look);
     const [a, b] = [points[Math.floor((points.length - 1) / 2)]!, points[Math.floor((points.length - 1) / 2) + 1]!];
@@ -311,11 +357,11 @@ function drawnLegs(mission: Mission, colour: string, width: number, lineDash?: n
 }
 
 /** The lines of a survey that were sailed, and the one that is. */
-function drawnProgress({ waypoints }: Mission, { lines_done: done = [], reference, mode }: Boat): Feature[] {
+function drawnProgress({ waypoints }: Mission, { lines_done: done = [], reference, mode }: Boat, isIn: (to: number) => boolean): Feature[] {
   const now = mode === "play" || mode === "path" ? reference?.line : 0;
   return waypoints.slice(1).flatMap((to, i) => {
     const its = !to.line ? "" : to.line === now ? "now" : done.includes(to.line) ? "done" : "";
-    if (!its) return [];
+    if (!its || !isIn(i + 1)) return [];
     const line = styled(new LineString([waypoints[i]!, to].map(point)), its === "now" ? cased(palette.steer, 4.5) : cased(palette.done, 3.2));
     line.set("line", its);
     return [line];
