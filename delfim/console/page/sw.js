@@ -1,5 +1,5 @@
-const BUILT = "ac5f8a67";
-const FILES = ["./","console.css?ac5f8a67","console.js?ac5f8a67","harbours.tsv","land.bin","manifest.webmanifest","b612-latin-400-normal.woff2","b612-latin-700-normal.woff2","icon-192.png","icon-512.png"];
+const BUILT = "d0550c61";
+const FILES = ["./","console.css?d0550c61","console.js?d0550c61","harbours.tsv","land.bin","manifest.webmanifest","b612-latin-400-normal.woff2","b612-latin-700-normal.woff2","icon-192.png","icon-512.png"];
 // Wakes operators, and keeps the page itself, never a boat's state and never a command, so that it opens without its gateway. The network comes first:
 // what is kept serves only where no answer comes. build.mjs puts BUILT and FILES before this.
 const ANSWER_MS = 4000; // a network whose boat is out of reach says nothing for minutes

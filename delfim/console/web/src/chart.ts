@@ -151,6 +151,10 @@ export class Chart {
     return this.map.getPixelFromCoordinate(point(place)) as Pixel | null;
   }
 
+  coordinateAt(pixel: Pixel): number[] {
+    return this.map.getCoordinateFromPixel(pixel);
+  }
+
   zoom(by: number): void {
     this.view.animate({ zoom: (this.view.getZoom() ?? 3) + by, duration: 150 });
   }

@@ -11,6 +11,7 @@ import type { Chart, Pixel } from "./chart";
 import { point } from "./chart";
 import { distance_m, towards } from "./geo";
 import { type Hull, drawn, hull, long_px, outlined } from "./hull";
+import { SIDES, type Side, drawnLeader, leader, sideFor, stand } from "./labels";
 import { FACE, cased, inked, onPlate, over, palette, theme } from "./palette";
 import type { State } from "./state";
 import { age_s, ageWords, freshness } from "./state";
@@ -28,17 +29,6 @@ const RAD = Math.PI / 180;
 const STILL_MPS = 0.1;
 const STEP_PX = 1; // a smaller step is not drawn
 const BOW_PX = 46;
-const LETTER_PX = 8;
-const LINE_PX = 18;
-const MARK_PX = 12; // radius of a waypoint's disc
-
-/** Where a name may stand beside its boat. */
-const SIDES = [
-  { x: 24, y: 0, align: "left", from: 0 },
-  { x: -24, y: 0, align: "right", from: 1 },
-  { x: 0, y: 36, align: "center", from: 0.5 },
-  { x: 0, y: -36, align: "center", from: 0.5 },
-] as const;
 
 interface Shown {
   symbol: Feature<Point>;
@@ -56,7 +46,8 @@ interface Shown {
   tick: RegularShape | null;
   name: Text | null;
   hull: Hull | null; // to scale, where its size and heading are known
-  side: (typeof SIDES)[number];
+  side: Side;
+  leader: Feature<LineString>; // to a name that stands aside
   label: string;
   look: string;
   pixels: number[]; // as it is drawn
@@ -162,6 +153,11 @@ export class Fleet {
     return shown ? shown.closed.length + Math.sign(shown.points.length) : 0;
   }
 
+  /** The names that are drawn, where they stand beside their boats, in pixels, and whether a line leads to them. */
+  get names(): [name: string, x: number, y: number, lead: boolean][] {
+    return [...this.shown.values()].flatMap(({ name, side, leader: line }) => (name?.getText() ? [[String(name.getText()), side.x, side.y, line.getGeometry() !== undefined]] : []));
+  }
+
   clearTracks(): void {
     for (const shown of this.shown.values()) this.forget(shown);
     this.draw();
@@ -230,16 +226,11 @@ export class Fleet {
   private placeName(shown: Shown, boat: Boat, marks: Pixel[]): void {
     const place = position(boat);
     const its = place && this.chart.pixelOf(place);
-    const width = LETTER_PX * shown.label.length;
-    const free = ({ x, y, from }: Shown["side"]) =>
-      its && !marks.some(([i, j]) => Math.abs(j - its[1] - y) < LINE_PX / 2 + MARK_PX && Math.abs(i - its[0] - x - (0.5 - from) * width) < width / 2 + MARK_PX);
-    const side = [shown.side, ...SIDES].find(free);
+    const side = its && sideFor(its, shown.label, shown.side.lead ? SIDES : [shown.side, ...SIDES], marks);
     shown.side = side ?? shown.side;
     shown.name?.setText(side || boat.id === this.state.selected || !its ? shown.label : ""); // the number on the hull stays
-    if (side && its) for (let x = 0; x <= width; x += LINE_PX) marks.push([its[0] + side.x + x - side.from * width, its[1] + side.y]);
-    shown.name?.setOffsetX(shown.side.x);
-    shown.name?.setOffsetY(shown.side.y);
-    shown.name?.setTextAlign(shown.side.align);
+    if (shown.name) stand(shown.name, shown.side);
+    put(shown.leader, side?.lead ? leader(this.chart, its!, side) : null);
   }
 
   private drawBoat(boat: Boat): void {
@@ -268,7 +259,7 @@ export class Fleet {
       if (this.state.byId(id)) continue;
       this.forget(shown);
       this.tails.removeFeatures([shown.tail, shown.reference, shown.course]);
-      this.live.removeFeatures([shown.ghost, shown.ghostSymbol, shown.ring, shown.symbol]);
+      this.live.removeFeatures([shown.ghost, shown.ghostSymbol, shown.leader, shown.ring, shown.symbol]);
       this.shown.delete(id);
     }
     this.draw();
@@ -294,14 +285,15 @@ export class Fleet {
       name: null,
       hull: null,
       side: SIDES[0],
+      leader: drawnLeader(),
       label: "",
       look: "",
       pixels: [],
     };
     this.shown.set(boat.id, shown);
-    const { tail, ghost, ghostSymbol, reference: to, course, ring, symbol } = shown;
+    const { tail, ghost, ghostSymbol, reference: to, course, ring, symbol, leader: line } = shown;
     this.tails.addFeatures([tail, to, course]);
-    this.live.addFeatures([ghost, ghostSymbol, ring, symbol]);
+    this.live.addFeatures([ghost, ghostSymbol, line, ring, symbol]);
     return shown;
   }
 

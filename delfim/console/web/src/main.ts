@@ -397,6 +397,7 @@ Object.assign(window, {
     pieces: (boat: number) => fleet.pieces(boat),
     long: (boat: number) => fleet.long(boat),
     frames: ofLastSecond,
+    names: () => fleet.names,
     drawings: () => drawings,
     numbers: () => plans.numbers,
     lines: () => plans.progress,

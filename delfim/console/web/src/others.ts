@@ -11,6 +11,7 @@ import { point } from "./chart";
 import { position } from "./fleet";
 import { beside, towards } from "./geo";
 import { drawn, hull, outlined } from "./hull";
+import { SIDES, type Side, drawnLeader, leader, sideFor, stand } from "./labels";
 import { FACE, cased, onPlate, palette, theme } from "./palette";
 import type { State } from "./state";
 import { ahead_min, speedWords } from "./units";
@@ -22,6 +23,7 @@ const RAD = Math.PI / 180;
 const HEADING_PX = 26;
 const NAMES_FROM_ZOOM = 12;
 const NAMED = 40; // those that are met first; two hundred names take long to draw and cannot be read
+const BELOW: Side = { x: 16, y: 12, align: "left" }; // its course does not run through the name
 const ORDER_M = 60; // the line of an order is at least so long
 const ORDER_S = 60;
 
@@ -31,6 +33,7 @@ export class Others {
   private zoom = 0;
   private looks: string[] = []; // as they are drawn
   private pixels: Pixel[] = [];
+  private marks: Pixel[] = []; // what a name must not cover
 
   constructor(
     private readonly chart: Chart,
@@ -78,6 +81,10 @@ export class Others {
   private draw(): void {
     const { vessels } = this.state;
     [this.looks, this.pixels] = [vessels.map((each, i) => this.look(each, i)), vessels.map((each) => this.chart.pixelOf(each) ?? [0, 0])];
+    this.marks = [...this.pixels, ...this.state.boats.map(position).flatMap((place) => {
+      const pixel = place && this.chart.pixelOf(place);
+      return pixel ? [pixel] : [];
+    })];
     this.source.clear(true);
     this.source.addFeatures(vessels.flatMap((each, i) => this.vessel(each, i < NAMED)));
   }
@@ -111,10 +118,23 @@ export class Others {
       zIndex: grave === "none" ? 4 : 6,
     });
     const far = grave === "none" && this.zoom < NAMES_FROM_ZOOM;
-    if (grave === "danger" || vessel.kind === "distress" || (named && !far)) style.setText(label(vessel, grave !== "none", this.chart.charted));
+    if (grave === "danger" || vessel.kind === "distress" || (named && !far)) made.push(...this.named(vessel, style, grave !== "none"));
     const near = vessel.size_known && vessel.heading_deg !== null && !isThing(vessel) ? hull(vessel, vessel.heading_deg, vessel) : null;
     add(new Point(here), near ? drawn(() => near, [style], outlined(vessel.lost ? "transparent" : palette.handle, ink, style.getZIndex()!, vessel.lost ? [8, 6] : undefined)) : style);
     return made;
+  }
+
+  /** The name of a vessel beside its symbol; where there is no room a line leads to it. What is dangerous is named in any case. */
+  private named(vessel: Vessel, style: Style, grave: boolean): Feature[] {
+    const [its, text] = [this.chart.pixelOf(vessel), label(vessel, grave, this.chart.charted)];
+    const side = its && sideFor(its, labelWords(vessel), [BELOW, ...SIDES], this.marks);
+    if (!side && !grave) return [];
+    style.setText(text);
+    if (side) stand(text, side);
+    if (!side?.lead) return [];
+    const line = drawnLeader();
+    line.setGeometry(leader(this.chart, its!, side));
+    return [line];
   }
 
   /** The course that keeps a boat clear of another vessel, with its sentence. */
