@@ -12,8 +12,9 @@ from pathlib import Path
 
 from PIL import Image
 
+from delfim.parts.camera.played import PlayedPictures
 from tests.console.scenes import alert, at_work, begun, caught_up, choose, shipping_lane, show
-from tests.console.standin import Message, Standin
+from tests.console.standin import Message, Standin, place
 from tests.services.browser import Page, browser, shrink
 
 SIZES = {"desk": (1440, 860, 5), "tablet": (1024, 768, 4), "phone": (390, 844, 2)}  # and by how much the sheet is smaller
@@ -98,11 +99,54 @@ async def replayed(page: Page, size: tuple[int, int], shot: Shot) -> None:
         await page.call("Page.navigate", url="about:blank")
 
 
+def trial() -> Message:
+    """Of a boat that is asked about on its water."""
+    seen = ("The motors, one at a time", "done"), ("Ahead and astern", "under way")
+    each = {"name": "", "reason": "", "far_m": 12.0, "elapsed_s": 74.0}
+    steps = [each | {"words": words, "state": state} for words, state in seen]
+    circle = dict(zip(("latitude_deg", "longitude_deg"), place(-30, 0), strict=True)) | {"radius_m": 60.0}
+    lines = ["The port motor turned the bow to starboard.", "  port   ahead   1.2 m/s", "         astern  0.7 m/s"]
+    told = {"t": "adoption", "boat": 2, "is_running": True, "circle": circle, "steps": steps, "part": 0.4, "end": ""}
+    return told | {
+        "lines": lines,
+        "question": "Is the water about her still free?",
+        "file": "",
+        "is_written": False,
+        "report": False,
+    }
+
+
+async def at_tasks(page: Page, size: tuple[int, int], shot: Shot) -> None:
+    """The camera, a trial, and an area to be surveyed."""
+    async with at_work().serving() as gateway:
+        await begun(page, gateway, width=size[0], height=size[1])
+        await show(page, -250, -330, 250, 360)
+        await page.press("Enter")
+        await choose(page, "More", "Camera")
+        await gateway.until(lambda message: message["t"] == "see")
+        still = base64.b64encode(PlayedPictures(320, 176).picture(1)).decode()
+        told = {"t": "picture", "boat": 2, "camera": "bow", "cameras": ["bow"], "kbps": 240, "why": ""}
+        await gateway.tell(told | {"age_s": 0.1, "same_s": 0, "taken_s": 1.0, "jpeg": still})
+        await page.until("document.querySelector('#picture img').complete")
+        await shot(gateway)
+        await page.value("[...document.querySelectorAll('#picture button')].at(-1).click()")
+        await gateway.tell(trial())
+        await page.until("!document.querySelector('#adopt').hidden")
+        await shot(gateway)
+        await gateway.tell({**trial(), "boat": None})
+        await page.until("document.querySelector('#adopt').hidden")
+        await page.press("Tab")
+        await page.mouse((0.6 * size[0], 0.5 * size[1]))
+        await choose(page, "Survey", "Area around here…")
+        await shot(gateway)
+        await page.call("Page.navigate", url="about:blank")
+
+
 async def seen(name: str) -> list[list[Image.Image]]:
     """Each screen in each theme."""
     width, height, smaller = SIZES[name]
     taken = list[list[bytes]]()
-    for scene in (at_sea, replayed):
+    for scene in (at_sea, replayed, at_tasks):
         with tempfile.TemporaryDirectory(prefix="page-", ignore_cleanup_errors=True) as place:
             async with browser(Path(place)) as page:
 
