@@ -31,6 +31,9 @@ Interface = Annotated[
     ),
 ]
 Degrees = Annotated[float, msgspec.Meta(ge=-180.0, le=180.0)]
+MicroTesla = Annotated[float, msgspec.Meta(ge=-500.0, le=500.0)]
+Stretch = Annotated[float, msgspec.Meta(ge=0.5, le=2.0)]
+Shear = Annotated[float, msgspec.Meta(ge=-0.2, le=0.2)]
 Device = Annotated[
     str,
     text(rf"(/[^ ]+|tcp:([0-9.]+|\[[0-9A-Fa-f:]+\]):{PORT})", "a serial port as /dev/ttyUSB0, or tcp:ADDRESS:PORT, in numbers"),

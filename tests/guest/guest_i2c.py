@@ -49,7 +49,7 @@ values = (
     f'nmea0183.ports.i2c.device="udp:127.0.0.1:{port}"',
     f'i2c.to="udp:127.0.0.1:{port}"',
     f'i2c.sensors.battery={{chip="ina226", bus="{BUS}", shunt_ohm=0.001}}',
-    f'i2c.sensors.air={{chip="bmp390", bus="{BUS}"}}',
+    f'i2c.sensors.air={{chip="bmp390", bus="{BUS}", address=0x76}}',
     f'i2c.sensors.compass={{chip="bno085", bus="{BUS}"}}',
     f'i2c.sensors.other={{chip="ina226", bus="{BUS}", address=0x41}}',
 )

@@ -20,11 +20,11 @@ from delfim.canproxy.dronecan.datatypes import (
 from delfim.canproxy.dronecan.transfers import TransferReceiver
 from delfim.canproxy.dsor.messages import Navigation
 from delfim.canproxy.socket import CanSocket
-from delfim.parts.dronecan.compass import FLAT, Calibration, FieldCircle, Tilt, Vector, attitude, magnetic_heading
 from delfim.parts.dronecan.table import Dronecan
 from delfim.vehicle.links import FRAMES_PER_READ, Links
 from delfim.vehicle.navigation.fixes import Fix
 from delfim.vehicle.navigation.fusion import MOVING, SLOW_S, SQRT2, Fusion, Hearer
+from delfim.vehicle.navigation.magnetic import FLAT, Calibration, FieldCircle, Tilt, Vector, attitude, magnetic_heading
 from delfim.vehicle.state import State
 
 HEARD: Final = (
@@ -53,7 +53,7 @@ class DronecanNavigation:
         table, stale_s = settings.of(Dronecan), settings.navigation.stale_s
         self.input, self._receiver, self._state = socket, receiver, state
         self.heard_s, self.t_ns = -1e9, 0
-        self._stale_s, self._calibration = stale_s, Calibration(table)
+        self._stale_s, self._calibration = stale_s, Calibration(table.hard_iron_ut, table.soft_iron)
         self._variation_rad, self._arrow_rad = math.radians(table.variation_deg), math.radians(table.compass_deg)
         self._antennas_rad = math.radians(table.antennas_deg)
         self._fusion: Fusion[int] = Fusion(_KINDS, stale_s, table.preferred_sources)

@@ -4,12 +4,8 @@ from typing import Annotated, Literal
 
 import msgspec
 
-from delfim.base.ranges import BitRate, Degrees, Interface
+from delfim.base.ranges import BitRate, Degrees, Interface, MicroTesla, Shear, Stretch
 from delfim.base.tables import Table
-
-MicroTesla = Annotated[float, msgspec.Meta(ge=-500.0, le=500.0)]
-Stretch = Annotated[float, msgspec.Meta(ge=0.5, le=2.0)]
-Shear = Annotated[float, msgspec.Meta(ge=-0.2, le=0.2)]
 
 
 class Dronecan(Table, frozen=True):

@@ -53,7 +53,7 @@ class Bmp390:
         for register, value in ((OVERSAMPLING, EIGHTFOLD), (RATE, AT_12_HZ), (FILTER, SMOOTH), (POWER, ON)):
             bus.put(self._at, register, bytes((value,)))
 
-    def read(self, bus: I2cBus) -> Air | None:
+    def read(self, bus: I2cBus, now_s: float) -> Air | None:
         if self._trimming is None or bus.registers(self._at, STATUS, 1)[0] & READY != READY:
             return None
         return self._trimming.air(bus.registers(self._at, DATA, 6))

@@ -48,7 +48,7 @@ class Bno085:
         self._begun = True
         self._ask(bus)
 
-    def read(self, bus: I2cBus) -> ChipTurn | None:
+    def read(self, bus: I2cBus, now_s: float) -> ChipTurn | None:
         found = ChipTurn()
         for _ in range(PACKETS):
             if not (length := length_of(bus.read(self._at, HEAD.size))):

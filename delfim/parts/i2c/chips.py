@@ -41,7 +41,7 @@ class I2cChip(Protocol):
     period_s: float  # from one reading to the next
 
     def begin(self, bus: I2cBus) -> None: ...  # set it up; also after it was reset
-    def read(self, bus: I2cBus) -> I2cReading | None: ...  # None: it has measured nothing new
+    def read(self, bus: I2cBus, now_s: float) -> I2cReading | None: ...  # None: it has measured nothing new
 
 
 def sentences(name: str, told: I2cReading) -> bytes:

@@ -20,11 +20,17 @@ from delfim.parts.i2c.bmp390 import Bmp390
 from delfim.parts.i2c.bno085 import Bno085
 from delfim.parts.i2c.buses import I2cBus, KernelBus
 from delfim.parts.i2c.chips import I2cChip, sentences
+from delfim.parts.i2c.icm20948 import Icm20948
 from delfim.parts.i2c.ina226 import Ina226
 from delfim.parts.i2c.table import I2cSensor, I2cTable
 from delfim.services.runtime import Runtime
 
-CHIPS: Final[dict[str, Callable[[I2cSensor], I2cChip]]] = {"bno085": Bno085, "ina226": Ina226, "bmp390": Bmp390}
+CHIPS: Final[dict[str, Callable[[I2cSensor], I2cChip]]] = {
+    "bno085": Bno085,
+    "ina226": Ina226,
+    "bmp390": Bmp390,
+    "icm20948": Icm20948,
+}
 FAILURES: Final = 3  # in a row that are a trouble; one lost transfer is none
 SILENT_S: Final = 3.0  # without a new measurement, after which a chip is set up anew
 AGAIN_S: Final = 1.0  # to the next try with a chip, or a bus, that failed
@@ -64,7 +70,7 @@ class WatchedSensor:
                 self._chip.begin(bus)
                 self.begun, self._since_s = True, now_s
                 return b""
-            reading = self._chip.read(bus)
+            reading = self._chip.read(bus, now_s)
         except (OSError, FormatError) as error:
             self._row, self.failed = self._row + 1, self.failed + 1
             if self._row >= FAILURES or not self.begun:
@@ -79,6 +85,10 @@ class WatchedSensor:
         if now_s - self._since_s > SILENT_S:
             self.fail(f"it answers, and measures nothing new for {SILENT_S:.0f} s", now_s)
         return b""
+
+    def found(self) -> dict[str, object]:
+        """What a chip finds out about itself: the calibration of a compass."""
+        return {"calibration": self._chip.calibration()} if isinstance(self._chip, Icm20948) else {}
 
     def fail(self, why: str, now_s: float) -> None:
         """Set it up anew, a little later."""
@@ -142,6 +152,7 @@ class WatchedBus:
                 "trouble": hangs or each.trouble,
                 "told": each.told,
                 "failed": each.failed,
+                **each.found(),
             }
             for each in self.sensors
         }

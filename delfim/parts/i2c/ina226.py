@@ -29,7 +29,7 @@ class Ina226:
             raise FormatError(f"no INA226 answers there: its maker's number is {maker:#06x}, not {TEXAS:#06x}")
         bus.put(self._table.at, CONFIGURATION, CONTINUOUS.to_bytes(2, "big"))
 
-    def read(self, bus: I2cBus) -> Supply | None:
+    def read(self, bus: I2cBus, now_s: float) -> Supply | None:
         if not self._word(bus, FLAGS) & READY:
             return None
         drop, volts = self._word(bus, SHUNT), self._word(bus, BUS)

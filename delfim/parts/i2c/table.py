@@ -4,11 +4,18 @@ from typing import Annotated, Any, Literal
 
 import msgspec
 
-from delfim.base.ranges import PORT, Degrees, Name
+from delfim.base.ranges import PORT, Degrees, MicroTesla, Name, Shear, Stretch
 from delfim.base.tables import Table, text
 
 SENSORS_MAX = 8
-ADDRESSES = {"bno085": (0x4A, 0x4B), "ina226": tuple(range(0x40, 0x50)), "bmp390": (0x76, 0x77)}  # the usual one first
+LEAST_HZ = 5.0  # of a gyro whose rates are added up
+MAGNETOMETER = 0x0C  # within an ICM-20948, at an address of its own
+ADDRESSES = {  # the usual one first
+    "bno085": (0x4A, 0x4B),
+    "icm20948": (0x69, 0x68),
+    "ina226": tuple(range(0x40, 0x50)),
+    "bmp390": (0x77, 0x76),
+}
 I2cBusName = Annotated[str, text("/dev/i2c-[0-9]{1,3}", "/dev/i2c-NUMBER, as ls /dev/i2c-* lists them")]
 Volts = Annotated[float, msgspec.Meta(ge=0.0, le=36.0)]  # an INA226 bears no more
 
@@ -16,11 +23,17 @@ Volts = Annotated[float, msgspec.Meta(ge=0.0, le=36.0)]  # an INA226 bears no mo
 class I2cSensor(Table, frozen=True):
     """A sensor on I2C. Each chip uses its own keys."""
 
-    chip: Literal["bno085", "ina226", "bmp390"]  # heading and attitude; volts and amperes of a battery; pressure of the air
+    chip: Literal["bno085", "icm20948", "ina226", "bmp390"]  # two for heading and attitude; a battery; pressure of the air
     bus: I2cBusName = "/dev/i2c-1"  # that of a Raspberry Pi's pins
     address: Annotated[int, msgspec.Meta(ge=0, le=0x77)] = 0  # of the chip; 0: the one that most boards have
-    rate_hz: Annotated[float, msgspec.Meta(ge=1.0, le=50.0)] = 10.0  # bno085: of its heading; the others tell once a second
-    turned_deg: Degrees = 0.0  # bno085: its x axis, clockwise from the bow; z is up
+    rate_hz: Annotated[float, msgspec.Meta(ge=1.0, le=50.0)] = 10.0  # of a heading; the others tell once a second
+    turned_deg: Degrees = 0.0  # bno085, icm20948: the x axis, clockwise from the bow; z is up
+    hard_iron_ut: tuple[MicroTesla, MicroTesla, MicroTesla] = (
+        0.0,
+        0.0,
+        0.0,
+    )  # icm20948: taken off ahead, right, down
+    soft_iron: tuple[Stretch, Stretch, Stretch, Shear, Shear, Shear] = (1.0, 1.0, 1.0, 0.0, 0.0, 0.0)  # then: xx yy zz xy xz yz
     heading_max_deg: Annotated[float, msgspec.Meta(gt=0.0, le=180.0)] = 15.0  # bno085: where it is less sure, none is told
     shunt_ohm: Annotated[float, msgspec.Meta(gt=0.0, le=1.0)] = 0.002  # ina226: 82 mV across it are the most that it measures
     reversed: bool = False  # ina226: its IN+ is on the load's side
@@ -30,8 +43,10 @@ class I2cSensor(Table, frozen=True):
 
     def __post_init__(self) -> None:
         if self.address not in (0, *ADDRESSES[self.chip]):
-            first, last = ADDRESSES[self.chip][0], ADDRESSES[self.chip][-1]
+            first, last = min(ADDRESSES[self.chip]), max(ADDRESSES[self.chip])
             raise ValueError(f"address: a {self.chip} has one of {first:#x} to {last:#x}, not {self.address:#x}")
+        if self.chip == "icm20948" and self.rate_hz < LEAST_HZ:
+            raise ValueError(f"rate_hz: an icm20948 needs {LEAST_HZ:g} or more, for its gyro is added up")
         if (self.empty_v or self.full_v) and not self.empty_v < self.full_v:
             raise ValueError(f"full_v: {self.full_v:g} V is not above empty_v, {self.empty_v:g} V")
 
@@ -61,6 +76,10 @@ class I2cTable(Table, frozen=True):
             if other := taken.get((sensor.bus, sensor.at)):
                 raise ValueError(f"i2c.sensors.{name}: {sensor.bus} has {other} at {sensor.at:#x} already")
             taken[sensor.bus, sensor.at] = name
+            if sensor.chip == "icm20948":
+                if other := taken.get((sensor.bus, MAGNETOMETER)):
+                    raise ValueError(f"i2c.sensors.{name}: {sensor.bus} has the magnetometer of {other} at {MAGNETOMETER:#x}")
+                taken[sensor.bus, MAGNETOMETER] = name
         return self
 
     @property

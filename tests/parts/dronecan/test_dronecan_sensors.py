@@ -18,7 +18,6 @@ from delfim.base.frames import CAN_ERR, CAN_RTR, Frame, extended
 from delfim.base.modes import Mode
 from delfim.canproxy.dsor.messages import BatteriesStatus, Fault, Navigation, Status
 from delfim.canproxy.socket import ANYTHING
-from delfim.parts.dronecan.compass import Tilt
 from delfim.parts.dronecan.sensor import open_sensor
 from delfim.parts.dronecan.source import FLAT_S, DronecanNavigation, open_source
 from delfim.parts.dronecan.table import Dronecan
@@ -26,6 +25,7 @@ from delfim.simulator.lockstepbus import LockstepBus
 from delfim.vehicle.build import build
 from delfim.vehicle.inputhealth import KINDS
 from delfim.vehicle.links import Links
+from delfim.vehicle.navigation.magnetic import Tilt
 from delfim.vehicle.state import NoLog, State
 
 EQ = uavcan.equipment

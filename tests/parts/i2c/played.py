@@ -149,6 +149,49 @@ class PlayedBno085(PlayedChip):
             self.asked.add(data[5])
 
 
+class PlayedIcm20948(PlayedChip):
+    """Gyro and accelerometer; registers of the chosen bank alone answer. `mag` is its magnetometer."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.banks, self.bank, self.mag = {0: {0x00: 0xEA}, 2: dict[int, int]()}, 0, PlayedChip()
+        self.mag.at[0x01] = 0x09
+        self.bias = 0.0, 0.0, 0.0
+        self.at = self.banks[0]
+
+    def put(self, register: int, data: bytes) -> None:
+        self.written.append((register, data))
+        if register == 0x7F:
+            self.at = self.banks[data[0] >> 4]
+        else:
+            self.at[register] = data[0]
+
+    def measure(self, heading_rad: float, rate_radps: float = 0.0, attitude: tuple[float, float] = (0.0, 0.0)) -> None:
+        """A field of 25 uT that dips by 56 degrees, for a boat that is turned about down, then right, then ahead."""
+        (roll, pitch), yaw = attitude, heading_rad
+        cr, sr, cp, sp, cy, sy = (f(a) for a in (roll, pitch, yaw) for f in (math.cos, math.sin))
+        north, down = 25e-6, 25e-6 * math.tan(math.radians(56.0))
+        ahead = (cp * cy, cp * sy, -sp)
+        right = (sr * sp * cy - cr * sy, sr * sp * sy + cr * cy, sr * cp)
+        below = (cr * sp * cy + sr * sy, cr * sp * sy - sr * cy, cr * cp)
+        field = (round((north * axis[0] + down * axis[2]) / 0.15e-6) for axis in (ahead, right, below))
+        force = (-9.80665 * axis[2] for axis in (ahead, right, below))
+        rates = (rate_radps * axis[2] + bias for axis, bias in zip((ahead, right, below), self.bias, strict=True))
+        signs = 1.0, -1.0, -1.0  # its y is to the left and its z up
+        said = [round(s * f / (9.80665 / 8192.0)) for s, f in zip(signs, force, strict=True)]
+        said += [round(s * math.degrees(r) * 65.5) for s, r in zip(signs, rates, strict=True)]
+        if self.banks[2].get(0x01) == 0x1B and self.at.get(0x06) == 0x01:
+            self.at |= {0x2D + i: each for i, each in enumerate(struct.pack(">6h", *said))} | {0x1A: 1}
+        if self.mag.at.get(0x31) == 0x08 and self.at.get(0x0F) == 0x02:
+            self.mag.at |= {0x10 + i: each for i, each in enumerate(struct.pack("<B3hBB", 1, *field, 0, 0))}
+
+    def registers(self, first: int, size: int) -> bytes:
+        data = super().registers(first, size)
+        if first == 0x1A:
+            self.at[0x1A] = 0
+        return data
+
+
 class PlayedBus:
     """A bus with chips by their addresses; `error` is what each transfer ends with."""
 

@@ -8,8 +8,6 @@ gravity. A tilt that is wrong by one degree makes a heading wrong by up to one a
 import math
 from typing import Final
 
-from delfim.parts.dronecan.table import Dronecan
-
 Vector = tuple[float, float, float]
 FLAT: Final[Vector] = (0.0, 0.0, 1.0)  # down, of a device that lies flat
 CORRECTED_S: Final = 5.0  # time constant with which gravity corrects the gyro
@@ -58,9 +56,9 @@ class Tilt:
 class Calibration:
     """The boat's own iron, from the vehicle's file."""
 
-    def __init__(self, table: Dronecan) -> None:
-        self._hard = tuple(each * 1e-6 for each in table.hard_iron_ut)
-        xx, yy, zz, xy, xz, yz = table.soft_iron
+    def __init__(self, hard_iron_ut: Vector, soft_iron: tuple[float, float, float, float, float, float]) -> None:
+        self._hard = tuple(each * 1e-6 for each in hard_iron_ut)
+        xx, yy, zz, xy, xz, yz = soft_iron
         self._rows = (xx, xy, xz), (xy, yy, yz), (xz, yz, zz)
 
     def undone(self, field_t: Vector) -> Vector:
