@@ -5,7 +5,7 @@ reason, through the whole program.
     python -m bench.breaches --tell                                     judges what is there
 
 Of a run in which a domain is entered, or a ship struck, two moments count: when the last ship began to turn before that, which
-nobody can know sooner; and when the boat heard the first report from that turn, which is when it can be known aboard. From
+nobody can know sooner; and when the boat heard the first report of its new course, which is when it can be known aboard. From
 either all places are followed that some way reaches without a domain (`bench.escapes`): where none is left, no boat of that
 speed could have stayed clear. And courses at full and half speed and stopped are tried, kept by a boat that turns and speeds up
 as this one: where one of these stays clear a way was left, for sure.
@@ -19,19 +19,22 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
+import numpy as np
+
 from bench.escapes import OWN_MPS, SMALL, escapes
 from delfim.base.vessels import VesselPosition
 from delfim.campaign.runplan import Plan, read
 from delfim.campaign.sailing import sailed_run
 from delfim.parts.traffic.encounter import Own
-from delfim.simulator.nodes.other_vessels import FIRST_MMSI, Transponder
-from tests.parts.traffic.encounters import Instant, Ship, moved, place
+from delfim.simulator.nodes.other_vessels import FIRST_MMSI, Transponder, axes_m
+from tests.parts.traffic.encounters import Instant, Ship, place
 
 CAMPAIGN: Final = Path(__file__).parents[1] / "etc/campaigns/encounters-harder.toml"
 MANNER, HEARD = "simulation.traffic.manner", "simulation.traffic.heard"
 MANNERS: Final = ("late", "turn")
 FASTEST_MPS: Final = 2.2  # control.speed.max_mps, which no mission exceeds
-TURNED_RAD: Final = math.radians(3.0)  # a ship that is told to be so far off its course is known to turn
+TURNS_RAD: Final = 1e-4  # in a second: a ship turns
+NEAR_RAD: Final = math.radians(3.0)  # of its new course, when the turn is as good as over
 KEPT_S: Final = 300
 COURSES, PARTS = range(0, 360, 5), (1.0, 0.5, 0.0)
 
@@ -44,7 +47,8 @@ class Breach(NamedTuple):
     told_s: float  # when the turn was heard of; infinite: never before the domain was entered
     left: str  # "none at the turn", "none when told", "a course", "perhaps"
     hurrying: bool  # at the highest speed of the file some way may have been left when it was told
-    missed: str  # of a run with a collision: whether a course that would not have struck was left when told
+    best: float  # domains: the least of the best course that is kept from when it was told
+    missed: str  # of a run with a collision: whether a course that would have struck nobody was left when it was told
 
 
 class Followed(NamedTuple):
@@ -126,18 +130,34 @@ def judged(row: dict[str, Any]) -> Breach:
     entered_s = times_s[bad.index(True) // len(ships)]
     turned_s, ship = max(((_turned_s(each, entered_s), i) for i, each in enumerate(ships)), default=(times_s[0], 0))
     told_s = _told_s(ships[ship], turned_s, [t_s for t_s, number in row["reports"] if number == ship])
+    is_told, begin = told_s < entered_s, _begin(instants, min(told_s, times_s[-1]))
+    best, _ = kept(begin.own, begin.t_s, ships)
     if not escapes(_begin(instants, turned_s), ships):
         left = "none at the turn"
-    elif told_s >= entered_s or not escapes(_begin(instants, told_s), ships):
+    elif not is_told or not escapes(begin, ships):
         left = "none when told"
     else:
-        left = "a course" if kept(_begin(instants, told_s).own, told_s, ships)[0] >= 1.0 else "perhaps"
-    hurrying = told_s < entered_s and escapes(_begin(instants, told_s), ships, FASTEST_MPS)
-    missed = ""
-    if any(struck(row)):
-        clear_m = kept(_begin(instants, told_s).own, told_s, ships)[1] if told_s < times_s[-1] else 0.0
-        missed = "a course would have missed it" if clear_m > 0.0 else "no course would have missed it"
-    return Breach(entered_s, turned_s, told_s, left, hurrying, missed)
+        left = "a course" if best >= 1.0 else "perhaps"
+    hurrying = is_told and (left in ("a course", "perhaps") or escapes(begin, ships, FASTEST_MPS))
+    missed = _missed(row, ships)
+    return Breach(entered_s, turned_s, told_s, left, hurrying, best, missed)
+
+
+def _missed(row: dict[str, Any], ships: Sequence[Followed]) -> str:
+    """Whether a course that was kept would have struck nobody, from when the last turn of the ship that was struck was told;
+    empty where none was struck."""
+    words = list[str]()
+    for i, is_struck in enumerate(struck(row)):
+        if is_struck:
+            struck_s = min((math.dist(each[1:3], each[5][i][:2]), each[0]) for each in row["instants"])[1]
+            turned_s = _turned_s(ships[i], struck_s)
+            told_s = _told_s(ships[i], turned_s, [t_s for t_s, number in row["reports"] if number == i])
+            begin = _begin(row["instants"], told_s)
+            found = "no course" if told_s >= struck_s or kept(begin.own, told_s, ships)[1] <= 0.0 else "a course"
+            words.append(
+                f"ship {i + 1} turned at {turned_s:.0f} s, told at {told_s:.0f} s, struck at {struck_s:.0f} s: {found}"
+            )
+    return "; ".join(words)
 
 
 def _own(instant: Sequence[Any]) -> Own:
@@ -153,7 +173,7 @@ def _begin(instants: Sequence[Any], t_s: float) -> Instant:
 def _turned_s(ship: Followed, before_s: float) -> float:
     """When it began to turn last before this time; the beginning of the run, if it did not."""
     found = ship.times_s[0]
-    turns = [abs(ship.places[i + 1][2] - ship.places[i][2]) > 1e-4 for i in range(len(ship.places) - 1)]
+    turns = [abs(ship.places[i + 1][2] - ship.places[i][2]) > TURNS_RAD for i in range(len(ship.places) - 1)]
     for i in range(1, len(turns)):
         if turns[i] and not turns[i - 1] and ship.times_s[i] < before_s:
             found = ship.times_s[i]
@@ -161,29 +181,34 @@ def _turned_s(ship: Followed, before_s: float) -> float:
 
 
 def _told_s(ship: Followed, turned_s: float, heard_s: Sequence[float]) -> float:
-    """When the first report from this turn was heard."""
-    was_rad = ship.at(turned_s).course_rad
-    after = (t_s for t_s in heard_s if t_s > turned_s and abs(ship.at(t_s).course_rad - was_rad) >= TURNED_RAD)
+    """When the first report of the course to which it turned then was heard."""
+    i = ship.times_s.index(turned_s) if turned_s in ship.times_s else 0
+    last = len(ship.places) - 1
+    while i < last and abs(ship.places[i + 1][2] - ship.places[i][2]) > TURNS_RAD:
+        i += 1
+    new_rad = ship.places[i][2]
+    after = (t_s for t_s in heard_s if t_s > turned_s and abs(ship.at(t_s).course_rad - new_rad) <= NEAR_RAD)
     return min(after, default=math.inf)
 
 
 def kept(own: Own, from_s: float, ships: Sequence[Followed]) -> tuple[float, float]:
     """The best of all courses that are kept: the least nearness in domains of that which has most; and the most m that one
     stays off the hull of each."""
-    most, most_m = 0.0, -math.inf
-    for course in COURSES:
-        for part in PARTS:
-            at, near, near_m = own, math.inf, math.inf
-            for t in range(KEPT_S):
-                for ship in (each.at(from_s + t) for each in ships):
-                    near = min(near, place(at, ship)[0])
-                    off_m = math.hypot(at.north_m - ship.north_m, at.east_m - ship.east_m)
-                    near_m = min(near_m, off_m - (ship.length_m + SMALL.length_m) / 2.0)
-                if near < most and near_m < most_m:
-                    break
-                at = moved(at, math.radians(course), OWN_MPS * part, SMALL)
-            most, most_m = max(most, near), max(most_m, near_m)
-    return most, most_m
+    trials = np.array([(math.radians(course), OWN_MPS * part) for course in COURSES for part in PARTS])
+    wanted_rad, wanted_mps = trials.T
+    north_m, east_m, course_rad, speed_mps = (np.full(len(trials), each) for each in own)
+    near, near_m = np.full(len(trials), math.inf), np.full(len(trials), math.inf)
+    for t in range(KEPT_S):
+        for ship in (each.at(from_s + t) for each in ships):
+            n, e, axes = north_m - ship.north_m, east_m - ship.east_m, axes_m(ship.length_m)
+            c, s = math.cos(ship.course_rad), math.sin(ship.course_rad)
+            near = np.minimum(near, np.hypot((n * c + e * s) / axes[0], (e * c - n * s) / axes[1]))
+            near_m = np.minimum(near_m, np.hypot(n, e) - (ship.length_m + SMALL.length_m) / 2.0)
+        left_rad = (wanted_rad - course_rad + math.pi) % (2.0 * math.pi) - math.pi
+        course_rad += np.clip(left_rad, -SMALL.turn_radps, SMALL.turn_radps)
+        speed_mps += np.clip(wanted_mps - speed_mps, -SMALL.ramp_mps2, SMALL.ramp_mps2)
+        north_m, east_m = north_m + speed_mps * np.cos(course_rad), east_m + speed_mps * np.sin(course_rad)
+    return float(near.max()), float(near_m.max())
 
 
 def tell(output: Path) -> None:
@@ -201,7 +226,12 @@ def tell(output: Path) -> None:
         if found.missed or found.left in ("a course", "perhaps"):
             told = f"turned at {found.turned_s:.0f} s, told at {found.told_s:.0f} s, entered at {found.entered_s:.0f} s"
             near = ", ".join(f"{each:.2f}" for each in row["nearest"])
-            print(*_run(row), f"{near}: {told}: {found.left}", found.missed and f"STRUCK: {found.missed}", flush=True)
+            print(
+                *_run(row),
+                f"{near}: {told}: {found.left} ({found.best:.2f})",
+                found.missed,
+                flush=True,
+            )
         counts[*kind, "struck"] += bool(found.missed)
     columns = ("runs", "struck", "entered", "none at the turn", "none when told", "perhaps", "a course", "hurrying")
     print("| | AIS |", *(f"{each} |" for each in columns))
