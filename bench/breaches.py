@@ -47,6 +47,7 @@ class Breach(NamedTuple):
     told_s: float  # when the turn was heard of; infinite: never before the domain was entered
     left: str  # "none at the turn", "none when told", "a course", "perhaps"
     hurrying: bool  # at the highest speed of the file some way may have been left when it was told
+    foreseen: bool  # from the first report of the turn on a course was left, for who knew where it would end
     best: float  # domains: the least of the best course that is kept from when it was told
     missed: str  # of a run with a collision: whether a course that would have struck nobody was left when it was told
 
@@ -129,7 +130,8 @@ def judged(row: dict[str, Any]) -> Breach:
     bad = [place(_own(each), ship.at(each[0]))[0] < 1.0 for each in instants for ship in ships]
     entered_s = times_s[bad.index(True) // len(ships)]
     turned_s, ship = max(((_turned_s(each, entered_s), i) for i, each in enumerate(ships)), default=(times_s[0], 0))
-    told_s = _told_s(ships[ship], turned_s, [t_s for t_s, number in row["reports"] if number == ship])
+    heard_s = [t_s for t_s, number in row["reports"] if number == ship]
+    told_s, begun_s = _told_s(ships[ship], turned_s, heard_s), _begun_s(ships[ship], turned_s, heard_s)
     is_told, begin = told_s < entered_s, _begin(instants, min(told_s, times_s[-1]))
     best, _ = kept(begin.own, begin.t_s, ships)
     if not escapes(_begin(instants, turned_s), ships):
@@ -139,8 +141,10 @@ def judged(row: dict[str, Any]) -> Breach:
     else:
         left = "a course" if best >= 1.0 else "perhaps"
     hurrying = is_told and (left in ("a course", "perhaps") or escapes(begin, ships, FASTEST_MPS))
+    early = _begin(instants, min(begun_s, times_s[-1]))
+    foreseen = begun_s < entered_s and kept(early.own, early.t_s, ships)[0] >= 1.0
     missed = _missed(row, ships)
-    return Breach(entered_s, turned_s, told_s, left, hurrying, best, missed)
+    return Breach(entered_s, turned_s, told_s, left, hurrying, foreseen, best, missed)
 
 
 def _missed(row: dict[str, Any], ships: Sequence[Followed]) -> str:
@@ -191,6 +195,14 @@ def _told_s(ship: Followed, turned_s: float, heard_s: Sequence[float]) -> float:
     return min(after, default=math.inf)
 
 
+def _begun_s(ship: Followed, turned_s: float, heard_s: Sequence[float]) -> float:
+    """When the first report was heard by which it turned then."""
+    was_rad = ship.at(turned_s).course_rad
+    return min(
+        (t_s for t_s in heard_s if t_s > turned_s and abs(ship.at(t_s).course_rad - was_rad) >= NEAR_RAD), default=math.inf
+    )
+
+
 def kept(own: Own, from_s: float, ships: Sequence[Followed]) -> tuple[float, float]:
     """The best of all courses that are kept: the least nearness in domains of that which has most; and the most m that one
     stays off the hull of each."""
@@ -223,6 +235,7 @@ def tell(output: Path) -> None:
         counts[*kind, "entered"] += 1
         counts[*kind, found.left] += 1
         counts[*kind, "hurrying"] += found.hurrying
+        counts[*kind, "foreseen"] += found.foreseen
         if found.missed or found.left in ("a course", "perhaps"):
             told = f"turned at {found.turned_s:.0f} s, told at {found.told_s:.0f} s, entered at {found.entered_s:.0f} s"
             near = ", ".join(f"{each:.2f}" for each in row["nearest"])
@@ -233,7 +246,7 @@ def tell(output: Path) -> None:
                 flush=True,
             )
         counts[*kind, "struck"] += bool(found.missed)
-    columns = ("runs", "struck", "entered", "none at the turn", "none when told", "perhaps", "a course", "hurrying")
+    columns = ("runs", "struck", "entered", "none at the turn", "none when told", "perhaps", "a course", "hurrying", "foreseen")
     print("| | AIS |", *(f"{each} |" for each in columns))
     for manner, heard in sorted({key[:2] for key in counts}):
         print(f"| {manner} | {heard} |", *(f"{counts[manner, heard, each]} |" for each in columns))
