@@ -11,7 +11,7 @@ from delfim.simulator.invariants.cycle import NOTHING, Before, CycleSeen
 from delfim.simulator.lockstep import Lockstep
 from delfim.vehicle.control.hull import Gains
 from delfim.vehicle.control.memory import Settings
-from delfim.vehicle.state import Arc, Motion, Reference
+from delfim.vehicle.state import Arc, Line, Motion, Reference
 
 ROUNDING: Final = 1e-9
 OFF_N: Final = 0.5  # least force that counts: less than 1e-4 of a thruster's is no command
@@ -195,10 +195,33 @@ class ControlLaw:
 def _turn_radps(cycle: CycleSeen) -> float:
     """The rate of turn of the path itself."""
     plan, leg, speed_mps = cycle.state.setpoint.plan, cycle.was.memory.leg, cycle.state.reference.speed_mps
-    if cycle.state.mode is not Mode.PATH or plan is None or leg < 0 or speed_mps is None:
+    if cycle.state.mode is not Mode.PATH or plan is None or speed_mps is None:
         return 0.0
-    piece = plan.path[leg]
-    return math.copysign(speed_mps / piece.radius_m, piece.turn_rad) if isinstance(piece, Arc) else 0.0
+    piece = plan.path[leg] if leg >= 0 else None
+    if isinstance(piece, Arc):
+        return math.copysign(speed_mps / piece.radius_m, piece.turn_rad)
+    return _turn_onto(cycle, piece, speed_mps)
+
+
+def _turn_onto(cycle: CycleSeen, piece: Line | None, speed_mps: float) -> float:
+    """That of atan(y / ahead) on a line; None: on the way to the path. Farther off the boat comes back at 45 degrees."""
+    was, to, motion, ahead_m = cycle.was.memory, cycle.state.reference, cycle.state.motion, _ahead_m(cycle)
+    off_m, left_m, plan = to.cross_track_m, to.distance_m, cycle.state.setpoint.plan
+    if was.left_s > 0.0 or plan is None or off_m is None or left_m is None or to.north_m is None or to.east_m is None:
+        return 0.0
+    stops = piece is not None and (piece.hold_s > 0.0 or was.leg == len(plan.path) - 1)
+    if abs(off_m) > ahead_m and not (stops and left_m < abs(off_m)):
+        return 0.0
+    from_n, from_e = piece[:2] if piece is not None else (was.north_m, was.east_m)
+    along_m = math.hypot(to.north_m - from_n, to.east_m - from_e)
+    if not along_m:
+        return 0.0
+    aside_mps = ((to.north_m - from_n) * motion.east_mps - (to.east_m - from_e) * motion.north_mps) / along_m
+    return -bounded(aside_mps, speed_mps) * ahead_m / (ahead_m**2 + off_m**2)
+
+
+def _ahead_m(cycle: CycleSeen) -> float:
+    return cycle.run.vehicle.helm.limits.control.path.lookahead_m
 
 
 class DerivedGains:
