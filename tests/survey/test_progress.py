@@ -81,7 +81,7 @@ def test_a_survey_that_is_cut_in_the_middle_of_a_line_goes_on(seed: int) -> None
     second = sailed(plan.lines, soundings(rest, draw), spacing_m)
     both = [merged(*each) for each in zip(done, second, strict=True)]
     once = sailed(plan.lines, soundings(plan, draw), spacing_m)
-    assert covered(plan, both) > covered(plan, once) - 0.01
+    assert covered(plan, both) > covered(plan, once) - 0.015, "a line of a few metres is not gone back to"
     gone = [gap for each in zip(plan.lines, both, strict=True) for gap in left(*each)]
     assert max((math.dist(*gap) - OVERLAP_M for gap in gone), default=0.0) < spacing_m, "no gap is longer than a spacing"
     took_s = len(first) * STEP_M / wanted.speed_mps + math.dist(first[-1], rest.begin) / wanted.speed_mps + rest.time_s

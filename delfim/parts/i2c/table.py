@@ -28,11 +28,7 @@ class I2cSensor(Table, frozen=True):
     address: Annotated[int, msgspec.Meta(ge=0, le=0x77)] = 0  # of the chip; 0: the one that most boards have
     rate_hz: Annotated[float, msgspec.Meta(ge=1.0, le=50.0)] = 10.0  # of a heading; the others tell once a second
     turned_deg: Degrees = 0.0  # bno085, icm20948: the x axis, clockwise from the bow; z is up
-    hard_iron_ut: tuple[MicroTesla, MicroTesla, MicroTesla] = (
-        0.0,
-        0.0,
-        0.0,
-    )  # icm20948: taken off ahead, right, down
+    hard_iron_ut: tuple[MicroTesla, MicroTesla, MicroTesla] = (0.0, 0.0, 0.0)  # icm20948: taken off ahead, right, down
     soft_iron: tuple[Stretch, Stretch, Stretch, Shear, Shear, Shear] = (1.0, 1.0, 1.0, 0.0, 0.0, 0.0)  # then: xx yy zz xy xz yz
     heading_max_deg: Annotated[float, msgspec.Meta(gt=0.0, le=180.0)] = 15.0  # bno085: where it is less sure, none is told
     shunt_ohm: Annotated[float, msgspec.Meta(gt=0.0, le=1.0)] = 0.002  # ina226: 82 mV across it are the most that it measures
