@@ -67,7 +67,7 @@ def test_a_picture_that_does_not_change_is_told(gateway: Standin, page: contextl
     async def scenario() -> None:
         async with looking(gateway, page) as its:
             await gateway.tell(shot())
-            await shown(its, gateway, f"{AGE}.includes(', 20 kbit/s')")
+            await shown(its, gateway, f"{AGE}.includes(', 20\\u00a0kbit/s')")
             assert await its.value(SAID) == ""
             await gateway.tell(shot(same_s=9))
             await shown(its, gateway, f"{SAID}.startsWith('picture has not changed for ')")

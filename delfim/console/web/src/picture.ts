@@ -110,7 +110,7 @@ export class Picture {
     const same_s = shot.same_s! + since_s;
     const old = age_s > OLD_S || !this.state.online;
     this.box.classList.toggle("old", old);
-    text(this.age, performance.now() < this.kept[1] ? this.kept[0] : `${age_s.toFixed(1)} s${shot.kbps ? `, ${shot.kbps} kbit/s` : ""}`);
+    text(this.age, performance.now() < this.kept[1] ? this.kept[0] : `${age_s.toFixed(1)}\u00a0s${shot.kbps ? `, ${shot.kbps}\u00a0kbit/s` : ""}`);
     text(this.said, old ? `picture is ${Math.round(age_s)} s old${shot.why ? `: ${shot.why}` : ""}` : same_s > SAME_S && !this.state.replaying ? `picture has not changed for ${Math.round(same_s)} s` : "");
   }
 }
