@@ -5,8 +5,10 @@ import sys
 from collections.abc import Callable
 from functools import partial
 from random import Random
+from types import SimpleNamespace
 from typing import Any
 
+import msgspec
 import pytest
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
@@ -15,7 +17,7 @@ from delfim.base import geodesy
 from delfim.base.vessels import VesselFacts, VesselPosition
 from delfim.config import TrafficTable
 from delfim.parts.traffic.reckoning import MARGIN_MAX_M
-from delfim.parts.traffic.targets import FACTS_MOST, MOST, Tracker
+from delfim.parts.traffic.targets import FACTS_MOST, MOST, Tracker, silence_s
 from delfim.vehicle.target import NEVER_S, Target
 
 AT = geodesy.origin(math.radians(38.5), math.radians(-9.0))
@@ -252,3 +254,15 @@ def test_what_is_refused_is_counted_by_a_few_words() -> None:
         tracked.hear(report(random.uniform(-9e5, 9e5), 0.0, mmsi=random.randrange(10**9), second=i % 60), "nmea2000", i / 9.0)
     tracked.hear(report(math.nan, 0.0), "nmea2000", 1.0)
     assert set(tracked.refused) <= {JUMP, TWICE, TWO, FULL, NOWHERE, "no vessel", "own transponder"}
+
+
+@pytest.mark.parametrize(
+    ("kind", "is_resting", "expected_s"),
+    [("thing", True, 1.0), ("person", False, 1.0), ("A", True, 2.0), ("A", False, 12.0), ("B", False, 4.0)],
+)
+def test_what_is_silent_is_lost_after_the_time_of_its_kind(kind: str, is_resting: bool, expected_s: float) -> None:
+    limits = msgspec.structs.replace(
+        TrafficTable(), kept_thing_s=1.0, lost_rest_s=2.0, lost_a_s=3.0, lost_b_s=4.0, lost_near_s=5.0
+    )
+    track: Any = SimpleNamespace(kind=kind, is_resting=is_resting, haste=4.0)
+    assert silence_s(limits, track) == expected_s

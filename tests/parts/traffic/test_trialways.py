@@ -5,7 +5,8 @@ import math
 import pytest
 
 from delfim.parts.traffic.encounter import Own
-from delfim.parts.traffic.trialways import Caution, RouteAhead, route_legs, trial_legs
+from delfim.parts.traffic.trialways import Caution, RouteAhead, clear_m, core, route_legs, trial_legs
+from delfim.vehicle.target import Target
 
 OWN = Own(100.0, -200.0, 0.0, 1.0)
 
@@ -62,3 +63,16 @@ def test_a_turn_and_a_change_of_speed_are_a_wait_on_the_old_course(own_rad, cour
     assert then == pytest.approx((wait_s, math.inf, *place, speed_mps * math.cos(course_rad), speed_mps * math.sin(course_rad)))
     fast, _ = trial_legs(boat, OWN._replace(speed_mps=2.0), 0.0, 2.0)
     assert fast == (0.0, 0.0, 100.0, -200.0, 2.0, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("kind", "part", "expected_m"),
+    [("thing", 1.0, 10.0), ("thing", 0.5, 5.0), ("person", 1.0, 30.0), ("person", 0.5, 15.0), ("person", 0.25, 14.0)],
+)
+def test_how_far_a_boat_keeps_from_things_and_swimmers(kind: str, part: float, expected_m: float) -> None:
+    assert clear_m(Caution(4.0, 0.25, 0.5), kind, part) == expected_m, "never as near as where the propellers stop"
+
+
+def test_where_the_middle_of_the_boat_cannot_be() -> None:
+    thing = Target("1", "buoy", 0.0, 0.0, 0.0, 0.0, math.nan, 2.0, 2.0, True, 0.5, 0.0, False, "thing", 0)
+    assert core(Caution(4.0, 0.25, 0.5), thing) == 3.5
