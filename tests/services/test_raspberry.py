@@ -124,13 +124,14 @@ def test_the_boot_files_are_what_the_boot_loader_reads(hat: str, clock: str) -> 
     for line in text.splitlines():
         assert re.fullmatch(r"\[(all|pi\w+)\]|initramfs initramfs\.gz followkernel|[a-z_0-9]+=[a-z0-9_,.=-]+", line), line
         assert len(line) <= 98, "the boot loader cuts longer lines"
+    assert "dtparam=i2c_arm=on" in text.splitlines(), "sensors and PCA9685"
     for board in raspberry.BOARDS.values():
         line = raspberry.cmdline_txt("b", board, raspberry.HATS[hat], raspberry.CLOCKS[clock], "NET=eth0")
         assert line.count("\n") == 1
         assert " delfim.slot=b " in line
         modules = re.findall(r"MODULES=(\S+)", line)[0].split(",")
         assert len(set(modules)) == len(modules)
-        assert "can-raw" in modules
+        assert {"can-raw", "i2c-dev"} < set(modules)
 
 
 def test_the_document_has_the_table() -> None:

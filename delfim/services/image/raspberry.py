@@ -39,6 +39,7 @@ class Fitting(NamedTuple):
 _OLD: Final = ("bootcode.bin", "start.elf", "fixup.dat")
 _USB: Final = "dtoverlay=dwc2,dr_mode=host"
 _SPI: Final = "dtparam=spi=on"
+_I2C: Final = "dtparam=i2c_arm=on"  # on the pins 3 and 5, and i2c-dev makes it /dev/i2c-1: sensors, PCA9685
 _CARD: Final = ("fixed", "gpio-regulator", "sdhci-iproc", "bcm2835")
 BOARDS: Final = {
     "pi3": PiBoard(
@@ -119,7 +120,7 @@ CLOCKS: Final = {
 
 def config_txt(hat: Fitting, clock: Fitting) -> str:
     """The boot loader's settings, the same in both slots and for all boards: each takes its own part."""
-    lines = ["[all]", "arm_64bit=1", "kernel=vmlinuz", "initramfs initramfs.gz followkernel", "enable_uart=1"]
+    lines = ["[all]", "arm_64bit=1", "kernel=vmlinuz", "initramfs initramfs.gz followkernel", "enable_uart=1", _I2C]
     lines += [*hat.config, *clock.config]
     for board in BOARDS.values():
         lines += [f"[{board.filter}]", *board.config] if board.config else []
@@ -128,7 +129,7 @@ def config_txt(hat: Fitting, clock: Fitting) -> str:
 
 def cmdline_txt(slot: str, board: PiBoard, hat: Fitting, clock: Fitting, words: str) -> str:
     """The kernel's command line in a slot; `words` are the boat's own for /init."""
-    modules = ",".join(dict.fromkeys((*board.modules, "vfat", *hat.modules, "can-raw", *clock.modules)))
+    modules = ",".join(dict.fromkeys((*board.modules, "vfat", "i2c-dev", *hat.modules, "can-raw", *clock.modules)))
     own = f"LOG={CARD}{LOG_PARTITION} SLOTS={CARD}1 MODULES={modules} delfim.slot={slot}"
     return f"console=serial0,115200 quiet panic=10 {own} {words}".strip() + "\n"
 
