@@ -98,7 +98,7 @@ async def restarted(you: Visit, folder: Path) -> None:
         subprocess.run, command("fault", LAKE, "restarted", "--sim-in", str(folder)), capture_output=True, text=True, check=True
     )
     assert "starts again by itself" in done.stdout
-    await you.sees("hold: restarted: it was in path")
+    await you.sees("restarted: it was in path")
     await you.picture("plug")
     await page.press("k")
     await page.press("c")

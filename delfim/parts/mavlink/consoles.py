@@ -145,7 +145,10 @@ class Consoles:
 
     def alive(self, source: Speaker, address: Address) -> None:
         """A console was heard. It may be the one that commands, or use the number of another one."""
-        now_s = self.clock.monotonic_s()
+        now_s, state = self.clock.monotonic_s(), self.boat.state
+        commanded = bool(state.restarted) and source.name == state.operator  # before the program started again
+        if commanded and self.commander is None and self.refusal(source) is None:
+            self.commander = source
         if source == self.commander:
             self._owner_s = now_s
             self._obey(console.Alive(), source.name)

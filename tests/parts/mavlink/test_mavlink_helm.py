@@ -281,6 +281,23 @@ def test_a_console_does_not_hide_the_silence_of_another_with_its_number(make_boa
 
 
 @pytest.mark.parametrize("key", [None, KEY], ids=["without-key", "signed"])
+@pytest.mark.parametrize(
+    ("who", "restarted", "mode"),
+    [("owner", "it was in heading", Mode.HEADING), ("other", "it was in heading", Mode.HOLD), ("owner", "", Mode.HOLD)],
+)
+def test_the_console_that_commanded_is_not_silent_after_a_restart(make_boat, key, who, restarted, mode):
+    sea = at_sea(make_boat, key)
+    sea.consoles["owner"].command(43002, 1, 90.0)
+    sea.station.consoles.commander, sea.state.restarted = None, restarted  # what a program that was started again knows
+    for _ in range(12):
+        sea.consoles[who].beat()
+        sea.boat.pass_time(1.0)
+        sea.station.tick()
+    assert sea.state.mode is mode
+    assert (sea.station.consoles.commander is not None) == (mode is Mode.HEADING)
+
+
+@pytest.mark.parametrize("key", [None, KEY], ids=["without-key", "signed"])
 def test_the_guest_computer_takes_no_boat_whose_owner_is_silent(make_boat, key):
     sea = at_sea(make_boat, key)
     sea.consoles["owner"].mode(3)
