@@ -92,7 +92,8 @@ def table(lines: Iterable[WatchLine], *, header: bool = True) -> str:
     if header:
         rows.writerow(HEADER)
     for line in lines:
-        at = time.strftime("%Y-%m-%dT%H:%M:%S", time.gmtime(line.at_s)) + f".{int(line.at_s % 1 * 1000):03d}Z"
+        seconds, ms = divmod(round(line.at_s * 1000.0), 1000)  # to the nearest: a note at the start of a replay is in it
+        at = time.strftime("%Y-%m-%dT%H:%M:%S", time.gmtime(seconds)) + f".{ms:03d}Z"
         words = (each if each[:1] not in _FORMULA else f"'{each}" for each in line[2:])
         rows.writerow((at, "" if line.boat is None else line.boat, *words))
     return out.getvalue()
