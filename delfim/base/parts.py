@@ -77,9 +77,7 @@ class Part(NamedTuple):
     troubles: tuple[TroubleRow, ...] = ()
     modes: tuple[ModeRow, ...] = ()
     orders: tuple[OrderRow, ...] = ()
-    played: str = (
-        ""  # its device in simulation: module with `devices_of` on a bus (`buses_of`: several), or `instrument_of` on a line
-    )
+    played: str = ""  # its device in simulation: module with `devices_of` or `buses_of` (buses), or `instrument_of` (a line)
     api: int = API
     drives: Drives = Drives()  # the facts of its driver
     protocol: str = ""  # that its bus carries, where others have it, too

@@ -25,32 +25,32 @@ def in_sight(place: str) -> str:
 async def test_the_boat_stays_in_sight_until_a_hand_moves_the_map(it: Console) -> None:
     boat = it.boat(1)
     where = ", ".join(str(each / 1e7) for each in boat.position)
-    await it.until(in_sight(where))
+    await it.page.until(in_sight(where))
     await it.page.value(FAR)
     assert not await it.page.value(in_sight(where))
     await it.page.press("f")
-    await it.until(in_sight(where))
+    await it.page.until(in_sight(where))
     boat.position[0] += 20_000
     where = ", ".join(str(each / 1e7) for each in boat.position)
     await it.page.value(FAR)
-    await it.until(in_sight(where))
+    await it.page.until(in_sight(where))
     await it.page.mouse((700, 300), (730, 320), (760, 340))
     await it.page.value(FAR)
     heard = await it.page.value("delfim.points(1)")
-    await it.until(f"delfim.points(1) > {heard}")
+    await it.page.until(f"delfim.points(1) > {heard}")
     assert not await it.page.value(in_sight(where)), "nothing takes the map from the hand"
     x = await it.page.value(f"delfim.pixel({where})[0]")
     await it.page.mouse((700, 300), (730, 320), (760, 340))
-    await it.until(f"Math.abs(delfim.pixel({where})[0] - {x}) > 20")  # and the hand still moves it
+    await it.page.until(f"Math.abs(delfim.pixel({where})[0] - {x}) > 20")  # and the hand still moves it
 
 
 async def test_the_boats_course_is_up_for_who_wants_it(it: Console) -> None:
     boat = it.boat(1)
     latitude, longitude = (each / 1e7 for each in boat.position)
-    await it.until(in_sight(f"{latitude}, {longitude}"))
+    await it.page.until(in_sight(f"{latitude}, {longitude}"))
     assert await it.page.value(STATE) == ["0deg", "north is up: press for the boat’s course"]
     await it.page.press("n")
-    await it.until(f"parseFloat({STATE}[0]) < -20")
+    await it.page.until(f"parseFloat({STATE}[0]) < -20")
     turn, words = await it.page.value(STATE)
     assert float(turn.removesuffix("deg")) == pytest.approx(-COURSE_DEG, abs=1.0)
     assert words == "course up: press for north"

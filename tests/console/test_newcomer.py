@@ -54,10 +54,6 @@ class Console:
         self.boats.append(boat)
         return boat
 
-    async def until(self, expression: str) -> None:
-        """Until it is so in the page."""
-        await self.page.until(expression)
-
     async def speak(self) -> None:
         """The boats speak, whatever the test waits for."""
         while True:
@@ -66,7 +62,7 @@ class Console:
             await asyncio.sleep(0.05)
 
     async def said(self, words: str) -> None:
-        await self.until(f"document.getElementById('messages').textContent.includes({words!r})")
+        await self.page.until(f"document.getElementById('messages').textContent.includes({words!r})")
 
     def hang_up(self) -> None:
         for link in self._links:
@@ -115,7 +111,7 @@ async def test_without_a_boat_the_page_says_so_and_stop_and_modes_answer(it: Con
         await it.page.value("document.querySelectorAll('.message').forEach((each) => each.remove())")
         await it.page.value("new Promise(done => setTimeout(done, 3100))")  # the same again within 3 s is not shown twice
     it.boat(3)
-    await it.until("document.getElementById('nobody').hidden")
+    await it.page.until("document.getElementById('nobody').hidden")
 
 
 async def test_a_mission_is_planned_by_keys_before_a_boat_is_heard_and_is_the_first_boats(it: Console) -> None:
@@ -123,11 +119,11 @@ async def test_a_mission_is_planned_by_keys_before_a_boat_is_heard_and_is_the_fi
     await page.value("delfim.fit(38.689, -9.217, 38.691, -9.213)")
     await page.press("w")
     await page.press("w")
-    await it.until(f"{PLANNED} === 1")
+    await it.page.until(f"{PLANNED} === 1")
     for _ in range(6):
         await page.press("ArrowRight")
     await page.press("w")
-    await it.until(f"{PLANNED} === 2")
+    await it.page.until(f"{PLANNED} === 2")
     await page.press("Enter")
     await page.until("document.querySelector('.popup .item') !== null")
     assert "Waypoint 2" in await page.value("document.querySelector('.popup header').textContent"), "it is under the crosshair"
@@ -144,15 +140,15 @@ async def test_a_mission_is_planned_by_keys_before_a_boat_is_heard_and_is_the_fi
     assert "Yay" in [each.stem for each in (it.folder / "missions").glob("*.toml")]
     await page.press("Escape")
     it.boat(3)
-    await it.until(f"document.querySelector('.chip') !== null && {PLANNED} === 2")
-    await it.until("document.querySelector('.badge').textContent === 'not sent'")
+    await it.page.until(f"document.querySelector('.chip') !== null && {PLANNED} === 2")
+    await it.page.until("document.querySelector('.badge').textContent === 'not sent'")
     assert len(it.gateway.fleet.missions[3]["here"]["waypoints"]) == 2
     assert it.boats[0].obeyed == []
 
 
 async def test_space_stops_while_a_name_is_typed_and_letters_are_no_modes(it: Console) -> None:
     boat = it.boat(1)
-    await it.until("document.querySelector('.chip') !== null")
+    await it.page.until("document.querySelector('.chip') !== null")
     for _ in range(2):
         await it.page.press("w")
     await it.page.press("Escape")
@@ -162,7 +158,7 @@ async def test_space_stops_while_a_name_is_typed_and_letters_are_no_modes(it: Co
     for key in ("m", "y", "3"):
         await it.page.press(key)
     await it.page.press(" ")
-    await it.until("document.querySelector('.popup').hidden")
+    await it.page.until("document.querySelector('.popup').hidden")
     async with asyncio.timeout(200):
         while not boat.obeyed:
             await asyncio.sleep(0.02)
@@ -173,7 +169,7 @@ async def test_space_stops_while_a_name_is_typed_and_letters_are_no_modes(it: Co
 async def test_a_refusal_is_shown_once(it: Console) -> None:
     boat = it.boat(1)
     boat.refuse = "heading refused: gps has not reported"
-    await it.until("document.querySelector('.chip') !== null")
+    await it.page.until("document.querySelector('.chip') !== null")
     await it.page.press("h")
     await it.said("gps has not reported")
     await it.page.value("new Promise(done => setTimeout(done, 800))")
@@ -187,14 +183,14 @@ async def test_what_is_aboard_is_drawn_and_a_mode_that_would_sail_it_asks_first(
         mavlink.MAVLink_mission_item_int_message(1, 1, n, 6, 16, 0, 1, 0, 3, 0, 0, 386_900_000 + 2000 * n, -92_150_000, 0)
         for n in range(3)
     ]
-    await it.until("delfim.drawn().aboard === 3 && delfim.drawn().plan === 3")
+    await it.page.until("delfim.drawn().aboard === 3 && delfim.drawn().plan === 3")
     await it.page.press("y")
     await until(boat, 1)
     boat.mode = 4
     for _ in range(2):
         await it.page.press("w")
     await it.page.press("Escape")
-    await it.until(f"{PLANNED} === 4 && document.querySelector('.badge').textContent === 'differs'")
+    await it.page.until(f"{PLANNED} === 4 && document.querySelector('.badge').textContent === 'differs'")
     boat.obeyed.clear()
     for key in "ypg":
         await it.page.press(key)
@@ -205,7 +201,7 @@ async def test_what_is_aboard_is_drawn_and_a_mode_that_would_sail_it_asks_first(
     assert boat.obeyed[0]["command"] == "heading"
     boat.obeyed.clear()
     boat.mode = Mode.PLAY
-    await it.until("document.querySelector('.chip.selected').dataset.mode === 'play'")
+    await it.page.until("document.querySelector('.chip.selected').dataset.mode === 'play'")
     await it.page.press("y")
     await choose(it.page, "Hold, send the plan, then play it")
     await until(boat, 2)
@@ -225,7 +221,7 @@ async def test_hints_lead_from_the_first_menu_to_a_mission_and_do_not_come_again
     hint = "document.querySelector('#hint:not([hidden]) span')?.textContent ?? ''"
 
     async def hinted(words: str) -> None:
-        await it.until(f"({hint}).includes({words!r})")
+        await it.page.until(f"({hint}).includes({words!r})")
 
     await hinted("a menu opens")
     await it.page.mouse((600.0, 300.0))
@@ -241,18 +237,18 @@ async def test_hints_lead_from_the_first_menu_to_a_mission_and_do_not_come_again
     await choose(it.page, "Mission", "Send to the boat")
     await hinted("“Play mission”")
     boat.mode = 10  # of its own accord
-    await it.until("document.querySelector('.mode').textContent === 'mission'")
+    await it.page.until("document.querySelector('.mode').textContent === 'mission'")
     await hinted("“Play mission”")
     await it.page.press("y")
     await hinted("stops the boat")
     await it.page.press(" ")
-    await it.until("document.getElementById('hint').hidden")
+    await it.page.until("document.getElementById('hint').hidden")
     await it.page.press("F1")
     text = await it.page.value("document.getElementById('card').innerText")
     assert "where the boat is steering" in text
     assert "Play mission" in text
     await it.page.open(it.url, width=1200, height=760, scale=1.0)
-    await it.until("delfim.online() && document.querySelector('.chip') !== null")
+    await it.page.until("delfim.online() && document.querySelector('.chip') !== null")
     assert await it.page.value("document.getElementById('hint').hidden")
 
 

@@ -116,15 +116,15 @@ async def test_a_mission_with_a_fence_is_drawn_checked_saved_and_loaded_without_
         await at(it, 0.5, 0.5, "Fence, obstacle, home", "Fence around here…")
         await page.press("Enter")
         await at(it, 0.47, 0.48, "Add waypoint")
-        await it.until(f"({CHECKED}).includes('1 waypoint ') && ({CHECKED}).includes('in order')")
+        await it.page.until(f"({CHECKED}).includes('1 waypoint ') && ({CHECKED}).includes('in order')")
         await at(it, 0.9, 0.9, "Add waypoint")
-        await it.until(
+        await it.page.until(
             f"({CHECKED}).includes('the leg to waypoint 2 leads out of the mission’s keep-in zone'.replace('’', \"'\"))"
         )
         assert await page.value("document.getElementById('check').dataset.state") == "wrong"
         await page.press("z", ("Control",))
         await at(it, 0.53, 0.52, "Add waypoint")
-        await it.until(f"({CHECKED}).includes('2 waypoints') && ({CHECKED}).includes('in order')")
+        await it.page.until(f"({CHECKED}).includes('2 waypoints') && ({CHECKED}).includes('in order')")
         assert NO_FILE in await page.value(CHECKED)
         await at(it, 0.48, 0.55, "Fence, obstacle, home", "Set home here")
         await named(it, "Yard", 0.1, 0.9, "Mission", "Save under a new name…")
@@ -134,9 +134,9 @@ async def test_a_mission_with_a_fence_is_drawn_checked_saved_and_loaded_without_
         await view(it)
         assert await page.value(PLANNED) == 0
         await at(it, 0.1, 0.9, "Mission", "Load", "Yard")
-        await it.until(f"{PLANNED} === 2")
+        await it.page.until(f"{PLANNED} === 2")
         await at(it, 0.9, 0.9, "Add waypoint")
-        await it.until(f"({CHECKED}).includes('keep-in zone')")
+        await it.page.until(f"({CHECKED}).includes('keep-in zone')")
         assert it.boats == []
 
 
@@ -165,11 +165,11 @@ def test_a_recorded_mission_and_a_recorded_track_become_plans(tmp_path: Path) ->
             await page.until("document.querySelector('.chip') !== null")
             await page.press("End")
             await page.value("document.querySelector('#replay input').value = 1e12, 0")
-            await it.until("delfim.ways() > 50")
+            await it.page.until("delfim.ways() > 50")
             await named(it, "Again", None, None, "Copy its track as a mission…")
             await it.said("saved: Again")
             await page.press("ArrowRight")
-            await it.until("delfim.drawn().plan === 3")
+            await it.page.until("delfim.drawn().plan === 3")
             await named(it, "Same", None, None, "Copy its mission…")
             await it.said("saved: Same")
 
@@ -178,7 +178,7 @@ def test_a_recorded_mission_and_a_recorded_track_become_plans(tmp_path: Path) ->
             await view(it)
             for name, count in (("Again", 4), ("Same", 3)):
                 await at(it, 0.1, 0.9, "Mission", "Load", name)
-                await it.until(f"{PLANNED} === {count} && ({CHECKED}).includes('in order')")
+                await it.page.until(f"{PLANNED} === {count} && ({CHECKED}).includes('in order')")
 
     asyncio.run(told())
     asyncio.run(loaded())

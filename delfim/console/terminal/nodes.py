@@ -298,8 +298,8 @@ def shown(each: Parameter) -> str:
     bounds = [
         f"{word} {value}" for word, value in (("default", each.default), ("least", each.least), ("greatest", each.greatest))
     ]
-    known = [KINDS.get(type(each.value), "not told"), *(text for text in bounds if not text.endswith(" None"))]
-    return f"{one_line(f'{each.name} = {each.value}')}  ({', '.join(known)})"
+    told = [KINDS.get(type(each.value), "not told"), *(text for text in bounds if not text.endswith(" None"))]
+    return f"{one_line(f'{each.name} = {each.value}')}  ({', '.join(told)})"
 
 
 def execute(tool: NodeTool, node: int, code: int) -> None:
