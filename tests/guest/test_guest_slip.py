@@ -79,7 +79,7 @@ class Radio:
         words = f"curl -sS --retry 60 --retry-delay 1 --retry-connrefused -u ana:sea -w '{form}' -o $FOLDER/fetched"
         result = self.shore.run(f"{words} ftp://{BOAT}/day.log", timeout_s=240.0)
         assert result.code == 0, result.output
-        size, began_s, ended_s = map(float, result.output.split())
+        size, began_s, ended_s = map(float, result.output.split()[-3:])  # before them: what was tried in vain
         assert (self.shore.folder / "fetched").read_bytes() == LOG
         return size / (ended_s - began_s), (self.wire.carried[0] - before) / size
 

@@ -86,6 +86,17 @@ def test_a_new_image_is_tried_once_and_stays_when_it_is_confirmed(yard: Yard) ->
     assert yard.slots.damage("b") == ""
 
 
+def test_an_image_of_any_length_is_read(yard: Yard, tmp_path: Path) -> None:
+    """An archive ends at a whole record of 20 blocks: its end has up to 21."""
+    parts = {name: tmp_path / name for name in imagefile.PARTS}
+    for blocks in range(1, tarfile.RECORDSIZE // tarfile.BLOCKSIZE + 1):
+        for path in parts.values():
+            path.write_bytes(bytes(tarfile.BLOCKSIZE))
+        parts["initramfs.gz"].write_bytes(bytes(blocks * tarfile.BLOCKSIZE))
+        imagefile.pack(tmp_path / "new.image", parts, "2.0", yard.key)
+        assert imagefile.verify(tmp_path / "new.image", yard.signers).signer == "yard"
+
+
 def test_an_image_that_is_not_confirmed_is_rolled_back_and_that_is_told(yard: Yard) -> None:
     yard.slots.install(yard.bundle("2.0"), yard.signers)
     assert [yard.start(), yard.start(), yard.start()] == ["b", "a", "a"]

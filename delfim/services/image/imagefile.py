@@ -26,6 +26,7 @@ MANIFEST, SIGNATURE = "manifest.json", "manifest.json.sig"
 MEMBERS: Final = (MANIFEST, SIGNATURE, *PARTS)
 PAPER_BYTES: Final = 64 << 10  # of manifest and signature, at most
 BLOCK_BYTES: Final = 1 << 20
+END_BYTES: Final = 2 * tarfile.BLOCKSIZE + tarfile.RECORDSIZE  # of zeros: the archive's end, filled up to a whole record
 
 
 class ImagePart(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -184,8 +185,8 @@ def _members(file: IO[bytes]) -> dict[str, tuple[int, int]]:
         if any(file.read(padding)):
             raise FormatError(f"not an image: extra data after {name}")
     file.seek(at)
-    rest = file.read(tarfile.RECORDSIZE + 1)
-    if len(rest) > tarfile.RECORDSIZE or any(rest):
+    rest = file.read(END_BYTES)
+    if len(rest) == END_BYTES or any(rest):
         raise FormatError(f"not an image: it must hold {', '.join(MEMBERS)}, in this order, and nothing else")
     return found
 
