@@ -29,7 +29,7 @@ export PATH := $(PATH):/usr/sbin:/sbin:$(CURDIR)/$(BIN)
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help run test test-long again fast seeds check page docs pictures bench image deb wheel release system guest-shell formats lock clean
+.PHONY: help run test test-long again fast seeds check page docs pictures bench image deb wheel release audit system guest-shell formats lock clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/  make \1\t\2/p' $(MAKEFILE_LIST) | expand -t 22
@@ -143,6 +143,11 @@ release: $(READY) requirements/release.txt ## make the wheel and the source pack
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes --no-deps -r requirements/release.txt
 	@$(BIN)/python .ci/release.py $(ARGS)
 
+audit: $(READY) requirements/audit.txt ## ask for known vulnerabilities of each pinned package that is shipped; it fails where one cannot be asked about
+	@$(BIN)/python -m venv $(VENV)/audit
+	@$(VENV)/audit/bin/python -m pip install --quiet --disable-pip-version-check --require-hashes --no-deps -r requirements/audit.txt
+	$(VENV)/audit/bin/pip-audit --strict --require-hashes --disable-pip --progress-spinner off $(addprefix -r ,$(LOCKS)) $(ARGS)
+
 guest-shell: $(READY) system ## a shell in the kernel with CAN that the guest tests use
 	$(BIN)/python tests/guest/harness.py
 
@@ -173,6 +178,7 @@ lock: $(READY) ## pin and hash the packages of pyproject.toml again (ARGS=--upgr
 	$(call compile,site) -c requirements/boat.txt -c requirements/ground.txt -c requirements/campaign.txt -c requirements/test.txt \
 		-c requirements/release.txt requirements/site.in
 	$(call compile,release) -c requirements/boat.txt -c requirements/ground.txt -c requirements/formats.txt requirements/release.in
+	$(call compile,audit) requirements/audit.in
 	$(call compile,charts) --extra charts $(addprefix -c requirements/,$(addsuffix .txt,boat ground test release)) pyproject.toml
 	$(call compile,readers) $(addprefix -c requirements/,$(addsuffix .txt,boat ground test charts formats campaign foxglove fleet ros mavproxy release)) \
 		requirements/readers.in
