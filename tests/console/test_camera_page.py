@@ -12,11 +12,20 @@ import subprocess
 import sys
 from collections.abc import AsyncIterator, Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 from PIL import Image
 
+from delfim import config
+from delfim.base.clock import ManualClock
+from delfim.console.gateway import page_messages
+from delfim.console.gateway.picturedesk import PictureDesk
+from delfim.console.tapes.replay import TapePlayer, open_tapes
+from delfim.parts.camera.kept import PictureKeeper
 from delfim.parts.camera.played import PlayedPictures
+from delfim.simulator.lockstep import Lockstep
+from delfim.vehicle.log.logbook import Logbook
 from tests.console.scenes import choose
 from tests.console.standin import Message, Standin
 from tests.kit.page import gateway, page, shown
@@ -176,6 +185,53 @@ async def replayed(url: str) -> None:
         await its.value(GLASS.replace("Date.now()", "Math.round(1000 * delfim.at_s())"))
         await its.until("glass.some(([off_ms]) => off_ms > -1000 && off_ms < 10000)", PATIENCE_S)
         await its.nothing_amiss()
+
+
+def logged(folder: Path, number: int, width: int) -> Path:
+    """A boat's logs of ten seconds, with pictures of this width."""
+    more = f'log.directory="{folder}"', 'log.state_method="write"', f"boat.id={number}", f'boat.name="number-{number}"'
+    settings = config.load(ROOT / "etc/delfimx.toml", more)
+    run = Lockstep(settings, 1, lambda clock: Logbook(settings, clock))
+    run.sail((ROOT / "etc/missions/doca.toml").read_text(), 10.0)
+    run.close()
+    tape = open_tapes([folder])[0]
+    keeper, camera = PictureKeeper(folder, "bow", 1 << 30), PlayedPictures(width, 88)
+    for taken_s in range(int(tape.from_s), int(tape.to_s) + 1):
+        keeper.put(taken_s * 1000, camera.picture(taken_s * 1000))
+    keeper.close()
+    return folder
+
+
+def test_of_several_boats_each_has_its_own_pictures_in_a_replay(tmp_path: Path) -> None:
+    async def scenario(url: str) -> None:
+        async with tab() as its:
+            await its.open(url, width=1280, height=800, scale=1.0)
+            await its.until("document.querySelectorAll('.chip').length > 1", PATIENCE_S)
+            await its.press("Enter")
+            await choose(its, "Camera")
+            await its.value(GLASS)
+            for width in (160, 240):
+                await its.until(f"glass.some(([, width]) => width === {width})", PATIENCE_S)
+                await its.value("glass.splice(0)")
+                await its.press("Tab")
+            await its.nothing_amiss()
+
+    trees = [logged(tmp_path / name, number, width) for name, number, width in (("otter", 1, 160), ("heron", 2, 240))]
+    with console(tmp_path, "console", "--replay", *map(str, trees)) as url:
+        asyncio.run(scenario(url))
+
+
+def test_pictures_in_a_folder_with_the_logs_of_several_boats_are_nobodys(tmp_path: Path) -> None:
+    logged(tmp_path, 1, 160)
+    told = list[dict[str, Any]]()
+    clock = ManualClock()
+    tapes = open_tapes([logged(tmp_path, 2, 240)])
+    desk = PictureDesk(TapePlayer(tapes, clock, told.append), b"", clock, tmp_path)
+    desk.replays(tapes)
+    desk.ask(1, page_messages.See(1), told.append)
+    clock.advance(1.0)
+    desk.tick()
+    assert told[-1]["why"] == "logs of several boats are in one folder: nobody knows whose pictures those are"
 
 
 @pytest.mark.long

@@ -2,7 +2,8 @@
 
 import base64
 import time
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections import Counter
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any, Final
@@ -16,6 +17,7 @@ from delfim.console.link.udp import Udp
 from delfim.console.pictures.picturelink import HeardPicture, PictureLink
 from delfim.console.pictures.snapshot import with_place
 from delfim.console.tapes.replay import TapePlayer
+from delfim.console.tapes.tape import Tape
 from delfim.parts.camera import jpegblocks, wire
 from delfim.parts.camera.kept import PicturesByTime, recorded
 from delfim.parts.camera.table import PORTS
@@ -48,13 +50,18 @@ class PictureDesk:
     def __init__(self, fleet: Fleet | TapePlayer, key: bytes, clock: Clock, folder: Path) -> None:
         self._fleet, self._key, self._clock, self._folder = fleet, wire.mac_key(key), clock, folder
         self.udp = Udp(self._hear)
-        self.recorded: Mapping[int, Mapping[str, PicturesByTime]] = {}  # of a replay: by boat and camera
+        self.recorded = dict[int, dict[str, PicturesByTime]]()  # of a replay: by boat and camera
+        self._shared = dict[int, bool]()  # whether its logs lie in one folder with those of another boat
         self._looks = dict[int, PictureLooks]()
 
-    def replays(self, paths: Sequence[Path], boats: Collection[int]) -> None:
-        """The pictures beside these recordings, of one boat: of several nobody knows whose they are. Raises OSError."""
-        if len(boats) == 1:
-            self.recorded = {number: recorded(paths) for number in boats}
+    def replays(self, tapes: Sequence[Tape]) -> None:
+        """The pictures beside these recordings. In a folder with the logs of several boats nobody knows whose they are. Raises
+        OSError."""
+        days = {number: tape.days for tape in tapes for number in tape.tracks if tape.days}
+        several = Counter(day for each in days.values() for day in each)
+        for number, its in days.items():
+            self._shared[number] = any(several[day] > 1 for day in its)
+            self.recorded[number] = recorded(day for day in its if several[day] == 1)
 
     def ask(self, page: int, asked: page_messages.See | page_messages.Snapshot, tell: Tell) -> str:
         """A page looks on for a while, or wants the picture as a file, whose name is returned. Raises Refused, OSError."""
@@ -120,6 +127,8 @@ class PictureDesk:
         found = by_time.at(at_ms) if by_time is not None else None
         if found is None or at_ms - found[0] > KEPT_S * 1000:
             why = "no picture of this time was kept" if kept else "no pictures were kept with this recording"
+            if not kept and self._shared.get(number):
+                why = "logs of several boats are in one folder: nobody knows whose pictures those are"
             self._say(number, looks, why, tuple(kept), now_s)
             return
         taken_ms, jpeg = found

@@ -127,7 +127,7 @@ def run(asked: argparse.Namespace) -> int:
         trials=Path(asked.trials),
         operators=OperatorsFile(Path(asked.operators).expanduser()),
     )
-    gateway.pictures.replays([Path(each) for each in asked.replay or ()], {number for tape in tapes for number in tape.tracks})
+    gateway.pictures.replays(tapes)
     gateway.aboard.fetches(sources_of(asked.logs), Path(asked.logs_into))
     if asked.broker and not tapes:
         gateway.broker = broker_line(gateway, asked)

@@ -50,6 +50,7 @@ class States:
 
     def __init__(self, files: Sequence[Path], number: int) -> None:
         self.name, self.complaint = "", ""
+        self.days = frozenset(file.parent.parent for file in files)
         self._rows: list[LogRow] = []
         self.texts: list[Text] = []
         self._vessels: list[tuple[float, list[dict[str, Any]]]] = []  # when, and the other vessels

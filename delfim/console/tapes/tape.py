@@ -83,6 +83,7 @@ class Tape(Protocol):
     graphs: dict[int, Graphs]  # by boat
     texts: list[Text]  # in order of time
     complaint: str  # the fault of the recording; empty if there is none
+    days: frozenset[Path]  # folders of logs that it was read from: the boat's pictures lie beside it
 
     def seek(self, boats: dict[int, Boat], at_s: float) -> None:
         """Set new boats to the state known at that time."""
@@ -109,7 +110,7 @@ class TlogTape:
         self._words: dict[int, Words] = {}  # by boat
         self._vessels: dict[int, list[tuple[float, int, int]]] = {}  # by boat: when, and where in the file
         self._known: dict[int, Boat] = {}  # sent once: name and modes
-        self.complaint = ""
+        self.complaint, self.days = "", frozenset[Path]()
         self.from_s = self.to_s = -math.inf
         at = 0
         for at_s, start, end in self._frames(0):

@@ -9,7 +9,7 @@ import os
 import struct
 import zlib
 from bisect import bisect_right
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Final
@@ -126,12 +126,11 @@ class PicturesByTime:
         return (taken_ms, jpeg) if zlib.crc32(jpeg) == check else None
 
 
-def recorded(paths: Sequence[Path]) -> dict[str, PicturesByTime]:
-    """The pictures beside state logs, by camera: of trees of logs, and of files in them. Raises OSError."""
-    trees = {path if path.is_dir() else path.parent.parent for path in paths if path.is_dir() or ".state" in path.suffixes}
+def recorded(days: Iterable[Path]) -> dict[str, PicturesByTime]:
+    """The pictures in folders of days, by camera. Raises OSError."""
     files = dict[str, list[Path]]()
-    for tree in trees:
-        for name, found in cameras_under(tree).items():
+    for day in days:
+        for name, found in cameras_under(day).items():
             files.setdefault(name, []).extend(found)
     return {name: PicturesByTime(found) for name, found in files.items()}
 
