@@ -19,6 +19,7 @@ from tests.survey.cells import MadeCell, catalogue, harbour, square
 
 pytest.importorskip("pyogrio", reason="it comes with make formats")
 
+from delfim.survey.enc import making
 from delfim.survey.enc.clearing import coded, made, overstated_m
 from delfim.survey.enc.dangers import LAYERS, ChartDanger, Need, charted
 from delfim.survey.enc.plane import degrees, flat
@@ -160,6 +161,18 @@ def test_a_cell_that_is_not_whole_is_one_line_and_no_file(
     said = capsys.readouterr().err.splitlines()
     assert (code, len(said)) == (2, 1), said
     assert words in said[0]
+    assert not list(tmp_path.glob("made*"))
+
+
+def test_files_that_are_not_made_in_time_are_one_line_and_no_file(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(making, "LIMIT_S", 0.01)  # no process begins in less
+    file = harbour().write(tmp_path)
+    code = main(["charts", str(file), AT, "--draught=0.5", "--output", str(tmp_path / "made")])
+    said = capsys.readouterr().err.splitlines()
+    assert (code, len(said)) == (2, 1), said
+    assert f"{file}: not made within 0.01 s: give fewer cells" in said[0]
     assert not list(tmp_path.glob("made*"))
 
 

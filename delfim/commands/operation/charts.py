@@ -59,8 +59,6 @@ def run(asked: argparse.Namespace) -> int:
     if not -20.0 <= asked.tide <= 20.0:
         raise DelfimError(f"--tide {asked.tide:g}: -20 to 20 m")
     need = Need(draught_m, asked.under_keel, air_m, asked.tide, asked.margin)
-    output = Path(asked.output or Path(asked.cell[0]).stem)
-    picture = Path(asked.picture) if asked.picture else None
-    for line in making.make([Path(cell) for cell in asked.cell], asked.at, need, asked.open, output, picture):
-        print(line, flush=True)
+    output = asked.output or Path(asked.cell[0]).stem
+    print(making.make(making.ChartJob(asked.cell, asked.at, need, asked.open, output, asked.picture or "")), end="")
     return 0

@@ -1,29 +1,68 @@
-"""From cells to the files that leave `delfim charts`."""
+"""From cells to the files that leave `delfim charts`, in a process with bounds, for a cell may have any number of corners.
+
+`python -m delfim.survey.enc.making` takes a `ChartJob` as JSON from its standard input, and writes the files, and lines for
+people to its standard output; or the reason why not, and ends with WRONG.
+"""
 
 import math
+import subprocess
+import sys
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Final
 
+import msgspec
 from shapely.geometry import box
 
-from delfim.base.errors import DelfimError
+from delfim.base.errors import DelfimError, in_words
 from delfim.base.geodesy import Origin, origin
+from delfim.base.input.bounded import bounded
 from delfim.base.wholefile import replace_file
 from delfim.survey.enc import clearing, nogo
 from delfim.survey.enc.dangers import LAYERS, Charted, Need, charted
 from delfim.survey.enc.plane import flat
-from delfim.survey.enc.reading import read_cell
+from delfim.survey.enc.reading import WRONG, read_cell
 from delfim.vehicle.plans import clearancefile
 
+PROGRAM: Final = (sys.executable, "-m", "delfim.survey.enc.making")
+LIMIT_S: Final = 900.0  # the largest cell that is read took 331 s on a busy machine
+MEMORY_BYTES: Final = 1 << 31
 
-def make(
-    cells: Sequence[Path], at: tuple[float, float], need: Need, opened: Sequence[str], output: Path, picture: Path | None
-) -> Iterator[str]:
-    """Write the files; yields lines for people. Raises DelfimError, OSError: no file is written then."""
-    chart = charted([read_cell(cell, LAYERS) for cell in cells], need)
+
+class ChartJob(msgspec.Struct):
+    """What is asked of the process: cells, the middle of the water (degrees), bands to open, and the files to write."""
+
+    cells: list[str]
+    at: tuple[float, float]
+    need: Need
+    opened: list[str]
+    output: str
+    picture: str  # empty: none
+
+
+def make(job: ChartJob) -> str:
+    """Write the files; lines for people. Raises DelfimError with one line: no file is written then."""
+    try:
+        made = subprocess.run(PROGRAM, input=msgspec.json.encode(job), capture_output=True, timeout=LIMIT_S, check=False)
+    except subprocess.TimeoutExpired:
+        words = f"{', '.join(job.cells)}: not made within {LIMIT_S:g} s: give fewer cells, or those of a smaller scale"
+        raise DelfimError(words) from None
+    told = made.stdout.decode(errors="replace")
+    if made.returncode == WRONG:
+        raise DelfimError(told.strip())
+    if made.returncode:
+        last = made.stderr.decode(errors="replace").strip().rpartition("\n")[2]
+        raise DelfimError(f"{', '.join(job.cells)}: the process that makes the files ended with {made.returncode}: {last}")
+    return told
+
+
+def _made(job: ChartJob) -> Iterator[str]:
+    """In the process. Raises DelfimError, OSError."""
+    at, output = job.at, Path(job.output)
+    chart = charted([read_cell(Path(cell), LAYERS) for cell in job.cells], job.need)
     middle = origin(math.radians(at[0]), math.radians(at[1]))
-    bands = [_band(chart, name) for name in opened]
+    bands = [_band(chart, name) for name in job.opened]
     dangers = clearing.growing(chart, middle)
     forbidden = nogo.no_go(dangers, clearing.half_m())
     data = clearing.made(chart, middle, bands)
@@ -31,10 +70,10 @@ def make(
     share = forbidden.area / (2.0 * clearing.half_m()) ** 2
     if share > 0.999:
         raise DelfimError(f"{', '.join(chart.names)}: no water is free about {at[0]:g}, {at[1]:g}: say another place by --at")
-    if picture is not None:
+    if job.picture:
         from delfim.survey.enc.drawing import draw  # it loads Matplotlib, for half a second
 
-        draw(chart, middle, forbidden, picture)
+        draw(chart, middle, forbidden, Path(job.picture))
     replace_file(output.with_name(f"{output.name}.geojson"), text.encode())
     replace_file(output.with_name(f"{output.name}.clearance"), data)
     yield f"{', '.join(chart.names)}: {nogo.NOT_FOR}"
@@ -69,3 +108,21 @@ def _reasons(chart: Charted, middle: Origin) -> Iterator[str]:
         yield f"  margins cut to --margin: {words}. Go near those by sight and sounder alone"
     if bands := sorted({each.band for each in near if each.band}):
         yield f"  bands that a mission may open, if --open has made them: {', '.join(bands)}"
+
+
+def main() -> int:
+    """The process."""
+    bounded(MEMORY_BYTES)
+    try:
+        print(*_made(msgspec.json.decode(sys.stdin.buffer.read(), type=ChartJob)), sep="\n")
+    except (DelfimError, OSError) as error:
+        print(in_words(error))
+    except MemoryError:
+        print("the charts take too much memory")
+    else:
+        return 0
+    return WRONG
+
+
+if __name__ == "__main__":
+    sys.exit(main())
