@@ -126,7 +126,7 @@ def test_turns_and_slowness_cost_by_themselves(turn_rad: float, part: float, wea
 
 @pytest.mark.parametrize(
     ("nearness", "at_s", "expected"),
-    [(0.75, 0.0, 325.0), (0.75, 50.0, 260.0), (0.25, 0.0, 1525.0), (0.0, 100.0, 1250.0), (1.0, 0.0, 15.0), (1.15, 50.0, 7.5),
+    [(0.75, 0.0, 325.0), (0.75, 50.0, 260.0), (0.25, 0.0, 8275.0), (0.0, 100.0, 8000.0), (1.0, 0.0, 15.0), (1.15, 50.0, 7.5),
      (1.3, 0.0, 0.0), (1.5, 0.0, 0.0)],
 )  # fmt: skip
 def test_to_be_near_costs_the_more_the_nearer_and_the_sooner(nearness: float, at_s: float, expected: float) -> None:
