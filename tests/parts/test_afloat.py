@@ -140,11 +140,11 @@ def test_the_boat_of_a_laboratory_sails_is_shown_logged_repeated_and_stopped(pla
     with running(place, 14550, *values, package=path):
         bench.speak(is_fit)
         told = list[str]()
-        while "thrust 0.900" not in told:  # the file's limit, of 1.0 that was asked for
+        while "thrust 0 0.900" not in told:  # the file's limit, of 1.0 that was asked for
             bench.obeyed("manual", starboard=-1.0, port=1.0)
             told += bench.told_to_motor()
-        assert [line for line in told if 0.0 < float(line.split()[1]) < 0.9], "no faster than the row's rate"
-        os.write(bench.ends["motor"], b"nonsense\n1850\n")
+        assert [line for line in told if 0.0 < float(line.split()[2]) < 0.9], "no faster than the row's rate"
+        os.write(bench.ends["motor"], b"nonsense\n0 1850\n")
         state = bench.speak(lambda state: state["thrusters"]["port"].get("rpm") == 1850.0)
         assert state["counts"]["example_motor_malformed"] == 1
         assert state["source"] == "example_source"
@@ -162,7 +162,7 @@ def test_the_boat_of_a_laboratory_sails_is_shown_logged_repeated_and_stopped(pla
         runtime = json.loads((place / "supervisor.json").read_text())["programs"]["runtime"]["pid"]
         bench.told_to_motor()
         os.kill(runtime, signal.SIGSTOP)
-        while "thrust 0" not in bench.told_to_motor():  # as the supervisor says it
+        while "thrust 0 0" not in bench.told_to_motor():  # as the supervisor says it
             pass
     logged = [file for file in files([place / "log"]) if file.id == "state"]
     columns, _ = table(logged[:1])

@@ -86,7 +86,7 @@ def test_its_trouble_is_acted_on_as_the_table_says_and_is_a_bit_of_the_log(labor
         ("example_source/source.py", "fix = Fix(said", "fix = Fix(said._replace(heading_rad=float('inf'))", "not finite"),
         ("example_source/source.py", "fix = Fix(said, self.input.t_ns, now_s)", "fix = 'north'", "is no Fix"),
         ("example_source/source.py", "        fix = None", "        fix = self._lost", "no attribute '_lost'"),
-        ("example_motor/driver.py", "return 0 if self.input", "return 0 if self._input", "no attribute '_input'"),
+        ("example_motor/driver.py", "sum(not self.input", "sum(not self._input", "no attribute '_input'"),
         (
             "example_motor/driver.py",
             "        return self.repeat(now_s)",

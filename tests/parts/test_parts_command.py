@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from delfim.commands.description.parts import KINDS
+from delfim.commands.description.parts import KINDS, USED
 from tests.parts.laboratory import ROOT, installed, known
 
 
@@ -20,6 +20,7 @@ def delfim(*words: str, place: Path) -> subprocess.CompletedProcess[str]:
 def test_what_it_writes_is_installed_and_keeps_the_contract(tmp_path, kind):
     told = delfim("parts", "new", kind, "acme", "--output", str(tmp_path / "packages"), place=tmp_path)
     assert told.returncode == 0, told.stderr
+    assert USED.get(kind, "[parts]").format("acme") in told.stdout, "where the vehicle's file uses it"
     package = tmp_path / "packages/delfim-acme"
     assert not [path for path in package.rglob("*") if path.is_file() and "example" in path.read_text() + path.name]
     (tmp_path / "acme").symlink_to(package / "acme")
@@ -34,12 +35,22 @@ def test_what_it_writes_is_installed_and_keeps_the_contract(tmp_path, kind):
 @pytest.mark.parametrize(
     ("file", "before", "after", "words"),
     [
-        ("motor/driver.py", "self._thrust, self._rest = 0.0", "line.write(b'hi'); self._thrust, self._rest = 0.0", "it spoke"),
-        ("motor/driver.py", "return 0 if self.input.write(", "return 0 if not self.input.write(", "returned 1, not 0"),
+        ("motor/driver.py", "self._thrust = dict", "line.write(b'hi'); self._thrust = dict", "it spoke"),
+        ("motor/driver.py", "sum(not self.input.write(", "sum(not not self.input.write(", "returned 1, not 0"),
         ("motor/driver.py", 'raise OSError("example_motor: the line takes no stop")', "pass", "stop did not raise OSError"),
-        ("motor/driver.py", "except ValueError", "except KeyError", "garbage where its reports come: it raised ValueError"),
-        ("motor/driver.py", '{"thrust": self._thrust}', '{"thrust": self}', "report can be JSON: it raised TypeError"),
-        ("motor/driver.py", 'self.input.write(b"\\nthrust 0\\n")', "True", "stop is sent: nothing came"),
+        (
+            "motor/driver.py",
+            "except (ValueError, KeyError)",
+            "except KeyError",
+            "garbage where its reports come: it raised ValueError",
+        ),
+        (
+            "motor/driver.py",
+            '{"thrust": {name: self._thrust[address]',
+            '{"thrust": {name: self',
+            "report can be JSON: it raised TypeError",
+        ),
+        ("motor/driver.py", 'self.input.write(b"\\nthrust %d 0\\n" % address)', "True", "stop is sent: nothing came"),
         ("source/source.py", "fix = None", "fix = Fix(None, 0, 0.0)", "silence: it returned something"),
         ("source/source.py", "self._rest = self._rest[-LINE_MAX:]", "self._rest = b''", "byte by byte: it was not understood"),
         ("sensor/sensor.py", "except ValueError", "except KeyError", "garbage: it raised ValueError"),

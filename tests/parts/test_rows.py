@@ -3,6 +3,7 @@
 import os
 import subprocess
 import sys
+from types import SimpleNamespace
 
 import pytest
 
@@ -14,7 +15,7 @@ from delfim.canproxy.socket import CanAddress
 from delfim.console.terminal.describe import describe
 from delfim.services.suite import services
 from delfim.simulator.lockstep import Lockstep
-from delfim.vehicle.state import NoLog
+from delfim.vehicle.state import Actuation, NoLog, State
 from tests.parts.laboratory import ROOT, installed, known, laboratory
 
 __all__ = ["laboratory"]
@@ -44,6 +45,45 @@ def test_a_file_that_names_no_part_looks_for_none():
         check=True,
     )
     assert told.stdout == "True False\n"
+
+
+def test_each_motor_of_the_example_is_commanded_heard_and_stopped(laboratory):
+    """Two of them are a boat: a driver that knows only its first row turns in a simulation, and in circles on the water."""
+    installed(laboratory, "motor")
+    from example_motor.driver import open_actuator
+
+    rows = ", ".join(
+        f'{{name="{name}", driver="example_motor", address={at}, y_m={y_m}, thrust_n=[-30, 50]}}'
+        for name, at, y_m in (("port", 3, -0.2), ("starboard", 1, 0.2))
+    )
+    line = Spoken()
+    motor = open_actuator(load('parts.example_motor="1.0"', f"thrusters=[{rows}]"), SimpleNamespace(line=lambda *_: line))
+    assert motor.send(Actuation((0.25, -0.5), (0.0, 0.0), run=True), 0.0) == 0
+    assert line.said() == ["thrust 3 0.250", "thrust 1 -0.500"]
+    motor.stop()
+    assert line.said() == ["thrust 3 0", "thrust 1 0"]
+    state, line.heard = State(), b"1 900\n3 1200\n2 7\n"
+    motor.read(state, 5.0)
+    assert {name: told.rpm for name, told in state.thrusters.items()} == {"starboard": 900.0, "port": 1200.0}
+    assert state.counts["example_motor_malformed"] == 1, "of a motor that the file does not have"
+
+
+class Spoken:
+    """A line that keeps what it is told."""
+
+    def __init__(self) -> None:
+        self.heard, self._told = b"", b""
+
+    def read(self) -> bytes:
+        return self.heard
+
+    def write(self, data: bytes) -> bool:
+        self._told += data
+        return True
+
+    def said(self) -> list[str]:
+        lines, self._told = self._told.decode().split("\n"), b""
+        return [line for line in lines if line]
 
 
 def test_its_keys_are_those_of_the_file_and_are_checked_in_the_same_words(laboratory):

@@ -12,6 +12,12 @@ from delfim.commands import OWN_FILE, PACKAGE, shipped
 EXAMPLES: Final = PACKAGE / "etc/parts"
 KINDS: Final = ("mode", "motor", "order", "sensor", "service", "source", "trouble")
 
+USED: Final = {  # where the vehicle's file uses a part of a kind; the others need their row in [parts] alone
+    "motor": 'driver = "{}" in [[thrusters]]',
+    "sensor": 'names = ["{}"] in [sensors]',
+    "source": 'sources = ["{}"] in [navigation]',
+}
+
 
 def options(parser: argparse.ArgumentParser) -> None:
     tasks = parser.add_subparsers(dest="task", required=True, metavar="list|new|check")
@@ -60,9 +66,9 @@ def _new(asked: argparse.Namespace) -> int:
     print(f"{place} has a part of the kind {asked.kind} that works. Now:")
     print(f"  pip install -e {place}")
     print(f"  delfim parts check {asked.name}")
-    print(
-        f'Then name it in the vehicle\'s file, [parts] {asked.name} = "1.0", and make {place}/{asked.name} your {asked.kind}.'
-    )
+    used = f", and use it: {USED[asked.kind].format(asked.name)}" if asked.kind in USED else ""
+    print(f'Then name it in the vehicle\'s file, [parts] {asked.name} = "1.0"{used}.')
+    print(f"Make {place}/{asked.name} your {asked.kind}.")
     return 0
 
 
