@@ -15,7 +15,8 @@ from PIL import Image
 from delfim.__main__ import main
 from delfim.base.errors import DelfimError
 from delfim.base.projection import plane
-from delfim.survey.chart.making import Bar, SurveyChart, bar_check, made, write
+from delfim.survey.chart import report
+from delfim.survey.chart.making import Bar, SurveyChart, Uncertainty, bar_check, made, write
 from delfim.survey.chart.passes import passes, patch_test
 from delfim.survey.chart.reduction import REASONS, SoundingCorrections, placed, reduced
 from delfim.survey.chart.soundings import Soundings, read, track_of
@@ -233,6 +234,16 @@ def test_the_command_makes_a_chart_of_a_csv_and_a_table_of_the_tide(tmp_path: Pa
     assert {file.name for file in (tmp_path / "out").iterdir()} == names | {"report.html"}
     again = read(tmp_path / "soundings.csv")
     assert again.range_m == pytest.approx(day.soundings.range_m)
+
+
+def test_a_report_without_crossings_shows_no_figure_that_nobody_knows(chart: SurveyChart) -> None:
+    alone = chart._replace(crossings=[], uncertainty=Uncertainty(math.nan, math.nan))
+    told = report.page(alone, [], "delfim survey chart log")
+    assert "No lines cross: nothing says how good the soundings are." in told
+    assert ">nan<" not in told
+    assert told.count("not known") == 2
+    assert "how sure each cell is" not in told
+    assert "how sure each cell is" in report.page(chart, [], "delfim survey chart log")
 
 
 def test_the_files_say_where_they_are(folder: Path, chart: SurveyChart) -> None:

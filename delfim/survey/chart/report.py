@@ -76,6 +76,9 @@ def _map(chart: SurveyChart) -> Iterator[str]:
     )
     axes.legend(fontsize=7)
     axes.set_title("soundings", fontsize=9)
+    if math.isnan(chart.uncertainty.sounding_m):
+        yield picture(figure, "Where soundings were taken")
+        return
     axes = _plane(figure, chart, 122)
     shade = axes.imshow(uncertain(chart), origin="lower", extent=_extent(chart), cmap="cividis_r", vmin=0.0)
     figure.colorbar(shade, ax=axes, label="m, 95 %", shrink=0.8)
@@ -133,6 +136,7 @@ def _figures(chart: SurveyChart) -> Iterator[str]:
         ("a sounding is good to, m (95 %)", chart.uncertainty.sounding_m),
         ("between lines, more, m (95 %)", chart.uncertainty.between_m),
     ]
+    rows = [(what, "not known" if isinstance(value, float) and math.isnan(value) else value) for what, value in rows]
     if np.isfinite(accuracy).any():
         rows.append(("position, as the receiver states it, m (median)", float(np.nanmedian(accuracy))))
     yield "<h2>Figures</h2>" + table(("", ""), rows)
