@@ -118,7 +118,7 @@ pictures: $(READY) ## draw the documentation's pictures again
 	PYTHONSAFEPATH= $(BIN)/python -m tests.console.test_bridge_page docs/pictures
 	PYTHONSAFEPATH= $(BIN)/python -m tests.console.test_panes docs/pictures
 	PYTHONSAFEPATH= $(BIN)/python -m tests.console.test_adopt_page docs/pictures
-	PYTHONSAFEPATH= $(BIN)/python -m tests.console.adopted_whole docs/pictures
+	PYTHONSAFEPATH= $(BIN)/python -m tests.console.test_adopted_whole docs/pictures
 	PYTHONSAFEPATH= $(BIN)/python -m tests.console.test_depths docs/pictures
 	PYTHONSAFEPATH= $(BIN)/python -m tests.console.test_payload_page docs/pictures
 	PYTHONSAFEPATH= $(BIN)/python -m tests.console.test_newboat_page docs/pictures
