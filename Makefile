@@ -201,7 +201,7 @@ $(BOAT): $(LOCKS) pyproject.toml
 	@touch $@
 
 $(READY): $(BOAT) requirements/test.txt
-	@echo "make: installing the packages of tests and checks into $(VENV), once"
+	@echo "make: installing the packages of tests and checks into $(VENV), once; this takes two or three minutes"
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes --no-deps -r requirements/test.txt
 	@touch $@
 
