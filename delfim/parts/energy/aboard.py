@@ -58,7 +58,8 @@ class EnergyWatch:
         self._stale_s = settings.sysstat.stale_s
         self._hull: Propulsive | None = None  # until the helm tells it
         self._consumption: Consumption
-        self._drifting, self._most_mps = Drifting(self._speed_mps), settings.control.speed.max_mps
+        self._drifting: Drifting
+        self._most_mps = settings.control.speed.max_mps
         self._push = self._slow = self._north_mps = self._east_mps = self._watts = 0.0  # smoothed
         self._steady_s, self._next_s = 0.0, -math.inf
         self._gauge, self._log = Gauge(self._table.capacity_wh), boat.log
@@ -71,6 +72,7 @@ class EnergyWatch:
         if self._hull is None:
             craft = helm.limits.hull
             self._hull = Propulsive((craft.drag_n_per_mps, craft.drag_n_per_mps2), craft.ahead_n)
+            self._drifting = Drifting(self._speed_mps, is_guessed=not craft.drag_n_per_mps)
             self._consumption = Consumption(self._hull, self._table.idle_w, self._table.full_w or W_PER_N * craft.ahead_n)
         if now_s >= self._next_s:
             dt_s = min(now_s - self._next_s + EACH_S, 5.0) if self._next_s > -math.inf else EACH_S

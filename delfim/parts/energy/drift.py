@@ -18,8 +18,10 @@ LEAST_S: Final = 20.0  # ... and the shortest that is learnt from
 TURNED_RAD: Final = math.radians(20.0)  # from its mean: another spell
 CHANGED_MPS: Final = 0.15  # likewise
 NOISE_MPS: Final = 0.04  # of a spell, beside the model; waves and gusts are least in long ones
-FACTOR: Final = 0.08  # of k, when nothing was learnt: drag and thrust of a file are guesses
-SLOPE: Final = 0.2  # of s
+FACTOR: Final = 0.06  # of k, when nothing was learnt: drag and thrust of a file are guesses
+SLOPE: Final = 0.1  # of s
+GUESSED: Final = 0.98, 0.12  # k and s where a file has the speed at full thrust alone, and drag is taken as a square: ...
+# ... part of it grows less, and a slow boat is slower than that has it. The simulator's boats: 0.89 to 0.98, and 0.12 to 0.2
 CURRENT_MPS: Final = 0.3  # of the water, north and east
 WIND_MPS: Final = 0.07  # of what the wind does at u0
 PER_S: Final = (0.02**2 / 3600.0, 0.0, *(0.3**2 / 1200.0,) * 2, *(0.05**2 / 1200.0,) * 2)  # by which the six drift: ...
@@ -60,9 +62,9 @@ class DriftFound(NamedTuple):
 class Drifting:
     """The filter. Only `learn` and `pass_by` change it; the cost of a call is bounded, 5 us and once in a spell 60 us."""
 
-    def __init__(self, speed_mps: float) -> None:
-        """`speed_mps`: with which the boat goes home."""
-        self.found = DriftFound(speed_mps)
+    def __init__(self, speed_mps: float, is_guessed: bool = False) -> None:
+        """`speed_mps`: with which the boat goes home; `is_guessed`: the file's drag is a square alone."""
+        self.found = DriftFound(speed_mps, *GUESSED) if is_guessed else DriftFound(speed_mps)
         self._spell: tuple[float, ...] = (
             0.0,
         ) * 6  # s; of the still-water speed, the heading's cosine and sine, the velocity: times s

@@ -111,6 +111,19 @@ def test_one_course_leaves_the_way_back_uncertain() -> None:
     assert more[0] > 1.5 * more[1] > 0.0
 
 
+@pytest.mark.parametrize(("is_guessed", "off_mps"), [(True, 0.01), (False, 0.04)])
+def test_a_slow_boat_that_is_slower_than_the_square_of_her_drag_has_it_is_foretold_when_fast(
+    is_guessed: bool, off_mps: float
+) -> None:
+    drifting = Drifting(1.5, is_guessed)
+    for still, through_mps in ((1.0, 0.92), (1.2, 1.144)):  # of DelfimX; 1.5 makes 1.48
+        for heading in (0.0, math.pi):
+            for _ in range(130):
+                drifting.learn(still, heading, through_mps * math.cos(heading) + 0.2, 0.0, 1.0)
+                drifting.pass_by(1.0)
+    assert still_mps(drifting.found, 1.68, 0.0)[0] == pytest.approx(1.5 + off_mps, abs=0.01)
+
+
 def test_a_current_that_turns_by_120_degrees_an_hour_is_followed() -> None:
     drifting, turn_radps = Drifting(1.2), math.radians(120.0) / 3600.0
     for second in range(3600):
