@@ -89,7 +89,7 @@ export class Adopt {
       make("ol", ...trial.steps.filter(({ name, state }) => state !== "done" || (trial.is_running && name !== "back")).map(row)),
       ...(trial.lines.length ? [lines] : []),
       ...(trial.end && trial.end !== "done" ? [make("p.bad", `The end: ${trial.end}`)] : []),
-      ...(trial.is_written ? [make("p", `Written into ${trial.file} on the console’s computer. A boat with a computer of her own needs it there: download it, put it aboard, and start her program again.`)] : []),
+      ...(trial.is_written && !trial.is_running ? [make("p", `Written into ${trial.file} on the console’s computer. A boat with a computer of her own needs it there: download it, put it aboard, and start her program again.`)] : []),
       this.choice(trial),
     );
     lines.scrollTop = lines.scrollHeight;
