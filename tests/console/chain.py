@@ -57,7 +57,7 @@ class Boat:
                         return state
                     await asyncio.sleep(0.05)
         except TimeoutError:
-            raise AssertionError(f"it never was so; at last: {state}") from None
+            raise AssertionError(f"it never was so; it was told {self.told()[-3:]}; at last: {state}") from None
 
     async def delfim(self, *words: str, env: dict[str, str] | None = None) -> str:
         """A command of the operator's that speaks to this boat; what it printed."""

@@ -50,6 +50,7 @@ async def weaves(boat: Boat) -> None:
 
 async def test_it_is_in_the_pages_list_and_entered_from_there(sea: Sea) -> None:
     page, boat = await sea.at_rest(1)
+    await boat.until(lambda state: all(each["ok"] for each in state["checks"]))  # before, the page would ask
     await from_the_page(page)
     await weaves(boat)
     await shown_mode(page, 1, "weave")
