@@ -175,13 +175,18 @@ async def live(url: str, folder: Path) -> None:
         await its.nothing_amiss()
 
 
+async def of_a_replay(its: Page, url: str, boats: int = 1) -> None:
+    """The page of a replay of so many boats, the camera of the first open."""
+    await its.open(url, width=1280, height=800, scale=1.0)
+    await its.until(f"document.querySelectorAll('.chip').length >= {boats}", PATIENCE_S)
+    await its.press("Enter")
+    await choose(its, "Camera")
+
+
 async def replayed(url: str) -> None:
     """The clock in the picture is that of the replay, but for the second between two that were kept."""
     async with tab() as its:
-        await its.open(url, width=1280, height=800, scale=1.0)
-        await its.until("document.querySelectorAll('.chip').length > 0", PATIENCE_S)
-        await its.press("Enter")
-        await choose(its, "Camera")
+        await of_a_replay(its, url)
         await its.value(GLASS.replace("Date.now()", "Math.round(1000 * delfim.at_s())"))
         await its.until("glass.some(([off_ms]) => off_ms > -1000 && off_ms < 10000)", PATIENCE_S)
         await its.nothing_amiss()
@@ -205,10 +210,7 @@ def logged(folder: Path, number: int, width: int) -> Path:
 def test_of_several_boats_each_has_its_own_pictures_in_a_replay(tmp_path: Path) -> None:
     async def scenario(url: str) -> None:
         async with tab() as its:
-            await its.open(url, width=1280, height=800, scale=1.0)
-            await its.until("document.querySelectorAll('.chip').length > 1", PATIENCE_S)
-            await its.press("Enter")
-            await choose(its, "Camera")
+            await of_a_replay(its, url, boats=2)
             await its.value(GLASS)
             for width in (160, 240):
                 await its.until(f"glass.some(([, width]) => width === {width})", PATIENCE_S)
