@@ -1,5 +1,6 @@
 """Reads log files, on any computer: the writers need Linux, the readers do not."""
 
+import struct
 import zlib
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
@@ -13,14 +14,17 @@ from delfim.base.input.untrusted import parse_json, read_file
 LOG_BYTES: Final = 1 << 27  # of a log that is read, inflated or not: a larger one was made to exhaust memory
 LINE_BYTES: Final = 1 << 24  # of a line
 STEP: Final = 1 << 12  # bytes of a member that are inflated at a time
+FLUSHED: Final = b"\0\0\xff\xff"  # ends what Z_SYNC_FLUSH wrote (RFC 1951, 3.2.4: an empty stored block)
+NO_SECTOR: Final = bytes(512)  # of a disk, that was not written; no deflated log has so many zeros
+EMPTY_LAST_BLOCK: Final = b"\3\0"  # in fixed Huffman codes (RFC 1951, 3.2.6)
 MOMENT_MAX_S: Final = 1e10  # of a clock
 
 
 class Member(NamedTuple):
-    """The readable part of a gzip member."""
+    """A gzip member, or what was flushed of one that is cut or damaged."""
 
     content: bytes
-    end: int  # where the next one begins, or the damage of this one
+    end: int  # where the next one begins; of a cut or damaged one where its last flush ends
     trouble: str  # "": whole; "cut", "damaged"
 
 
@@ -30,34 +34,56 @@ def raw(path: str | Path) -> bytes:
 
 
 class Inflating:
-    """Inflates the gzip member that begins at `at`, in pieces, up to its end or its damage: in large steps, then byte by byte.
-    More than `bytes_max` is damage. `end`, `trouble`: of a `Member`, after the last piece."""
+    """Inflates the gzip member that begins at `at`, in pieces: whole, or up to the last flush before it is cut or damaged.
+
+    What follows that flush is not told: gzip has a checksum for the whole member alone, and where a power cut left sectors of
+    zeros or of an older file, inflating goes on for a while and makes records that never were. A flush ends a block at a whole
+    byte, so what came before is as it was written. More than `bytes_max` is damage. `end`, `trouble`: of a `Member`, after the
+    last piece.
+    """
 
     def __init__(self, data: bytes, at: int, bytes_max: int) -> None:
         self.end, self.trouble = at, "cut"
         self._data, self._bytes_max = data, bytes_max
 
     def __iter__(self) -> Iterator[bytes]:
-        stream, step, left = zlib.decompressobj(wbits=31), STEP, self._bytes_max
-        while self.end < len(self._data):
-            untouched = stream.copy()
+        stream, left, crc, at = zlib.decompressobj(wbits=31), self._bytes_max, 0, self.end
+        held = bytearray()  # since the last flush
+        while at < len(self._data):
+            mark = self._data.find(FLUSHED, at, at + STEP)
+            step = STEP if mark < 0 else mark + len(FLUSHED) - at
             try:
-                piece = stream.decompress(self._data[self.end : self.end + step], left + 1)
+                piece = stream.decompress(self._data[at : at + step], left + 1)
             except zlib.error:
-                if step == 1:
-                    self.trouble = "damaged"
-                    return
-                stream, step = untouched, 1
-                continue
-            yield piece
+                self.trouble = "damaged"
+                return
             left -= len(piece)
             if left < 0:
                 self.trouble = "damaged"
                 return
-            self.end += min(step, len(self._data) - self.end) - len(stream.unused_data)
+            crc = zlib.crc32(piece, crc)
+            held += piece
+            at += min(step, len(self._data) - at) - len(stream.unused_data)
+            is_flushed = (
+                mark >= 0 and NO_SECTOR not in self._data[self.end : at] and _is_flushed(stream, crc, self._bytes_max - left)
+            )
+            if stream.eof or is_flushed or len(held) > LINE_BYTES:
+                yield bytes(held)
+                held.clear()
+                self.end = at
             if stream.eof:
                 self.trouble = ""
                 return
+
+
+def _is_flushed(stream: Any, crc: int, size: int) -> bool:
+    """Whether a stream stands at the end of a flush: there and only there a member could end by an empty last block."""
+    ending = stream.copy()
+    try:
+        ending.decompress(EMPTY_LAST_BLOCK + struct.pack("<II", crc, size & 0xFFFFFFFF))
+    except zlib.error:
+        return False
+    return bool(ending.eof)
 
 
 def member(data: bytes, at: int) -> Member:

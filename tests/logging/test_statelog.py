@@ -64,8 +64,9 @@ def test_the_last_reader_in_the_document_reads_what_a_power_cut_left(tmp_path, f
     names: dict[str, object] = {}
     exec(READERS[-1], names)
     read = [tuple(one.values()) for one in names["read"](str(path))]
-    assert read == list(read_state(path).records)
-    assert 40 < len(read) < 50
+    sure = list(read_state(path).records)  # without what came after the last flush
+    assert read[: len(sure)] == sure
+    assert len(sure) <= len(read) < 50
 
 
 def test_the_vehicle_s_own_record_has_a_schema():

@@ -1,6 +1,6 @@
-"""Repairs log files after a power cut, for readers that need whole files. No readable data is lost.
+"""Repairs log files after a power cut, for readers that need whole files. Nothing that was flushed is lost, nothing made up.
 
-A file keeps, byte by byte, every gzip member that is whole. The readable part of a cut or damaged one follows as a member of
+A file keeps, byte by byte, every gzip member that is whole. What was flushed of a cut or damaged one follows as a member of
 its own, up to its last whole record, and so does the data behind the damage. The original stays, unless told otherwise.
 """
 
@@ -29,7 +29,7 @@ class GzipPiece(NamedTuple):
     """A part of a gzip file: a whole member, the readable part of another, or unreadable bytes."""
 
     raw: bytes
-    content: bytes
+    content: bytes  # of one that is not whole: what was flushed
     trouble: str  # empty: a whole member
 
 
