@@ -39,6 +39,7 @@ from image import (
     own_architecture,
     tree_bytes,
 )
+from uml import preload
 
 from delfim import __version__
 
@@ -268,7 +269,10 @@ def boot(clean: Path, root: Path, packages: list[Path]) -> None:
     subprocess.run(["mke2fs", "-q", "-t", "ext4", "-d", root, disk, "1500M"], check=True)
     for _ in range(2):
         words = ["timeout", str(TRIAL_S), *KERNEL, f"ubd0={disk}", f"uml_dir={root.parent}"]
-        with subprocess.Popen(words, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, text=True, errors="replace") as kernel:
+        more = os.environ | preload(root.parent)
+        with subprocess.Popen(
+            words, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, text=True, errors="replace", env=more
+        ) as kernel:
             said = ""
             for line in kernel.stdout or ():
                 said += line

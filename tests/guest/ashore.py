@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.guest.harness import uml
 from tests.guest.pc import PATH, Pc
 
 SHORE, BOAT = "10.77.0.1", "10.77.0.2"
@@ -59,7 +60,7 @@ def started(folder: Path, initrd: Path, log: Path, words: Sequence[str]) -> Iter
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
         start_new_session=True,
-        env={"PATH": PATH, "HOME": str(folder), "TMPDIR": str(folder)},
+        env={"PATH": PATH, "HOME": str(folder), "TMPDIR": str(folder)} | uml.preload(folder),
     )
     try:
         yield Pc(process), process

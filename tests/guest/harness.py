@@ -10,6 +10,7 @@ One guest serves any number of commands, one after the other. See docs/testbed.m
 """
 
 import os
+import runpy
 import selectors
 import shlex
 import shutil
@@ -21,9 +22,11 @@ import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from types import SimpleNamespace
 from typing import NamedTuple
 
 ROOT = Path(__file__).parents[2]
+uml = SimpleNamespace(**runpy.run_path(str(ROOT / "docker/uml.py")))
 MODULES = ("vcan", "can-raw")
 PATH = f"{os.environ['PATH']}:/usr/sbin:/sbin"
 BOOT_TIMEOUT_S = 60.0
@@ -44,7 +47,8 @@ class Result(NamedTuple):
 
 def missing() -> str | None:
     """Why no guest can be started on this machine, or None."""
-    absent = [program for program in ("linux.uml", "modprobe", "ip", "busybox") if not shutil.which(program, path=PATH)]
+    programs = ["linux.uml", "modprobe", "ip", "busybox"] + (["cc"] if uml.has_more_registers() else [])
+    absent = [program for program in programs if not shutil.which(program, path=PATH)]
     return f"no guest without {', '.join(absent)} (make system installs them on Debian)" if absent else None
 
 
@@ -171,7 +175,7 @@ def _environment(folder: Path, memory_mib: int) -> dict[str, str]:
     """The guest's memory is a file in TMPDIR: in shared memory where it fits and may be executed (in many containers not)."""
     shared = os.statvfs("/dev/shm")
     fits = shared.f_bavail * shared.f_frsize > memory_mib << 20 and not shared.f_flag & os.ST_NOEXEC
-    return {"PATH": PATH, "HOME": str(folder), "TMPDIR": "/dev/shm" if fits else str(folder)}
+    return {"PATH": PATH, "HOME": str(folder), "TMPDIR": "/dev/shm" if fits else str(folder)} | uml.preload(folder)
 
 
 def _setup(modules: Sequence[str]) -> str:
