@@ -32,6 +32,7 @@ from tests.kit.page import (
 from tests.services.browser import Page, tab
 
 ROOT = Path(__file__).parents[2]
+PAGE_BYTES = 600_000
 WEB, BUILT = ROOT / "delfim/console/web", ROOT / "delfim/console/page"
 
 
@@ -678,6 +679,21 @@ async def test_a_page_that_failed_says_so_until_it_is_loaded_again() -> None:
             page.complaints.clear()
             await page.reload()
             await page.until("window.delfim !== undefined")
+
+
+async def test_page_style_and_program_are_no_more_than_600_kilobytes(page: Page, gateway: Standin) -> None:
+    """As a browser unpacked them on its first visit: whatever script or style it asked for. The face, the coast and the
+    charts, which come after them, are not counted."""
+    counted = "navigation", "link", "script"
+    loaded = await page.value(
+        "[...performance.getEntriesByType('navigation'), ...performance.getEntriesByType('resource')]"
+        ".map(each => [each.name, each.initiatorType, each.decodedBodySize])"
+    )
+    sizes = {
+        name: size for name, kind, size in loaded if kind in counted and size and not name.endswith(("png", "webmanifest"))
+    }
+    assert len(sizes) >= 3, loaded
+    assert sum(sizes.values()) <= PAGE_BYTES, sizes
 
 
 def test_the_page_in_the_wheel_is_that_of_the_sources(tmp_path: Path) -> None:
