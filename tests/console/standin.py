@@ -13,6 +13,7 @@ from aiohttp import WSMsgType, web
 from delfim.base.errors import FormatError
 from delfim.base.modes import Mode
 from delfim.console.gateway import page_messages
+from delfim.console.gateway.plan_files import PlanFiles
 from delfim.parts.mavlink.codec.ownorders import own_offers
 from delfim.vehicle import console
 
@@ -137,6 +138,7 @@ class Standin:
     async def serving(self) -> AsyncIterator["Standin"]:
         app = web.Application()
         app.add_routes([web.get("/", self._index), web.get("/ws", self._talk), web.get("/background/{name}", self._chart)])
+        PlanFiles().routes(app)
         app.router.add_static("/", PAGE)
         runner = web.AppRunner(app, shutdown_timeout=1.0)
         await runner.setup()

@@ -53,6 +53,7 @@ export class Picture {
     this.box.hidden = !this.box.hidden;
     this.boat = null;
     this.look();
+    this.draw(); // its name, too: no button is without a word
   }
 
   take(shot: Shot): void {

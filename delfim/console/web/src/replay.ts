@@ -33,7 +33,6 @@ export class Replay {
     this.slider.step = "0.1";
     for (const each of [this.slider, this.play, this.faster]) each.tabIndex = -1;
     this.slider.setAttribute("aria-label", "time");
-    this.faster.setAttribute("aria-label", "rate");
     bar.append(make("b", "REPLAY"), this.play, make("div.line", this.slider, this.strip.marks, this.strip.root), this.clock, this.faster, follow);
     this.play.addEventListener("click", () => this.toggle());
     this.faster.addEventListener("click", () => this.setRate(RATES[(RATES.indexOf(this.rate) + 1) % RATES.length]!));
@@ -113,6 +112,7 @@ export class Replay {
     text(this.play, this.paused ? "▶" : "❚❚");
     this.play.setAttribute("aria-label", this.paused ? "play" : "pause");
     text(this.faster, `× ${this.rate}`);
+    this.faster.setAttribute("aria-label", `rate × ${this.rate}`);
   }
 
   private tell(at_s: number): void {
