@@ -18,9 +18,10 @@ from delfim.base.modes import Mode
 from delfim.parts.mavlink.codec import wire
 from delfim.parts.mavlink.codec.ownorders import own_offers
 from delfim.vehicle import console
+from tests.console import scenes
 from tests.console.chain import PATIENCE_S, Boat, Sea, afternoon, ordered, select, shown_mode
+from tests.console.fingers import Fingers
 from tests.console.pads import plug, unplug
-from tests.console.scenes import choose
 from tests.services.browser import Page
 
 SOURCE = Path(__file__).parents[2] / "delfim/console/web/src"
@@ -67,6 +68,11 @@ class Row(NamedTuple):
     told: dict[str, Any] | None = None
 
 
+async def choose(page: Page, *titles: str) -> None:
+    """Through the open menu, by the fingers of who has them."""
+    await (page.choose(*titles) if isinstance(page, Fingers) else scenes.choose(page, *titles))
+
+
 def keys(*pressed: str, held: tuple[str, ...] = ()) -> Callable[[Sea, Page, Boat], Awaitable[object]]:
     async def way(sea: Sea, page: Page, boat: Boat) -> None:
         for each in pressed[:-1]:  # until the boat is as it has to be
@@ -110,16 +116,6 @@ def on_map(north_m: float, east_m: float, *titles: str) -> Callable[[Sea, Page, 
 def corner(name: str) -> Callable[[Sea, Page, Boat], Awaitable[object]]:
     async def way(sea: Sea, page: Page, boat: Boat) -> None:
         await page.mouse(await middle(page, name))
-
-    return way
-
-
-def finger(name: str) -> Callable[[Sea, Page, Boat], Awaitable[object]]:
-    async def way(sea: Sea, page: Page, boat: Boat) -> None:
-        await page.call("Emulation.setTouchEmulationEnabled", enabled=True, maxTouchPoints=1)
-        await page.touch("Start", await middle(page, name))
-        await page.touch("End")
-        await page.call("Emulation.setTouchEmulationEnabled", enabled=False)
 
     return way
 
@@ -400,14 +396,11 @@ ROWS: dict[str, Row] = {
     "key: O": Row(keys("o"), {"command": "overrule"}),
     "menu: Kill": Row(killed_and_cleared, {"command": "kill"}),
     "menu: Clear the kill": Row(killed_and_cleared, {"command": "clear"}),
-    # By touch: the same entries, opened by a finger.
-    "touch: stop": Row(finger("stop"), STOP),
-    "touch: stop all": Row(finger("stop-all"), STOP),
 }
 
 
 def test_every_way_has_a_row_and_every_row_is_a_way() -> None:
-    assert {each for each in ROWS if not each.startswith(("touch", "key: ", "menu: "))} == ways()
+    assert {each for each in ROWS if not each.startswith(("key: ", "menu: "))} == ways()
 
 
 def test_each_order_of_a_console_is_said_by_the_page_and_each_mode_is_entered() -> None:
@@ -462,8 +455,12 @@ SHOWN_DEG = "Number(/hdg (\\d+)/.exec(document.querySelector('.selected').textCo
 
 @pytest.mark.parametrize("way", ROWS)
 async def test_what_the_page_says_is_what_the_vehicle_obeys(its: Sea, way: str) -> None:
-    row = ROWS[way]
-    page, boat = await its.at_rest(2)
+    await said_and_obeyed(its, ROWS[way])
+
+
+async def said_and_obeyed(sea: Sea, row: Row, hand: Callable[[Page], Page] = lambda page: page) -> None:
+    """`hand`: what works the page, if it is no mouse and no keys."""
+    page, boat = await sea.at_rest(2)
     await select(page, 2)
     if row.told and "turned_deg" in row.told:  # of the heading that it has when the menu is chosen from
         await boat.until(lambda state: abs(state["turn_dps"]) < 0.5)
@@ -472,10 +469,10 @@ async def test_what_the_page_says_is_what_the_vehicle_obeys(its: Sea, way: str) 
     if row.told and row.told["command"] == "reset":  # refused while a stopped propeller coasts
         await boat.until(lambda state: all(abs(each["rpm"] or 0.0) < 50.0 for each in state["thrusters"].values()))
     began_ns, before = time.time_ns(), boat.state() | {"origin": await page.value("window.origin")}
-    await row.way(its, page, boat)
+    await row.way(sea, hand(page), boat)
     if row.told is not None:
         await obeyed(boat, began_ns, before, row.told)
-    await its.nothing_amiss()
+    await sea.nothing_amiss()
 
 
 async def test_a_refused_plan_is_told_once_and_in_the_boats_words(its: Sea) -> None:
