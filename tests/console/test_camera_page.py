@@ -207,13 +207,29 @@ def logged(folder: Path, number: int, width: int) -> Path:
     return folder
 
 
+async def paused(its: Page, after_s: float) -> None:
+    """The replay, so long after its beginning."""
+    await its.press(" ")
+    slider = "const slider = document.querySelector('#replay input')"
+    there = f"slider.value = Number(slider.min) + {after_s}"
+    await its.value(
+        f"(() => {{ {slider}; {there}; for (const each of ['input', 'change']) slider.dispatchEvent(new Event(each)); }})()"
+    )
+    await its.until(f"Math.abs(delfim.at_s() - document.querySelector('#replay input').min - {after_s}) < 0.2", PATIENCE_S)
+
+
 def test_of_several_boats_each_has_its_own_pictures_in_a_replay(tmp_path: Path) -> None:
+    """Those of the time that is replayed, with the age that their own clock says."""
+
     async def scenario(url: str) -> None:
         async with tab() as its:
             await of_a_replay(its, url, boats=2)
-            await its.value(GLASS)
+            await its.value(GLASS.replace("Date.now()", "Math.round(1000 * delfim.at_s())"))
+            await paused(its, 4.5)
             for width in (160, 240):
-                await its.until(f"glass.some(([, width]) => width === {width})", PATIENCE_S)
+                shown = f"glass.filter(([off_ms, width]) => width === {width} && off_ms >= 0 && off_ms < 1000)"
+                await its.until(f"{shown}.length > 0", PATIENCE_S)
+                await its.until(f"Math.abs(parseFloat({AGE}) - {shown}.at(-1)[0] / 1000) < 0.06 && !{IS_OLD}", PATIENCE_S)
                 await its.value("glass.splice(0)")
                 await its.press("Tab")
             await its.nothing_amiss()
