@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import msgspec
+import numpy as np
 
 from delfim import config
 from delfim.base.errors import DelfimError
@@ -53,12 +54,18 @@ def begun(areas: list[Shape], wishes: SurveyWishes, boats: Sequence[SurveyBoat])
 def go_on(survey: KeptSurvey, logs: Sequence[str]) -> Place | None:
     """Note in a survey what logs say is done, and return where the last one ends. Raises DelfimError, OSError."""
     ground = laid(survey.areas)
-    lines, last = survey.segments(ground), None
+    lines, last, every = survey.segments(ground), None, list[Place]()
     for log in logs:
         places = [in_plane(ground.at, *place) for place in good_places(log)]
+        every += places
         last = places[-1] if places else last
         found = progress.sailed(lines, places, survey.asked.spacing_m, bool(survey.asked.side))
         survey.done = [progress.merged(*both) for both in zip(survey.done, found, strict=True)]
+    if every and not survey.asked.side:
+        sounded, spacing_m = np.array(every), survey.asked.spacing_m
+        for number in range(len(lines) - survey.across):  # a line across is there to cross the others, not to cover
+            its = survey.done[number]
+            survey.done[number] = progress.with_covered(lines[number], its, sounded, ground.area, spacing_m)
     return last
 
 

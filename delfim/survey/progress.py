@@ -13,7 +13,8 @@ from typing import Annotated, Final, Literal
 
 import msgspec
 import numpy as np
-from shapely.geometry import LineString
+import shapely
+from shapely.geometry import LineString, MultiPolygon
 
 from delfim.base.errors import DelfimError, FormatError
 from delfim.base.geodesy import origin
@@ -31,6 +32,8 @@ APART_M: Final = 5.0  # between soundings along a line; at least LEAST_M, else h
 LEAST_M: Final = 3.0  # a gap that is no longer is none; nor is one up to LIMIT
 OVERLAP_M: Final = 3.0  # a line that goes on begins so far in what is done
 WHOLE: Final = 0.8  # of a line; of a longer one a spacing: what is shorter was sailed across
+CELL_M: Final = 3.6  # from the middle of a cell of the page's chart to its corner
+STRETCH_M: Final = 10.0  # of a gap that is looked at in one
 MOST_M: Final = 100_000.0  # of a line
 AMONG_DEG: Final = 45.0  # a line that lies farther off the heading of the longest one lies across
 BESIDE_M: Final = 0.5  # lines that lie no farther apart are one
@@ -209,6 +212,41 @@ def left(line: Segment, done: Iterable[Span], least_m: float = LEAST_M, joined_m
             gaps[-1:] = [(gaps[-1][0], gap[1])] if is_near else [*gaps[-1:], gap]
         at = max(at, end)
     return parts(line, gaps)
+
+
+def with_covered(line: Segment, done: list[Span], places: np.ndarray, area: MultiPolygon, spacing_m: float) -> list[Span]:
+    """What is done, and gaps about which the area is covered all the same: the boat went beside its line for a while.
+    `places`: of all good soundings, shape (n, 2), m."""
+    long_m, at = math.dist(*line), 0.0
+    found = list[Span]()
+    for begin, end in [*merged(done, ()), (long_m, long_m)]:
+        if begin > at and _is_covered(line, (at, begin), places, area, spacing_m):
+            found.append((at, begin))
+        at = max(at, end)
+    return merged(done, found) if found else done
+
+
+def _is_covered(line: Segment, gap: Span, places: np.ndarray, area: MultiPolygon, spacing_m: float) -> bool:
+    """Whether all of the area up to half a spacing beside this part of a line has a sounding no farther away than that, as the
+    page sees it."""
+    (x, y), (to_x, to_y) = line
+    long_m = math.dist(*line)
+    ux, uy = (to_x - x) / long_m, (to_y - y) / long_m
+    reach_m = spacing_m / 2.0 + min(CELL_M, LIMIT * spacing_m)  # less than to the next line
+    aside = np.linspace(-0.5, 0.5, 9) * spacing_m
+    for begin in np.arange(gap[0], gap[1], STRETCH_M):
+        along = np.append(np.arange(begin, min(begin + STRETCH_M, gap[1]), spacing_m / 8.0), min(begin + STRETCH_M, gap[1]))
+        a, b = (each.ravel() for each in np.meshgrid(along, aside))
+        xs, ys = x + a * ux - b * uy, y + a * uy + b * ux
+        is_inside = shapely.contains_xy(area, xs, ys)
+        asked = np.column_stack([xs, ys])[is_inside]
+        if not len(asked):
+            continue
+        is_near = ((places >= asked.min(axis=0) - reach_m) & (places <= asked.max(axis=0) + reach_m)).all(axis=1)
+        off = asked[:, None, :] - places[is_near][None, :, :]
+        if not (np.hypot(off[..., 0], off[..., 1]) <= reach_m).any(axis=1).all():
+            return False
+    return True
 
 
 def told(survey: KeptSurvey, lines: Sequence[Segment]) -> list[str]:

@@ -6,8 +6,9 @@ from pathlib import Path
 from random import Random
 
 import msgspec
+import numpy as np
 import pytest
-from shapely.geometry import LineString
+from shapely.geometry import LineString, MultiPolygon, box
 
 from delfim.__main__ import main
 from delfim.base.errors import FormatError
@@ -25,6 +26,7 @@ from delfim.survey.progress import (
     parts,
     read_survey,
     sailed,
+    with_covered,
     write_survey,
 )
 from delfim.survey.progress import SurveyWishes as Wishes
@@ -102,6 +104,19 @@ def test_what_is_done_is_kept_by_line_and_only_along_it() -> None:
     assert left(line, [(LEAST_M, 100.0)]) == []
     assert left(line, [(20.0, 30.0)], joined_m=20.0) == [line]
     assert merged([(5.0, 9.0), (0.0, 2.0)], [(1.0, 5.0)]) == [(0.0, 9.0)]
+
+
+def test_what_is_covered_from_beside_a_line_is_no_gap() -> None:
+    lines = [((0.0, y), (100.0, y)) for y in (0.0, 10.0, 20.0)]
+    area = MultiPolygon([box(0.0, -5.0, 100.0, 25.0)])
+    whole = [(float(x), y) for y in (0.0, 20.0) for x in range(101)]
+    aside = [(float(x), 10.0 + max(0.0, 4.0 - x / 4.0)) for x in range(101)]  # it comes to its line in 16 m
+    done = sailed([lines[1]], [*whole, *aside], 10.0)[0]
+    assert left(lines[1], done)
+    assert with_covered(lines[1], done, np.array([*whole, *aside]), area, 10.0) == [(0.0, 100.0)]
+    alone = np.array(aside)
+    assert with_covered(lines[1], done, alone, area, 10.0) == done, "nobody sounded the other side"
+    assert with_covered(lines[1], [], np.array(whole), area, 10.0) == [], "neighbours alone do not cover a line"
 
 
 def test_a_line_of_a_sensor_that_looks_to_one_side_is_done_only_where_it_was_sailed_that_way() -> None:
