@@ -22,6 +22,9 @@ from tests.guest.harness import Guest, guest, missing
 hypothesis.settings.register_profile("delfim", deadline=None, derandomize=True)
 hypothesis.settings.load_profile("delfim")
 
+# Matrices of these tests are small: more threads only wait for each other, and take the processor from the tests beside them.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
 # A shell's job in the background ignores Ctrl-C, and so would all programs that are started here and ended by it.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 

@@ -57,7 +57,9 @@ def judge(hidden: Hidden, fit: Fit) -> None:
     assert compass_error_deg(fit, Sensors()) < 1.5
 
 
-@pytest.mark.parametrize("hull", HULLS)
+@pytest.mark.parametrize(
+    "hull", [hulls.heron, *(pytest.param(hull, marks=pytest.mark.long) for hull in (hulls.otter, hulls.slim))]
+)
 def test_a_hull_of_another_hand_is_found(hull: Callable[[], Hidden]) -> None:
     hidden = hull()
     judge(hidden, fit_of(hidden, sailed(hidden, SEA)))

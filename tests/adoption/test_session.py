@@ -28,7 +28,7 @@ from delfim.vehicle import console
 
 ROOT = Path(__file__).parents[2]
 NAMES = "otter", "heron", "wam-v", "blueboat"
-STEERED = "skiff", "bait-boat"
+STEERED = "skiff", pytest.param("bait-boat", marks=pytest.mark.long)
 NOISE = "simulation.position_noise_m=1.0", "simulation.speed_noise_mps=0.05", "simulation.heading_noise_deg=2.0"
 
 
@@ -71,7 +71,7 @@ class Tried:
 @pytest.fixture(scope="module", params=[*NAMES, *STEERED])
 def tried(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Tried:
     """A trial of each boat, with its end."""
-    its = Tried(request.param, 6 if request.param in STEERED else 5, tmp_path_factory.mktemp("tried") / "a.trial")
+    its = Tried(request.param, 5 if request.param in NAMES else 6, tmp_path_factory.mktemp("tried") / "a.trial")
     assert its.session.run() == ""
     return its
 

@@ -118,7 +118,7 @@ def test_info_sums_up(log):
     assert "mode: idle no manual command for 5.0 s" in text
 
 
-@pytest.mark.parametrize(("form", "begins"), [("png", b"\x89PNG"), ("svg", b"<?xml")])
+@pytest.mark.parametrize(("form", "begins"), [("png", b"\x89PNG"), pytest.param("svg", b"<?xml", marks=pytest.mark.long)])
 def test_plot_draws_every_picture(log, tmp_path, form, begins):
     printed = log("plot", "--format", form).split()
     assert [Path(name).stem for name in printed] == ["track", "speeds", "rpm", "references", "latency"]

@@ -453,13 +453,28 @@ async def planned(sea: Sea) -> None:
 SHOWN_DEG = "Number(/hdg (\\d+)/.exec(document.querySelector('.selected').textContent)[1])"
 
 
-@pytest.mark.parametrize("way", ROWS)
-async def test_what_the_page_says_is_what_the_vehicle_obeys(its: Sea, way: str) -> None:
-    await said_and_obeyed(its, ROWS[way])
+def stories() -> list[Any]:
+    """The rows, those together that are ways of one story. Long: what a menu's entry and a letter enter alike, for the letter's
+    way is short; and what a gamepad steers, for `test_gamepad.py` has the same of a boat that it looks at for longer."""
+    of = dict[Any, list[str]]()
+    found = list[Any]()
+    for name, row in ROWS.items():
+        of.setdefault(row.way, []).append(name)
+    twice = {f"menus.boat: {title}" for title, _ in MODES.values()} - {"menus.boat: Play mission"}
+    for names in of.values():
+        long = twice.issuperset(names) or names[0].startswith(("gamepad.thrust", "gamepad.steer"))
+        found.append(pytest.param([ROWS[name] for name in names], id=" + ".join(names), marks=pytest.mark.long if long else ()))
+    return found
 
 
-async def said_and_obeyed(sea: Sea, row: Row, hand: Callable[[Page], Page] = lambda page: page) -> None:
-    """`hand`: what works the page, if it is no mouse and no keys."""
+@pytest.mark.parametrize("rows", stories())
+async def test_what_the_page_says_is_what_the_vehicle_obeys(its: Sea, rows: list[Row]) -> None:
+    await said_and_obeyed(its, rows)
+
+
+async def said_and_obeyed(sea: Sea, rows: list[Row], hand: Callable[[Page], Page] = lambda page: page) -> None:
+    """The rows of one way. `hand`: what works the page, if it is no mouse and no keys."""
+    row = rows[0]
     page, boat = await sea.at_rest(2)
     await select(page, 2)
     if row.told and "turned_deg" in row.told:  # of the heading that it has when the menu is chosen from
@@ -470,8 +485,9 @@ async def said_and_obeyed(sea: Sea, row: Row, hand: Callable[[Page], Page] = lam
         await boat.until(lambda state: all(abs(each["rpm"] or 0.0) < 50.0 for each in state["thrusters"].values()))
     began_ns, before = time.time_ns(), boat.state() | {"origin": await page.value("window.origin")}
     await row.way(sea, hand(page), boat)
-    if row.told is not None:
-        await obeyed(boat, began_ns, before, row.told)
+    for each in rows:
+        if each.told is not None:
+            await obeyed(boat, began_ns, before, each.told)
     await sea.nothing_amiss()
 
 

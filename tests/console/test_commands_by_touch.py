@@ -52,5 +52,5 @@ async def test_what_a_finger_says_is_what_the_vehicle_obeys(its: Sea, way: str) 
         hands.append(Fingers(page))
         return cast(Page, hands[-1])
 
-    await said_and_obeyed(its, ROWS[way], hand)
+    await said_and_obeyed(its, [ROWS[way]], hand)
     assert hands[0].taps, "it was given by no finger"

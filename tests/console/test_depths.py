@@ -12,6 +12,8 @@ from array import array
 from pathlib import Path
 from typing import Any
 
+import pytest
+
 from delfim.base.clock import ManualClock
 from delfim.console.boats.depths import CELL_M, SIDE, TILES_MAX, DepthGrid
 from delfim.console.boats.soundings import PENDING_MAX, SoundingFiles
@@ -177,6 +179,7 @@ async def caught_up_with(page: Page, gateway: Standin, expression: str) -> None:
             await asyncio.sleep(0.05)
 
 
+@pytest.mark.long
 async def test_the_page_tells_what_of_an_area_is_covered_and_shows_the_gaps() -> None:
     async with tab() as page:
         await shown(page, None)

@@ -12,6 +12,7 @@ from tests.console.chain import Boat, Sea, afternoon, select, turning, watched
 from tests.console.pads import looked, plug, unplug
 from tests.services.browser import Page
 
+LONG = pytest.mark.long
 WATCHED = 8  # cycles: longer than the page, the gateway and the boat need to do something that they should not
 
 
@@ -78,7 +79,9 @@ async def test_in_heading_mode_it_turns_and_sets_the_speed_and_its_button_stops(
     await nothing_moves(boat)
 
 
-@pytest.mark.parametrize("how", ["unplugged", "hidden", "stopped", "another boat"])
+@pytest.mark.parametrize(
+    "how", ["unplugged", "stopped", pytest.param("hidden", marks=LONG), pytest.param("another boat", marks=LONG)]
+)
 async def test_it_lets_go_and_drives_again_only_from_rest(sea: Sea, how: str) -> None:
     page, boat = await by_hand(sea)
     await plug(page, ahead=0.4)

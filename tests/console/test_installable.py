@@ -114,6 +114,7 @@ SHOWN = """new Promise((done) => setTimeout(done, 2000)).then(() => navigator.se
   .then((its) => its.getNotifications()).then((all) => all.map((each) => [each.title, each.body]))"""
 
 
+@pytest.mark.long
 async def test_a_grave_alert_reaches_a_browser_by_its_push_service_and_is_shown(tmp_path: Path, certificate: Path) -> None:
     """All but the Internet's service: what the page gives of it is played, and its message is handed to the browser here."""
     service, its = PlayedService(), Browser()

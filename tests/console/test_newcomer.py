@@ -260,7 +260,7 @@ async def test_hints_end_for_good_when_they_are_closed(it: Console) -> None:
         await it.page.until("delfim.online()")
 
 
-@pytest.mark.parametrize("dark", [False, True])
+@pytest.mark.parametrize("dark", [False, pytest.param(True, marks=pytest.mark.long)])
 async def test_there_are_land_and_harbours_without_a_network_until_they_would_be_taken_for_a_chart(it, dark):
     async def colours(page: Page, *places: tuple[float, float]) -> list[tuple[int, ...]]:
         await page.value("new Promise(done => setTimeout(done, 300))")  # the view stands still, and is drawn
@@ -363,7 +363,7 @@ CORNER = """[...document.querySelectorAll('#map canvas')].some((each) => {
 })"""
 
 
-@pytest.mark.parametrize("scale", [0.5, 0.75, 2.0])
+@pytest.mark.parametrize("scale", [pytest.param(0.5, marks=pytest.mark.long), 0.75, pytest.param(2.0, marks=pytest.mark.long)])
 async def test_the_map_fills_the_window_at_any_zoom_of_the_browser(it: Console, scale: float) -> None:
     page = it.page
     await page.open(it.url, width=1200, height=760, scale=scale)

@@ -223,6 +223,7 @@ async def test_a_boat_that_falls_silent_under_way_leaves_the_map_to_all(sea: Sea
     await page.until("document.querySelector('[data-boat=\"1\"]').dataset.age === 'fresh'")
 
 
+@pytest.mark.long
 async def test_a_boat_goes_home_along_its_track_though_no_home_is_planned(sea: Sea) -> None:
     page, boat = await sea.at_rest(1)
     await pressed(page, boat, "h", "heading")
@@ -321,6 +322,7 @@ window.WebSocket = class extends WebSocket {
 """
 
 
+@pytest.mark.long
 async def test_two_pages_of_one_console_see_who_drives(sea: Sea) -> None:
     """At two windows that both have the focus, as on two computers."""
     line = "document.querySelector('[data-boat=\"2\"] .trouble:not(.weak)')"

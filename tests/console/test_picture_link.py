@@ -84,7 +84,12 @@ class Watching:
 
 @pytest.mark.parametrize(
     ("rate_bps", "least", "width"),
-    [(20_000, 0.5, 160), (64_000, 1.5, 160), (600_000, 5.0, 320), (2_500_000, 8.0, 640)],
+    [
+        (20_000, 0.5, 160),
+        pytest.param(64_000, 1.5, 160, marks=pytest.mark.long),
+        pytest.param(600_000, 5.0, 320, marks=pytest.mark.long),
+        (2_500_000, 8.0, 640),
+    ],
 )
 def test_pictures_take_what_a_link_with_losses_leaves_and_the_state_does_not_wait(
     rate_bps: int, least: float, width: int

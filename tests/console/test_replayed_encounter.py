@@ -90,6 +90,7 @@ def test_the_log_of_a_boat_that_kept_clear_is_seen_on_the_page(tmp_path: Path) -
     asyncio.run(replayed(tmp_path, nothing))
 
 
+@pytest.mark.long
 def test_in_a_fast_replay_the_vessels_keep_up_with_the_boat(tmp_path: Path) -> None:
     kept_clear(tmp_path / "log")
     clock, told = ManualClock(), list[dict[str, Any]]()

@@ -97,7 +97,7 @@ async def test_a_thing_that_stands_and_a_swimmer_say_who_saw_them(page: Page, ga
     await shown(page, gateway, f"{told}.includes('a swimmer, seen by camera')")
 
 
-@pytest.mark.parametrize("by_key", [True, False])
+@pytest.mark.parametrize("by_key", [True, pytest.param(False, marks=pytest.mark.long)])
 async def test_a_danger_sounds_until_somebody_takes_note_and_stays_red(page: Page, gateway: Standin, by_key: bool) -> None:
     await page.value(FAKE_SOUND)
     await page.press("w")  # sounds are allowed once the page was touched

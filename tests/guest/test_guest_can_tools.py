@@ -18,6 +18,7 @@ def test_dump_prints_what_candump_prints(can_guest: Guest, subtests: pytest.Subt
             assert ours[-lines:] == theirs[-lines:]
 
 
+@pytest.mark.long
 def test_a_node_on_vcan_is_set_and_gets_its_program_though_frames_are_lost(can_guest: Guest) -> None:
     result = can_guest.run("python tests/guest/guest_nodetool.py vcan0", timeout_s=300.0)
     assert result.code == 0, result.output

@@ -27,6 +27,7 @@ def test_python_can_sees_by_tcp_what_candump_sees_on_the_bus(can_guest: Guest) -
     assert report["exit_code"] == 0
 
 
+@pytest.mark.long
 def test_a_client_on_another_computer_sees_every_frame_of_cangen(tmp_path: Path) -> None:
     """python-can's client on the host, the kernel's bus in the guest, a cable between them in a namespace of its own."""
     if reason := missing():

@@ -53,7 +53,7 @@ def logged_in(folder: str) -> tuple[str, str]:
     return f'log.directory="{folder}"', 'log.state_method="write"'
 
 
-@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.long)])
 @pytest.mark.parametrize("file", SCENARIOS, ids=lambda file: file.stem)
 def test_the_scenario_ends_as_it_must(file, seed):
     result = sailed(file, seed)
@@ -181,7 +181,7 @@ def test_mixed_faults_end_in_nothing_that_must_never_happen(seeds):
     assert not bad, "\n".join(f"{random_faults.again(str(VEHICLE), 'mixed', seed, [])}: {why}" for seed, why in bad.items())
 
 
-@pytest.mark.parametrize("seed", [1, 2, 5, 4452])
+@pytest.mark.parametrize("seed", [1, 5, *(pytest.param(seed, marks=pytest.mark.long) for seed in (2, 4452))])
 def test_vessels_that_follow_and_chase_the_boat_drive_it_nowhere(seed):
     """Some of etc/campaigns/chased.toml: outside the fence in none, though led away from its place beyond a zone (4452)."""
     assert not random_faults.sail_mixed(VEHICLE, seed, (), chased).failures

@@ -182,7 +182,7 @@ def test_a_checksum_of_the_catalogue_is_looked_at(tmp_path: Path) -> None:
     assert read_cell(file, LAYERS).edition == 2
 
 
-@pytest.mark.parametrize(("zone", "asked"), [(4, "500 m"), (6, "nobody knows how much")])
+@pytest.mark.parametrize(("zone", "asked"), [(4, "500 m"), pytest.param(6, "nobody knows how much", marks=pytest.mark.long)])
 def test_a_margin_that_is_less_than_the_chart_asks_for_is_told(zone: int, asked: str, tmp_path: Path, capsys) -> None:
     assert main(["charts", str(harbour(zone=zone).write(tmp_path)), AT, "--draught=0.5", f"--output={tmp_path / 'made'}"]) == 0
     words = f"margins cut to --margin: about 4 the chart's zone of confidence asks for more: {asked}."

@@ -32,8 +32,8 @@ class Readers:
         self.handlers.pop(fd, None)
 
     def turn(self) -> None:
-        """Waits until something is readable, and has it read."""
-        for fd in select.select(list(self.handlers), [], [], 20.0)[0]:
+        """Waits until something is readable, and has it read; a program that closed its pipes is only looked at again."""
+        for fd in select.select(list(self.handlers), [], [], 20.0 if self.handlers else 0.01)[0]:
             if fd in self.handlers:
                 self.handlers[fd]()
 

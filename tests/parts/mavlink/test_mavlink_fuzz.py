@@ -70,7 +70,7 @@ VALUES = st.builds(
 
 
 @ONCE
-@pytest.mark.parametrize("mode", [Mode.MANUAL, Mode.HEADING, Mode.IDLE])
+@pytest.mark.parametrize("mode", [Mode.MANUAL, pytest.param(Mode.HEADING, marks=pytest.mark.long), Mode.IDLE])
 @given(st.lists(st.tuples(STRANGERS, ANYTHING | ORDERS | THRUSTS | VALUES), min_size=1, max_size=20))
 def test_whatever_anybody_else_says_moves_nothing(make_boat, mode, said):
     """Beside a boat that hears its own console alone: what the propellers are told is the same in each cycle. Anybody may stop
