@@ -57,7 +57,7 @@ class Film:
         sample = Image.new("RGB", (width, height * SAMPLES))
         for at in range(SAMPLES):
             sample.paste(self._frames[at * (len(self._frames) - 1) // (SAMPLES - 1)], (0, at * height))
-        palette = sample.quantize(COLOURS, Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE)
+        palette = sample.quantize(COLOURS, Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE)
         first, *others = (each.quantize(palette=palette, dither=Image.Dither.NONE) for each in self._frames)
         first.save(file, save_all=True, append_images=others, duration=self._shown_ms, loop=0, optimize=True)
 

@@ -87,6 +87,20 @@ async def test_a_finger_takes_note_too_and_the_bar_does_not_change_its_height() 
             await gateway.until(lambda m, said=said: said.items() <= m.items())
 
 
+@pytest.mark.parametrize("words", ["BRAVO: CPA 12 m in 41 s", "battery low: 18 %: stop"])
+async def test_the_words_of_an_alert_are_read_whole_on_a_phone(words: str) -> None:
+    gateway = at_work()
+    async with gateway.serving(), tab() as page:
+        await opened(page, gateway, width=390, height=780)
+        told = alert(7, 2, "alarm", words, "unacknowledged") | {"at_s": gateway.at_s}
+        await gateway.tell({"t": "alerts", "alerts": [told]})
+        await shown(page, gateway, f"{LINE}.includes({words!r})")
+        cut = "(e => e.scrollHeight > e.clientHeight + 1 || e.scrollWidth > e.clientWidth + 1)"
+        parts = "[...document.querySelectorAll('#bar p, #bar p span')]"
+        assert await page.value(f"{parts}.filter((each) => getComputedStyle(each).display !== 'inline').some({cut})") is False
+        assert await page.value("document.getElementById('bar').scrollWidth <= innerWidth")
+
+
 @pytest.mark.parametrize("width", [1200, 1366, 1440, 1920])
 async def test_the_words_of_an_alert_have_room_beside_all_else_in_the_bar(width: int) -> None:
     gateway = at_work()

@@ -24,7 +24,7 @@ export class Alerts {
   private readonly name = make("b");
   private readonly what = make("span");
   private readonly when = make("small");
-  private readonly line = make("p", this.sign, this.name, this.what, this.when);
+  private readonly line = make("p", this.sign, make("span.told", this.name, this.what), this.when);
   private readonly counts = make("button.counts", ...PRIORITIES.map((each) => sign(each, "0")));
   private readonly buttons: HTMLButtonElement[];
   private readonly table = make("table");
@@ -39,7 +39,8 @@ export class Alerts {
     private readonly sound: Sound,
   ) {
     this.line.setAttribute("role", "alert");
-    this.buttons = [button("Acknowledge", "K", () => this.acknowledge()), button("Silence", "S", () => this.silence())];
+    const short = make("span", "Ack", make("span.rest", "nowledge")); // on a phone, where the words of the alert need the room
+    this.buttons = [button(short, "K", () => this.acknowledge()), button("Silence", "S", () => this.silence())];
     this.counts.append(make("kbd", "A"));
     this.counts.tabIndex = -1;
     this.counts.addEventListener("click", () => this.toggle());
@@ -159,7 +160,7 @@ function sign(priority: string, words: string): HTMLElement {
   return make("span.of", shape, make("span", words));
 }
 
-function button(title: string, key: string, act: () => void): HTMLButtonElement {
+function button(title: string | HTMLElement, key: string, act: () => void): HTMLButtonElement {
   const made = make("button.plain", make("span", title), key && make("kbd", key));
   made.tabIndex = -1;
   made.addEventListener("click", act);
