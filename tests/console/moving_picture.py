@@ -52,12 +52,16 @@ class Film:
         self._shown_ms.append(shown_ms)
 
     def save(self, file: Path) -> None:
-        """With one palette for all of them."""
+        """With one palette for all of them: half for what covers most of the screen, half for what is least like the rest,
+        such as the colours of alerts."""
         width, height = self._frames[0].size
         sample = Image.new("RGB", (width, height * SAMPLES))
         for at in range(SAMPLES):
             sample.paste(self._frames[at * (len(self._frames) - 1) // (SAMPLES - 1)], (0, at * height))
-        palette = sample.quantize(COLOURS, Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE)
+        halves = Image.Quantize.MEDIANCUT, Image.Quantize.MAXCOVERAGE
+        chosen = [sample.quantize(COLOURS // 2, each, dither=Image.Dither.NONE).getpalette() or [] for each in halves]
+        palette = Image.new("P", (1, 1))
+        palette.putpalette([*chosen[0], *chosen[1]])
         first, *others = (each.quantize(palette=palette, dither=Image.Dither.NONE) for each in self._frames)
         first.save(file, save_all=True, append_images=others, duration=self._shown_ms, loop=0, optimize=True)
 
