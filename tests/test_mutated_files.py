@@ -330,6 +330,7 @@ def shown(folder: Path) -> None:
     (folder / "pelee.geojson").write_text(json.dumps({"type": "FeatureCollection", "delfim": {}, "features": rows}))
 
 
+FEW = 10  # mutations that are tried each time
 SAMPLES = {
     shown: ("dangers for the page",),
     settings: (
@@ -417,15 +418,17 @@ def trying(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[subproces
         it.communicate()
 
 
+@pytest.mark.parametrize("few", [True, pytest.param(False, marks=pytest.mark.long)], ids=["few", "all"])
 @pytest.mark.parametrize("name", READERS)
 def test_a_mutated_file_is_read_or_refused_in_words(
-    name: str, samples: dict[str, Path], trying: tuple[subprocess.Popen[str], Path], mutations: int
+    name: str, samples: dict[str, Path], trying: tuple[subprocess.Popen[str], Path], mutations: int, few: bool
 ) -> None:
+    """The few are the first ones of all."""
     program, errors = trying
     assert program.stdin
     assert program.stdout
     before = len(errors.read_text())
-    print(json.dumps([name, str(samples[name]), mutations]), file=program.stdin, flush=True)
+    print(json.dumps([name, str(samples[name]), min(mutations, FEW) if few else mutations]), file=program.stdin, flush=True)
     said = program.stdout.readline()
     assert json.loads(said) == {}, errors.read_text()[before:]
     assert (program.stdout.readline(), errors.read_text()[before:]) == ("0\n", "")
