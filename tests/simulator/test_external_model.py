@@ -164,9 +164,10 @@ def test_an_address_that_is_taken_is_told(pair):
         ExternalModel(Hull(), taken, 0.67, -0.16)
 
 
+no_octave = pytest.mark.skipif(not shutil.which("octave-cli"), reason="needs GNU Octave")
 in_both_languages = pytest.mark.parametrize(
     "language",
-    ["python", pytest.param("octave", marks=pytest.mark.skipif(not shutil.which("octave-cli"), reason="needs GNU Octave"))],
+    ["python", pytest.param("octave", marks=[pytest.mark.long, no_octave])],
 )
 
 

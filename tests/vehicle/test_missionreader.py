@@ -42,7 +42,9 @@ def test_a_text_comes_back_as_its_mission_or_with_what_is_wrong():
     assert str(wrong).startswith("mission: version: ")
 
 
-@pytest.mark.parametrize(("text", "cpu_s"), [(LARGE, 1), (LARGE, 60)], ids=["time", "memory"])
+@pytest.mark.parametrize(
+    ("text", "cpu_s"), [pytest.param(LARGE, 1, id="time"), pytest.param(LARGE, 60, id="memory", marks=pytest.mark.long)]
+)
 def test_a_text_that_takes_too_much_is_given_up_in_words(text, cpu_s):
     told = Reading(text, cpu_s).lines()
     assert str(told) == "mission: its text takes too much time or memory to read; make it shorter"
