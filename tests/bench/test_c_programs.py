@@ -129,7 +129,7 @@ def test_c_steers_as_python_does(programs: dict[str, Path], bus: str, tmp_path: 
             assert (starboard.arb, port.arb) == (PROPELLER_STARBOARD, PROPELLER_PORT)
             assert starboard.data[2:] == port.data[2:] == bytes([1, number + 1])
     data = columns([log])
-    sailed_s = (data["t3"][-1] - data["t3"][0]) / 1e9
+    sailed_s = (data["t3"][-1] - data["t2"][0]) / 1e9  # it steers between t2 and t3
     assert 0 < data["port_rpm"][-1] <= 800 * sailed_s * 1.2 + 1
     assert data["starboard_rpm"][-1] < data["port_rpm"][-1]
 
