@@ -176,3 +176,16 @@ def test_a_survey_whose_power_is_cut_on_a_line_goes_on_by_its_log_from_where_the
         said, text = capsys.readouterr().out, Path("basin-rest.toml")
         assert ("1 in part" in said) == (number == 0)
     assert said.endswith("the survey is done\n")
+
+
+@pytest.mark.long
+def test_a_boat_that_comes_to_its_lines_in_a_bow_leaves_nothing_where_all_is_covered(tmp_path, capsys, monkeypatch) -> None:
+    """A boat with a rudder, in wind: three of its lines were planned again for the 5 m at their ends."""
+    monkeypatch.chdir(tmp_path)
+    boat = str(ROOT / "etc/boats/bait-boat.toml")
+    assert main(["survey", "lines", str(BASIN), "--vehicle", boat, "--spacing", "10", "--output", "basin.toml"]) == 0
+    sea = ["--set", "simulation.sea_bed.mean_m=7.0", "--set", "simulation.sea.wind_mps=6.0"]
+    assert main(["sim", boat, "--lockstep", "--mission", "basin.toml", "--output", "log", "--for", "3000", *sea]) == 0
+    capsys.readouterr()
+    assert main(["survey", "rest", "basin.survey.json", "log"]) == 0
+    assert capsys.readouterr().out.endswith("the survey is done\n")
