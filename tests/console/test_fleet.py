@@ -3,6 +3,7 @@
 import math
 import random
 from collections.abc import Callable
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -369,6 +370,40 @@ def test_a_stop_ends_input_and_is_repeated_until_it_arrives() -> None:
     assert sea.answers[1:] == [(True, "")]
     assert 4.0 < took_s < 6.0
     assert sea.boats[1].mode == 4
+
+
+def tries(sea: Sea, lost: int = 0) -> list[float]:
+    """When an order to boat 1 is sent; so many of the first tries are lost."""
+    transmit, tried_s = sea.fleet._transmit, list[float]()
+
+    def look(address: Any, data: bytes) -> None:
+        if b'"command":"heading"' in data:
+            tried_s.append(sea.clock.monotonic_s())
+        if b'"command":"heading"' not in data or len(tried_s) > lost:
+            transmit(address, data)
+
+    sea.fleet._transmit = look  # type: ignore[method-assign]
+    return tried_s
+
+
+def test_on_a_quick_link_an_order_that_is_lost_once_does_not_wait() -> None:
+    sea = Sea(1)
+    sea.run(3.0)
+    tried_s = tries(sea, lost=1)
+    sea.ask(1, "heading", heading_deg=90.0, speed_mps=1.0)
+    assert sea.run(3.0, until=lambda: sea.answers) < 0.25
+    sea.run(1.0)
+    assert sea.answers == [(True, "")]
+    assert len(tried_s) == 2
+
+
+def test_on_a_slow_link_an_order_waits_for_its_answer() -> None:
+    sea = Sea(1, jitter_s=0.3)
+    sea.run(3.0, until=lambda: (sea.shown(1)["link"]["rtt_ms"] or 0.0) > 100.0 if 1 in sea.fleet.boats else False)
+    tried_s = tries(sea, lost=9)
+    sea.ask(1, "heading", heading_deg=90.0, speed_mps=1.0)
+    sea.run(1.2)
+    assert [round(after - before, 2) for before, after in pairwise(tried_s)] == [0.5, 0.5]
 
 
 def test_a_stop_is_not_taken_for_heard_because_a_mode_before_it_was() -> None:

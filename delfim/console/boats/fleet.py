@@ -78,7 +78,7 @@ class Fleet:
         self._boats_max, self._peers_max = (BOATS_MAX, PEERS_MAX) if key is None else (SIGNED_MAX, 2 * SIGNED_MAX)
         self._peers: dict[Address, Codec] = {}
         self._ways = Ways()
-        self._requests = Requests(self._send_on_each, self._send_all)
+        self._requests = Requests(self._send_on_each, self._send_all, self._rtt_s)
         self.is_busy = self._requests.wait_for  # whether an order to a boat is under way
         self.questions = Questions(self._send, self.is_busy)
         self._drivers = Drivers(self._send_on_each, self._say)
@@ -144,6 +144,11 @@ class Fleet:
             self._profiles.ask(boat.number)
         route, way = self._ways.used(boat.number)
         boat.link, boat.reception, boat.rtt_ms = address_kind(route), way.reception, way.rtt_ms
+
+    def _rtt_s(self, number: int) -> float:
+        """Of the link that a boat uses; infinite where it is not known."""
+        boat = self.boats.get(number)
+        return math.inf if boat is None or boat.rtt_ms is None else boat.rtt_ms / 1e3
 
     def _has_room(self, now_s: float) -> bool:
         """Whether one more boat fits. A silent boat that is unsigned and that the operator never used gives way to it."""
