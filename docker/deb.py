@@ -267,9 +267,9 @@ def boot(clean: Path, root: Path, packages: list[Path]) -> None:
     (units / "multi-user.target.wants/life.service").symlink_to("../life.service")
     disk = root.with_suffix(".ext4")
     subprocess.run(["mke2fs", "-q", "-t", "ext4", "-d", root, disk, "1500M"], check=True)
+    more = os.environ | preload(root.parent)
     for _ in range(2):
         words = ["timeout", str(TRIAL_S), *KERNEL, f"ubd0={disk}", f"uml_dir={root.parent}"]
-        more = os.environ | preload(root.parent)
         with subprocess.Popen(
             words, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, text=True, errors="replace", env=more
         ) as kernel:

@@ -48,7 +48,7 @@ class Inflating:
 
     def __iter__(self) -> Iterator[bytes]:
         stream, left, crc, at = zlib.decompressobj(wbits=31), self._bytes_max, 0, self.end
-        held = bytearray()  # since the last flush
+        held, has_hole = bytearray(), False  # since the last flush
         while at < len(self._data):
             mark = self._data.find(FLUSHED, at, at + STEP)
             step = STEP if mark < 0 else mark + len(FLUSHED) - at
@@ -63,14 +63,13 @@ class Inflating:
                 return
             crc = zlib.crc32(piece, crc)
             held += piece
-            at += min(step, len(self._data) - at) - len(stream.unused_data)
-            is_flushed = (
-                mark >= 0 and NO_SECTOR not in self._data[self.end : at] and _is_flushed(stream, crc, self._bytes_max - left)
-            )
+            was, at = at, at + min(step, len(self._data) - at) - len(stream.unused_data)
+            has_hole = has_hole or NO_SECTOR in self._data[max(self.end, was - len(NO_SECTOR)) : at]
+            is_flushed = mark >= 0 and not has_hole and _is_flushed(stream, crc, self._bytes_max - left)
             if stream.eof or is_flushed or len(held) > LINE_BYTES:
                 yield bytes(held)
                 held.clear()
-                self.end = at
+                self.end, has_hole = at, False
             if stream.eof:
                 self.trouble = ""
                 return

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import msgspec
-import numpy as np
+import shapely
 
 from delfim import config
 from delfim.base.errors import DelfimError
@@ -62,7 +62,7 @@ def go_on(survey: KeptSurvey, logs: Sequence[str]) -> Place | None:
         found = progress.sailed(lines, places, survey.asked.spacing_m, bool(survey.asked.side))
         survey.done = [progress.merged(*both) for both in zip(survey.done, found, strict=True)]
     if every and not survey.asked.side:
-        sounded, spacing_m = np.array(every), survey.asked.spacing_m
+        sounded, spacing_m = shapely.STRtree(shapely.points(every)), survey.asked.spacing_m
         for number in range(len(lines) - survey.across):  # a line across is there to cross the others, not to cover
             its = survey.done[number]
             survey.done[number] = progress.with_covered(lines[number], its, sounded, ground.area, spacing_m)

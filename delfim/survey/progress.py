@@ -5,7 +5,7 @@ an empty battery, a power cut or a lost link, by whichever boat.
 """
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from itertools import pairwise
 from pathlib import Path
 from statistics import median
@@ -14,6 +14,7 @@ from typing import Annotated, Final, Literal
 import msgspec
 import numpy as np
 import shapely
+from shapely import STRtree
 from shapely.geometry import LineString, MultiPolygon
 
 from delfim.base.errors import DelfimError, FormatError
@@ -204,29 +205,31 @@ def least_m(spacing_m: float) -> float:
 def left(line: Segment, done: Iterable[Span], least_m: float = LEAST_M, joined_m: float = 0.0) -> list[Segment]:
     """The parts of a line that are not done, each a little longer than its gap; gaps of up to `least_m` are none. Parts
     that lie no farther apart than `joined_m` are sailed in one."""
-    long_m, gaps, at = math.dist(*line), list[Span](), 0.0
+    long_m, found = math.dist(*line), list[Span]()
+    for begin, end in gaps(long_m, done):
+        if end - begin > least_m:
+            gap = max(begin - OVERLAP_M, 0.0), min(end + OVERLAP_M, long_m)
+            is_near = found and gap[0] - found[-1][1] <= joined_m
+            found[-1:] = [(found[-1][0], gap[1])] if is_near else [*found[-1:], gap]
+    return parts(line, found)
+
+
+def gaps(long_m: float, done: Iterable[Span]) -> Iterator[Span]:
+    """What is not done of a line that is so long."""
+    at = 0.0
     for begin, end in [*merged(done, ()), (long_m, long_m)]:
-        if begin - at > least_m:
-            gap = max(at - OVERLAP_M, 0.0), min(begin + OVERLAP_M, long_m)
-            is_near = gaps and gap[0] - gaps[-1][1] <= joined_m
-            gaps[-1:] = [(gaps[-1][0], gap[1])] if is_near else [*gaps[-1:], gap]
+        if begin > at:
+            yield at, begin
         at = max(at, end)
-    return parts(line, gaps)
 
 
-def with_covered(line: Segment, done: list[Span], places: np.ndarray, area: MultiPolygon, spacing_m: float) -> list[Span]:
+def with_covered(line: Segment, done: list[Span], places: STRtree, area: MultiPolygon, spacing_m: float) -> list[Span]:
     """What is done, and gaps about which the area is covered all the same: the boat went beside its line for a while.
-    `places`: of all good soundings, shape (n, 2), m."""
-    long_m, at = math.dist(*line), 0.0
-    found = list[Span]()
-    for begin, end in [*merged(done, ()), (long_m, long_m)]:
-        if begin > at and _is_covered(line, (at, begin), places, area, spacing_m):
-            found.append((at, begin))
-        at = max(at, end)
-    return merged(done, found) if found else done
+    `places`: of all good soundings."""
+    return merged(done, [gap for gap in gaps(math.dist(*line), done) if _is_covered(line, gap, places, area, spacing_m)])
 
 
-def _is_covered(line: Segment, gap: Span, places: np.ndarray, area: MultiPolygon, spacing_m: float) -> bool:
+def _is_covered(line: Segment, gap: Span, places: STRtree, area: MultiPolygon, spacing_m: float) -> bool:
     """Whether all of the area up to half a spacing beside this part of a line has a sounding no farther away than that, as the
     page sees it."""
     (x, y), (to_x, to_y) = line
@@ -235,16 +238,11 @@ def _is_covered(line: Segment, gap: Span, places: np.ndarray, area: MultiPolygon
     reach_m = spacing_m / 2.0 + min(CELL_M, LIMIT * spacing_m)  # less than to the next line
     aside = np.linspace(-0.5, 0.5, 9) * spacing_m
     for begin in np.arange(gap[0], gap[1], STRETCH_M):
-        along = np.append(np.arange(begin, min(begin + STRETCH_M, gap[1]), spacing_m / 8.0), min(begin + STRETCH_M, gap[1]))
-        a, b = (each.ravel() for each in np.meshgrid(along, aside))
-        xs, ys = x + a * ux - b * uy, y + a * uy + b * ux
-        is_inside = shapely.contains_xy(area, xs, ys)
-        asked = np.column_stack([xs, ys])[is_inside]
-        if not len(asked):
-            continue
-        is_near = ((places >= asked.min(axis=0) - reach_m) & (places <= asked.max(axis=0) + reach_m)).all(axis=1)
-        off = asked[:, None, :] - places[is_near][None, :, :]
-        if not (np.hypot(off[..., 0], off[..., 1]) <= reach_m).any(axis=1).all():
+        end = min(begin + STRETCH_M, gap[1])
+        a, b = np.meshgrid(np.append(np.arange(begin, end, spacing_m / 8.0), end), aside)
+        asked = shapely.points(x + a * ux - b * uy, y + a * uy + b * ux).ravel()
+        asked = asked[shapely.covers(area, asked)]
+        if places.query_nearest(asked, max_distance=reach_m, all_matches=False).shape[1] < len(asked):
             return False
     return True
 

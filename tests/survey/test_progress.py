@@ -6,8 +6,8 @@ from pathlib import Path
 from random import Random
 
 import msgspec
-import numpy as np
 import pytest
+from shapely import STRtree, points
 from shapely.geometry import LineString, MultiPolygon, box
 
 from delfim.__main__ import main
@@ -113,10 +113,10 @@ def test_what_is_covered_from_beside_a_line_is_no_gap() -> None:
     aside = [(float(x), 10.0 + max(0.0, 4.0 - x / 4.0)) for x in range(101)]  # it comes to its line in 16 m
     done = sailed([lines[1]], [*whole, *aside], 10.0)[0]
     assert left(lines[1], done)
-    assert with_covered(lines[1], done, np.array([*whole, *aside]), area, 10.0) == [(0.0, 100.0)]
-    alone = np.array(aside)
+    assert with_covered(lines[1], done, STRtree(points([*whole, *aside])), area, 10.0) == [(0.0, 100.0)]
+    alone = STRtree(points(aside))
     assert with_covered(lines[1], done, alone, area, 10.0) == done, "nobody sounded the other side"
-    assert with_covered(lines[1], [], np.array(whole), area, 10.0) == [], "neighbours alone do not cover a line"
+    assert with_covered(lines[1], [], STRtree(points(whole)), area, 10.0) == [], "neighbours alone do not cover a line"
 
 
 def test_a_line_of_a_sensor_that_looks_to_one_side_is_done_only_where_it_was_sailed_that_way() -> None:

@@ -19,9 +19,7 @@ from delfim.vehicle import console
 
 REPEAT_S: Final = 0.5  # with a third of all tries lost, one order in 6,000 is given up; with 1.0 it is one in 80
 QUICK_S: Final = 0.1  # of a round trip: where it is no longer, ...
-SOON_S: Final = (
-    0.01  # ... the second try comes with the next tick, before any answer could: one in ten is lost with 5 % each way
-)
+SOON_S: Final = 0.01  # ... the second try comes with the next tick: with 5 % lost each way one order in ten needs it
 LIFE_S: Final = 4.0  # the operator no longer means a command that arrives later
 STOP_REPEAT_S: Final = 0.2
 STOP_LIFE_S: Final = 60.0
