@@ -12,8 +12,8 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import AsyncIterator, Callable, Iterator
+from contextlib import asynccontextmanager, contextmanager, suppress
 from pathlib import Path
 from statistics import median, quantiles
 from typing import Any, Final, cast
@@ -25,7 +25,7 @@ from delfim.parts.camera.table import PORTS
 ROOT: Final = Path(__file__).parents[1]
 NUMBER: Final = 77  # of the boat
 RATES_KBPS: Final = (4000, 1000, 300, 64, 20)
-LOSS, DELAY_S = 0.05, 0.005
+LOSS, DELAY_S = 0.05, 0.005  # of a radio
 SETTLE_S, MEASURE_S = 12.0, 20.0
 ORDER_S: Final = 0.5
 
@@ -33,16 +33,16 @@ ORDER_S: Final = 0.5
 class Way:
     """One direction: its rate, its losses, a second of queue."""
 
-    def __init__(self, chance: random.Random) -> None:
-        self.rate_bps, self._free_s, self._chance = 1e9, 0.0, chance
+    def __init__(self, chance: random.Random, loss: float = LOSS, delay_s: float = DELAY_S) -> None:
+        self.rate_bps, self._free_s, self._chance, self._loss, self._delay_s = 1e8, 0.0, chance, loss, delay_s
 
     def carry(self, data: bytes, send: Callable[[bytes], object]) -> None:
         loop = asyncio.get_running_loop()
         free_s = max(self._free_s, loop.time()) + 8.0 * (len(data) + 28) / self.rate_bps
         if free_s - loop.time() < 1.0:
             self._free_s = free_s
-            if self._chance.random() >= LOSS:
-                loop.call_at(free_s + DELAY_S, send, data)
+            if self._chance.random() >= self._loss:
+                loop.call_at(free_s + self._delay_s, send, data)
 
 
 class Relay(asyncio.DatagramProtocol):
@@ -131,17 +131,23 @@ async def tables(url: str, down: Way, up: Way) -> None:
             print(f"{line}| {median(trips):6.0f} {quantiles(trips, n=10)[-1]:6.0f}   ({len(trips)} orders)", flush=True)
 
 
-async def sailed(folder: Path) -> None:
+@asynccontextmanager
+async def at_sea(folder: Path, down: Way, up: Way) -> AsyncIterator[str]:
+    """A simulated boat and a console beyond a relay; gives the address of the page."""
     (folder / "boat.toml").write_text((ROOT / "etc/lake.toml").read_text() + '\n[camera.bow]\nsource = "test"\n')
-    chance = random.Random(1)
-    down, up = Way(chance), Way(chance)
     await relay(down, up, ("127.0.0.3", 24550), ("127.0.0.2", 24555), 24555, 24551)
     await relay(down, up, ("127.0.0.3", 0), ("127.0.0.2", PORTS + NUMBER), PORTS + NUMBER, 0)
     sets = ('mavlink.listen="127.0.0.1:24555"', 'mavlink.peers=["127.0.0.3:24550"]', f"boat.id={NUMBER}")
     words = ("--boats", "127.0.0.1:24551", "--page", "127.0.0.1:0", *(word for each in sets for word in ("--set", each)))
     with running(folder, "sim", "boat.toml", "--console", "--no-browser", "--plain", *words) as child:
         assert child.stdout is not None
-        url = next(line for line in child.stdout if "the console is at" in line).split("is at ")[1].split(";")[0]
+        yield next(line for line in child.stdout if "the console is at" in line).split("is at ")[1].split(";")[0]
+
+
+async def sailed(folder: Path) -> None:
+    chance = random.Random(1)
+    down, up = Way(chance), Way(chance)
+    async with at_sea(folder, down, up) as url:
         await tables(url.replace("/?", "/ws?"), down, up)
 
 

@@ -39,9 +39,11 @@ LONGER: Final = 2.0  # times a run-in, before a line that is shorter than one
 SETTLED_M: Final = 10.0  # after a turn: then a boat is on its line, as boats sailed
 SLOWLY: Final = 0.5  # of the speed, on the way to a line that begins at a hole ...
 SLOW_MOST_M: Final = 30.0  # ... where this way is no longer
+TURNED_M: Final = 8.0  # ... and so far on a longer way from it
 STUB_M: Final = 4.0  # of the room for turns, that run-ins and ways may take
-PASSED_M: Final = 3.0  # so far a boat that steers passes the end of a line before it turns ...
-FASTER: Final = 4.0 / 3.0  # ... with so much of its speed: the skiff's 1.5 m/s became 2.0
+PASSED_M: Final = 3.0  # so far a boat passes the end of a line before it has turned ...
+FASTER: Final = 1.15  # ... with so much of its speed, by wind and current ...
+STEERED_FASTER: Final = 1.5  # ... and by the thrust that steers it: the skiff's 1.5 m/s became 2.3
 BESIDE_M: Final = 2.0  # beyond what missions keep off, they keep off by so much
 PARTS: Final = 1.0, 0.75, 0.5, 1.0 / 3.0, 0.25, 0.0  # of a run-in, the longest for which there is water
 SIDES: Final = {"": 0, "port": -1, "starboard": 1}
@@ -96,16 +98,15 @@ def wanted_of(settings: config.Vehicle, **asked: Any) -> LinesWanted:
         raise DelfimError("the swath is narrower than the spacing: water between lines stays uncovered")
     if wanted.speed_mps > control.speed.max_mps:
         raise DelfimError(f"faster than this boat goes: up to {control.speed.max_mps} m/s")
-    least_m = max(settings.fence.mission_margin_m + BESIDE_M, _stopped_m(settings.fence, wanted.speed_mps))
+    least_m = max(settings.fence.mission_margin_m + BESIDE_M, _stopped_m(settings.fence, FASTER * wanted.speed_mps))
     stub_m = 0.0 if wanted.radius_m else min(max(wanted.room_m - least_m, 0.0), STUB_M)  # arcs need all of the room
     return wanted._replace(stub_m=stub_m)
 
 
 def _room_m(limits: config.FenceTable, speed_mps: float, is_steered: bool) -> float:
-    """From holes and the fence: what missions keep and the room for a turn, and what the boat needs to stop before them. One
-    that steers passes the end of a line before it has turned, and the thrust that turns it makes it faster."""
-    stopped_m = _stopped_m(limits, FASTER * speed_mps) + PASSED_M if is_steered else _stopped_m(limits, speed_mps)
-    return max(limits.mission_margin_m + TURN_M, stopped_m)
+    """From holes and the fence: what missions keep and the room for a turn, and what the boat needs to stop before them."""
+    fastest_mps = (STEERED_FASTER if is_steered else FASTER) * speed_mps
+    return max(limits.mission_margin_m + TURN_M, _stopped_m(limits, fastest_mps) + PASSED_M)
 
 
 def _stopped_m(limits: config.FenceTable, speed_mps: float) -> int:
@@ -398,19 +399,35 @@ def stops(plan: SurveyPlan) -> list[tuple[Place, int]]:
         for place in found:
             if math.dist(kept[-1][0], place) >= LEG_MIN_M:
                 kept.append((place, _number(line)))
+    for number in sorted(_inwards(plan, kept), reverse=True):
+        (here, _), (after, line) = kept[number], kept[number + 1]
+        long_m = math.dist(here, after)
+        if not line and long_m > SLOW_MOST_M:
+            part = TURNED_M / long_m
+            turned = here[0] + part * (after[0] - here[0]), here[1] + part * (after[1] - here[1])
+            kept.insert(number + 1, (turned, 0))
     return kept
+
+
+def _inwards(plan: SurveyPlan, places: Sequence[tuple[Place, int]]) -> set[int]:
+    """The stops, but the last, where a boat that turns on the spot has come nearer to a hole or the fence than lines do."""
+    near_m = max(plan.wanted.stub_m - LEG_MIN_M, 0.0)
+    shores_m = [min(plan.ways.shore_m(place), near_m) for place, _ in places] if near_m else []
+    return {number for number in range(1, len(shores_m) - 1) if shores_m[number] < shores_m[number - 1]}
 
 
 def slow_ways(plan: SurveyPlan, places: Sequence[tuple[Place, int]]) -> set[int]:
     """To which of the stops a boat goes slowly: that which turns on the spot turns closer so, and where a line begins at a hole
-    it has little room to come nearer."""
+    it has little room to come nearer. So it has where a run-out ends at one: the boat would go straight on, faster than asked,
+    while it turns, and its fence would stop it."""
     if plan.wanted.radius_m:
         return set()
     rough = set(plan.rough)
     begins = [number for number, (_, line) in enumerate(places) if line in rough]
+    before = {each for begin in begins for each in range(max(begin - 2, 1), begin)}
     return {
         number
-        for number in (each for begin in begins for each in range(max(begin - 2, 1), begin))
+        for number in before | {each + after for each in _inwards(plan, places) for after in (0, 1)}
         if not places[number][1] and math.dist(places[number - 1][0], places[number][0]) <= SLOW_MOST_M
     }
 

@@ -32,6 +32,10 @@ class OpenWater:
             self._seen[a, b] = self._seen[b, a] = math.dist(a, b) < SAME_M or self._water.covers(LineString([a, b]))
         return self._seen[a, b]
 
+    def shore_m(self, place: Place) -> float:
+        """How far the water's edge is."""
+        return float(self._inner.boundary.distance(Point(place)))
+
     def nearest(self, place: Place) -> Place:
         """The place of the water that is nearest: the same, where it is water."""
         near = nearest_points(self._inner, Point(place))[0]

@@ -7,16 +7,16 @@ from datetime import datetime
 from pathlib import Path
 
 import pytest
-from shapely.geometry import LineString, Point
+from shapely.geometry import LineString, MultiPolygon, Point, box
 
 from delfim import config
 from delfim.__main__ import main
-from delfim.base.geodesy import to_plane
+from delfim.base.geodesy import origin, to_plane
 from delfim.simulator.lockstep import Lockstep
 from delfim.simulator.seabed import bed_of
 from delfim.simulator.tables import Simulation
 from delfim.survey.areafile import read_area
-from delfim.survey.ground import laid, swaths
+from delfim.survey.ground import Ground, in_degrees, laid, swaths
 from delfim.survey.planning import SurveyPlan, check, mission, planned, wanted_of
 from delfim.vehicle import console
 from delfim.vehicle.plans.mission import canonical, load_mission
@@ -33,6 +33,13 @@ UNTIL_S = 3600.0
 
 def survey(settings: config.Vehicle, **asked: object) -> SurveyPlan:
     return planned(laid(read_area(BASIN)), wanted_of(settings, spacing_m=SPACING_M, **asked), settings.fence)
+
+
+def at_begin(plan: SurveyPlan, boat: str, *overrides: str) -> Lockstep:
+    """The boat where its survey begins."""
+    places = zip(("latitude", "longitude"), in_degrees(plan.ground.at, *plan.begin), strict=True)
+    here = (f"simulation.{name}_deg={deg}" for name, deg in places)
+    return Lockstep(config.load(ROOT / f"etc/{boat}.toml", [*overrides, *here]), 1, lambda clock: NoLog())
 
 
 def sailed(sailing: Lockstep, plan: SurveyPlan, begun_s: float) -> float:
@@ -134,7 +141,7 @@ def test_boats_of_all_kinds_sail_the_lines_of_their_plan(boat: str) -> None:
     its = mission(plan, "basin")
     check(its, plan, settings)
     assert bool(its.path) == (boat == "boats/skiff"), "arcs for a boat that does not turn on the spot"
-    run, begun_s, track = Lockstep(settings, 1, lambda clock: NoLog()), math.inf, list[tuple[float, float]]()
+    run, begun_s, track = at_begin(plan, boat, *overrides), math.inf, list[tuple[float, float]]()
     assert run.command(console.LoadMission(canonical(its))) is None
     for _ in run.cycles(5.0):
         pass
@@ -151,6 +158,25 @@ def test_boats_of_all_kinds_sail_the_lines_of_their_plan(boat: str) -> None:
     print(json.dumps(told | {"covered": round(covered, 4)}))
     assert took_s == pytest.approx(plan.time_s, rel=0.05)
     assert covered > 0.97
+
+
+def test_no_fence_stops_a_boat_whose_lines_end_at_an_island_with_wind_and_current_behind() -> None:
+    sea = "simulation.sea={current_mps=0.3, current_to_deg=20.0, wind_mps=6.0, wind_from_deg=200.0}"
+    island = Point(0.0, 40.0).buffer(10.0)
+    at = origin(math.radians(38.6907), math.radians(-9.2153))
+    ground = Ground(at, MultiPolygon([box(-16.0, 0.0, 16.0, 70.0).difference(island)]), MultiPolygon([island]))
+    settings = config.load(ROOT / "etc/boats/otter.toml", [sea])
+    plan = planned(ground, wanted_of(settings, spacing_m=8.0, heading_deg=0.0), settings.fence)
+    run = at_begin(plan, "boats/otter", sea)
+    assert run.command(console.LoadMission(canonical(mission(plan, "island")))) is None
+    for _ in run.cycles(5.0):
+        pass
+    assert run.command(console.SetMode("path")) is None
+    begun_s = run.elapsed_s
+    for state in run.cycles(UNTIL_S):
+        if state.mode.name != "PATH":
+            break
+    assert sailed(run, plan, begun_s) == pytest.approx(plan.time_s, rel=0.05)
 
 
 def test_a_survey_whose_power_is_cut_on_a_line_goes_on_by_its_log_from_where_the_boat_is(tmp_path, capsys, monkeypatch) -> None:

@@ -283,7 +283,7 @@ def test_the_port_is_served_on_the_loop(boat, tmp_path: Path) -> None:
             os.write(master, sender.pack(dialect.MAVLink_command_long_message(1, 1, 176, 0, 1, 3, 0, 0, 0, 0, 0)))
             loop, at_s = asyncio.get_running_loop(), 0.0
             while "COMMAND_ACK" not in names(heard):
-                # As the loop's clock, by which the link is served, and in steps: faster, and an answer is stale before it is its turn.
+                # As fast as the loop's clock, by which the link is served: else an answer is stale before it is its turn.
                 passed_s, at_s = loop.time() - at_s, loop.time()
                 boat.clock.advance(min(passed_s, 1e-3))
                 await asyncio.sleep(0)
