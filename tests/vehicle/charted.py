@@ -19,9 +19,9 @@ def code(clear_m: float) -> int:
     return bisect_right(METRES, max(clear_m, METRES[0])) - 1
 
 
-def field(shoals: Sequence[Shoal]) -> bytes:
-    side = [CELL_M * (number - (KNOTS - 1) / 2.0) for number in range(KNOTS)]
-    edge_m = CELL_M * (KNOTS - 1) / 2.0
+def field(shoals: Sequence[Shoal], knots: int = KNOTS) -> bytes:
+    side = [CELL_M * (number - (knots - 1) / 2.0) for number in range(knots)]
+    edge_m = CELL_M * (knots - 1) / 2.0
     found = bytearray()
     for north_m in side:
         for east_m in side:
@@ -32,11 +32,13 @@ def field(shoals: Sequence[Shoal]) -> bytes:
     return bytes(found)
 
 
-def chart(at: Origin, shoals: Sequence[Shoal], opened: Sequence[Shoal] | None = None, draught_m: float = 0.5) -> bytes:
+def chart(
+    at: Origin, shoals: Sequence[Shoal], opened: Sequence[Shoal] | None = None, draught_m: float = 0.5, knots: int = KNOTS
+) -> bytes:
     """The file. `opened`: the shoals that are left when the band "0-2 m" is opened."""
-    first_m = -CELL_M * (KNOTS - 1) / 2.0
-    grid = GridHead(first_m, first_m, CELL_M, KNOTS, KNOTS, 0.1)
-    fields = [[field(shoals)], *([[field(opened)]] if opened is not None else [])]
+    first_m = -CELL_M * (knots - 1) / 2.0
+    grid = GridHead(first_m, first_m, CELL_M, knots, knots, 0.1)
+    fields = [[field(shoals, knots)], *([[field(opened, knots)]] if opened is not None else [])]
     bands = ("", "0-2 m") if opened is not None else ("",)
     middle = math.degrees(at.latitude_rad), math.degrees(at.longitude_rad)
     return packed(ClearanceHead("XX5TEST1 edition 2", *middle, draught_m, 3.0, (grid,), bands, ()), fields)
