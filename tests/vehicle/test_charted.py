@@ -15,7 +15,8 @@ from delfim.base.modes import Mode
 from delfim.simulator.lockstep import Lockstep
 from delfim.vehicle import console
 from delfim.vehicle.orders.entrusting import within
-from delfim.vehicle.plans.clearance import LOOKS, OUTSIDE_M, STEP_M, ClearanceField, laid
+from delfim.vehicle.plans import fence
+from delfim.vehicle.plans.clearance import INSIDE, LOOKS, OUTSIDE_M, STEP_M, ClearanceField, LaidGrid, laid
 from delfim.vehicle.plans.clearancefile import BYTES, load, read
 from delfim.vehicle.plans.mission import Mission, Waypoint, canonical, parse_mission
 from delfim.vehicle.plans.missionreader import gathered
@@ -234,3 +235,28 @@ def test_the_band_is_in_the_missions_text_and_comes_through_its_reader() -> None
     assert 'opens = "0-2 m"' in canonical(mission)
     assert parse_mission(canonical(mission)) == mission
     assert Sliced(gathered([line.rstrip() for line in lines_of(mission)])).finish() == mission
+
+
+def test_a_band_that_closes_leaves_all_zones_of_the_boat_and_of_the_mission() -> None:
+    rock, quay = (config.Area(name=name, centre=(HERE,), radius_m=5.0) for name in ("rock", "quay"))
+    water, zones = read(DATA).water, config.Zones(keep_out=(quay,))
+    opened = Sliced(fence.survey(config.FenceTable(keep_out=(rock,)), zones, AT, None, water("0-2 m"))).finish()
+    assert opened is not None
+    closed = fence.shut(opened, water(""), AT)
+    assert closed.zones[:-1] == opened.zones[:-1]
+    assert [zone.name for zone in closed.zones] == ["rock", "quay", "no-go water of chart XX5TEST1 edition 2"]
+    assert [may(each.zones[-1], *SHOAL[:2]) for each in (opened, closed)] == [True, False]
+    assert (closed.own, closed.limits) == (1, opened.limits)
+
+
+@pytest.mark.parametrize(("code", "is_free"), [(INSIDE - 1, False), (INSIDE, True), (INSIDE + 1, True)])
+def test_the_boat_may_be_up_to_the_edge_of_charted_water(code: int, is_free: bool) -> None:
+    field = ClearanceField((LaidGrid(1.0, 0.0, 1.0, 0.0, 1, 1, 2, 0.0, bytes([code] * 4)),), 1.0)
+    assert may(charted("no-go water", field), 0.5, 0.5) is is_free
+
+
+def test_a_slice_of_a_search_along_an_edge_is_small_and_says_what_it_cost() -> None:
+    field = ClearanceField((LaidGrid(1.0, 0.0, 1.0, 0.0, 1, 100, 101, 0.0, bytes([INSIDE + 6] * 202)),), 1.0)
+    assert STEP_M < field.clear_m(0.5, 0.5) < 2.0 * STEP_M
+    costs = list(searched(charted("no-go water", field), (0.5, 1.0), (0.5, 31.0), 5.0))
+    assert costs == [42, 42, 42, 2], "20 looks in each slice, two comparisons a look"

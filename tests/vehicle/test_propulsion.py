@@ -67,6 +67,12 @@ def test_in_a_trial_each_thruster_gets_its_own() -> None:
     assert tuple(map(math.degrees, told.angle_rad)) == pytest.approx((0.0, -20.0)), "what turns has its angle behind all parts"
 
 
+@pytest.mark.parametrize("parts", [(0.25, 0.5), (0.25, 0.5, -0.5, 0.1)])
+def test_in_a_trial_no_part_is_left_out_and_none_is_over(parts: tuple[float, ...]) -> None:
+    with pytest.raises(ValueError, match="zip"):
+        sent((BOW, OUTBOARD), Wanted(parts=parts))
+
+
 @pytest.mark.parametrize(("starboard", "port"), [(0.2, 0.8), (0.8, 0.2), (-0.3, 0.3)])
 def test_by_hand_every_boat_turns_to_the_side_of_less_thrust(starboard: float, port: float) -> None:
     for rows in (DELFIMX, (OUTBOARD, BOW)):

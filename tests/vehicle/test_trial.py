@@ -179,6 +179,18 @@ def test_a_wrong_number_of_parts_or_too_long_a_piece_is_refused() -> None:
             console.parse(line.encode())
 
 
+@pytest.mark.parametrize(
+    ("parts", "is_taken"), [((0.1,), False), ((0.1, 0.1), False), ((0.1, 0.1, 0.2), True), ((0.1,) * 4, False)]
+)
+def test_a_boat_with_a_motor_that_turns_is_told_a_part_for_its_angle_too(parts: tuple[float, ...], is_taken: bool) -> None:
+    pushes, steer = (-60.0, 60.0), config.Steer(kind="azimuth", angle_max_deg=40.0, rate_dps=40.0)
+    stern = config.ThrusterTable(name="stern", driver="pwm", address=2, x_m=-1.9, thrust_n=pushes, steer=steer)
+    bow = config.ThrusterTable(name="bow", driver="pwm", address=1, x_m=1.5, angle_deg=90.0, thrust_n=pushes)
+    run = boat(thrusters=(stern, bow))
+    words = "trial refused: each piece has a part for each of 2 thrusters, and one for each of 1 that turn"
+    assert (ask(run, parts=parts, begin=True) != words) is is_taken, "its propellers have not reported: that is asked later"
+
+
 def test_a_vessel_on_its_way_into_the_circle_stops_it_and_one_that_passes_does_not() -> None:
     for aside_m, stops in ((0.0, True), (400.0, False)):
         ship = SimulatedVessel(

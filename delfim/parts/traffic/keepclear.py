@@ -158,7 +158,7 @@ def deciding(
     if _cost(judged, on, 0.0, 1.0, 2.0 if is_away else 1.0, math.inf, is_route=True) <= (0.0 if is_away else LEAVE):
         return Decision(Memory(duties=duties), None, _passes(seen, on, on))
     left_s = memory.left_s or now_s
-    if things and seen:
+    if things:
         seen = [*seen, *_standing(limits, own, max(route.speed_mps, own.speed_mps), things)]
     scene = Scene(seen, shore, 1.0 + max(now_s - left_s, 0.0) / limits.look_s)
     best = was if now_s - memory.since_s < HELD_S else None
@@ -283,7 +283,7 @@ def _cheapest(
                 best, lowest, chosen = each, cost, legs
         if not extra:  # the first was the course that is steered
             extra = CHANGE + STEADY * lowest
-    if lowest >= ASHORE and (best is not None or scene.seen):  # no choice, nor is the route
+    if lowest >= ASHORE and (best is not None or any(each.without is not BEHIND for each in scene.seen)):  # nor is the route
         return _new(Choice, (wrap(ahead_rad), 0.0, False, True))
     return None if best is None else best._replace(course_rad=wrap(best.course_rad))
 

@@ -15,6 +15,7 @@ from delfim.parts.mavlink.codec.signing import (
     EPOCH_NS,
     OFF_S,
     PER_S,
+    RECENT,
     STREAMS,
     FrameVerdict,
     Kept,
@@ -392,3 +393,24 @@ class Clocks(RuleBasedStateMachine):
 
 Clocks.TestCase.settings = settings(max_examples=150, stateful_step_count=40, deadline=None)
 test_clocks = Clocks.TestCase
+
+
+def test_of_a_thousand_frames_in_a_moment_none_is_obeyed_twice():
+    """More than are known one by one."""
+    boat = Signing(KEY, at())
+    frames = [signed(NOW + number) for number in range(RECENT + 2)]
+    assert {boat.judge(frame).fault for frame in frames} == {""}
+    assert {boat.judge(frame).fault for frame in (*frames[:3], *frames[-3:])} == {"replayed"}
+
+
+def test_who_was_forgotten_and_speaks_again_is_new():
+    boat = Signing(KEY, at(), streams=1)
+    for number, system in ((0, 1), (10, 2), (30, 1)):
+        assert boat.judge(signed(NOW + number, system)).fault == ""
+    assert boat.judge(signed(NOW + 5, 1)).fault == "replayed", "as of any speaker, nothing from before its first frame"
+    assert boat.judge(signed(NOW + 31, 1)).fault == ""
+
+
+def test_who_has_no_number_for_all_links_has_none_after_a_restart(tmp_path):
+    (tmp_path / "stamps").write_text('{"sent":5}')
+    assert Signing(KEY, at(), read_stamps(tmp_path / "stamps")).link == Signing(KEY, at()).link == 0

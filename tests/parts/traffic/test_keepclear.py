@@ -8,11 +8,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from bench.things import thing
 from delfim import config
+from delfim.base.cooperative import Sliced
 from delfim.base.geodesy import wrap
 from delfim.parts.traffic.cpa import approach, closest, domain
 from delfim.parts.traffic.encounter import Own, duty, stands_on
-from delfim.parts.traffic.keepclear import Choice, Memory, decide
+from delfim.parts.traffic.keepclear import Choice, Memory, decide, deciding
 from delfim.parts.traffic.trialways import RouteAhead, route_legs
 from delfim.parts.traffic.watchkeeper import caution
 from delfim.vehicle.control.memory import settings_of
@@ -311,3 +313,45 @@ def test_a_boat_that_steers_for_the_fence_stops_where_each_way_leads_over_it() -
     assert order is not None
     assert order.speed_part == 0.0
     assert order.words.endswith(", as all else leads over the fence, nothing is clear, stopped")
+
+
+ROCK = Fence((circle("the rock", False, (200.0, 5.0), 40.0),), config.FenceTable())
+
+
+def passed_m(order: CourseOrder | None, own: Own, this: Target) -> float:
+    """How near the course of an order comes to a thing within a minute."""
+    assert order is not None
+    ways = [order.speed_mps * t for t in range(61)]
+    places = [(own.north_m + m * math.cos(order.course_rad), own.east_m + m * math.sin(order.course_rad)) for m in ways]
+    return min(math.dist(place, (this.north_m, this.east_m)) for place in places)
+
+
+@pytest.mark.parametrize(("kind", "keeps_m"), [("thing", 14.0), ("person", 34.0)])
+@pytest.mark.parametrize(
+    ("others", "around", "east_m"),
+    [
+        ((), ROCK, 45.0),
+        ((), ROCK, 30.0),
+        ((met(150.0, 180.0, 1.5, 30.0),), None, 45.0),
+        ((met(150.0, 270.0, 1.5, 30.0),), None, 55.0),
+    ],
+)
+def test_a_course_for_ships_or_round_a_zone_leads_over_no_swimmer_and_no_thing(others, around, east_m, kind, keeps_m) -> None:
+    """Whether or not a vessel is in sight."""
+    own, this = Own(25.0, 0.0, 0.0, 1.5), thing(1, (90.0, east_m, 0.5))._replace(key=f"{kind} 1", kind=kind)
+    told = LIMITS, Memory(), own, RouteAhead(((400.0, 0.0),), 1.5), others, around, 0.0
+    blind = Sliced(deciding(*told)).finish().order
+    assert passed_m(blind, own, this) < keeps_m, "it would, if it did not look"
+    assert passed_m(Sliced(deciding(*told, (this,))).finish().order, own, this) > keeps_m
+
+
+@pytest.mark.parametrize("far_m", [20.0, 60.0])
+def test_things_alone_stop_no_boat_that_each_way_leads_over_the_fence(far_m: float) -> None:
+    """Its mode brings it back, as without them; for a vessel it stops."""
+    sea = polygon("sea", True, [(-900.0, -5.0), (-900.0, 900.0), (900.0, 900.0), (900.0, -5.0)])
+    told = LIMITS, Memory(), Own(0.0, 0.0, math.radians(-90.0), 1.5), RouteAhead(((0.0, -5000.0),), 1.5)
+    around, buoy = Fence((sea,), config.FenceTable()), thing(1, (0.0, far_m, 0.5))
+    assert Sliced(deciding(*told, (), around, 0.0, (buoy,))).finish().order is None
+    order = Sliced(deciding(*told, [ship(0.0, 20.0, 0.0, 0.0)], around, 0.0, (buoy,))).finish().order
+    assert order is not None
+    assert order.speed_part == 0.0

@@ -322,3 +322,9 @@ def test_the_middle_of_the_hull(more: dict[str, Any], north_m: float, east_m: fl
     track.measure(facts(length_m=100.0, beam_m=20.0, from_bow_m=80.0, from_starboard_m=18.0))
     found = track.target("maria", 0.0, False, ORIGIN)
     assert (found.north_m, found.east_m, found.margin_m) == pytest.approx((north_m, east_m, margin_m), abs=1e-6)
+
+
+@pytest.mark.parametrize("kind", ["thing", "person"])
+def test_what_another_boat_tells_of_a_thing_is_small_and_known_to_two_metres(kind: str) -> None:
+    found = told(kind=kind, speed_mps=0.0).target("buoy", 60.0, False, ORIGIN)
+    assert (found.length_m, found.beam_m, found.margin_m, found.is_size_known) == (1.0, 1.0, 2.0, False)

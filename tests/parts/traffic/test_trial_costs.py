@@ -71,6 +71,7 @@ def test_numbers_that_make_sense() -> None:
         (vessel(300.0, 400.0, length_m=400.0), 1.5, 180.0, (1602.0, 642.0, 900.0, 810.4, -1903.0)),
         (vessel(300.0, 400.0, length_m=400.0), 1.5, 1000.0, (1602.0, 642.0, 1000.0, 810.4, -1903.0)),
         (vessel(300.0, 400.0, length_m=2.0, margin_m=1.0, kind="thing"), 1.5, 180.0, (14.0, 14.0, 112.0 / 3.0, 56.8, 479.0)),
+        (vessel(300.0, 400.0, length_m=2.0, margin_m=1.0, kind="thing"), 70.0, 180.0, (14.0, 14.0, 0.8, 40.36, 479.0)),
         (vessel(300.0, 400.0, length_m=2.0, margin_m=1.0, kind="person"), 1.5, 180.0, (34.0, 34.0, 272.0 / 3.0, 80.8, 449.0)),
         *(
             (vessel(300.0, 400.0, length_m=5.0, margin_m=odd), 2.0, 60.0, (52.0, 32.0, 64.0, 68.8, 422.0))
@@ -316,3 +317,34 @@ def test_what_a_boat_owes_that_hardly_moves_follows_from_its_route(monkeypatch, 
     assert tuple(seen[1:4]) == (*measured(LIMITS, OWN, 1.5, seen.target)[:3],)
     known = Memory(duties=(("1", "overtaking"),))
     assert asked(vessel(300.0, 0.0, 2.0), memory=known)[0][0].duty == "overtaking"
+
+
+def buoy(north_m: float, east_m: float, **more: Any) -> Target:
+    """Kept clear of by 16 m, from middle to middle."""
+    return vessel(north_m, east_m, length_m=2.0, margin_m=3.0, kind="thing")._replace(**more)
+
+
+@pytest.mark.parametrize("course_deg", [0.0, 90.0, 180.0, 240.0])
+@pytest.mark.parametrize(
+    ("north_m", "east_m", "is_judged"),
+    [
+        (105.75, 0.0, True),
+        (-105.75, 0.0, True),
+        (0.0, 105.75, True),
+        (106.25, 0.0, False),
+        (0.0, -106.25, False),
+        (63.0, 84.0, True),
+    ],
+)
+def test_trials_heed_what_the_boat_can_reach_in_a_minute(north_m, east_m, is_judged, course_deg) -> None:
+    """90 m, and so far as it keeps clear."""
+    this = buoy(north_m, east_m, course_rad=math.radians(course_deg))
+    around, _, late_s, _ = measured(LIMITS, OWN, 1.5, this)
+    expected = Seen(this, around, 60.0, late_s, Approach(math.inf, math.inf, 0.0, 0.0), None, "")
+    assert keepclear._standing(LIMITS, OWN, 1.5, [this]) == [expected] * is_judged
+
+
+def test_trials_heed_the_nearest_twelve_and_none_at_the_very_end_of_their_reach() -> None:
+    row = [buoy(10.0 + i, 0.0) for i in range(14)]
+    assert [each.target for each in keepclear._standing(LIMITS, OWN, 1.5, row)] == row[:12]
+    assert keepclear._standing(LIMITS, OWN, 1.5, [buoy(106.0, 0.0, course_rad=0.0)]) == []

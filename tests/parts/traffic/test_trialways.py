@@ -5,7 +5,7 @@ import math
 import pytest
 
 from delfim.parts.traffic.encounter import Own
-from delfim.parts.traffic.trialways import Caution, RouteAhead, clear_m, core, route_legs, trial_legs
+from delfim.parts.traffic.trialways import Caution, RouteAhead, clear_m, core, route_legs, swept, trial_legs
 from delfim.vehicle.target import Target
 
 OWN = Own(100.0, -200.0, 0.0, 1.0)
@@ -76,3 +76,23 @@ def test_how_far_a_boat_keeps_from_things_and_swimmers(kind: str, part: float, e
 def test_where_the_middle_of_the_boat_cannot_be() -> None:
     thing = Target("1", "buoy", 0.0, 0.0, 0.0, 0.0, math.nan, 2.0, 2.0, True, 0.5, 0.0, False, "thing", 0)
     assert core(Caution(4.0, 0.25, 0.5), thing) == 3.5
+
+
+@pytest.mark.parametrize(
+    ("its_mps", "off", "speed_mps", "half_m"),
+    [
+        (0.0, (24.0, 18.0), 2.0, 0.0),
+        (1.0, (24.0, 18.0), 2.0, 7.5),  # 30 m: the boat is there in 15 s, and the swimmer 15 m farther
+        (0.5, (-24.0, 18.0), 2.0, 3.75),
+        (0.5, (240.0, 180.0), 2.0, 5.0),  # reckoned on for 20 s at most
+        (0.5, (0.6, 0.8), 0.05, 2.5),  # a boat that hardly moves counts as 0.1 m/s
+    ],
+)
+def test_what_moves_is_passed_where_it_may_be_by_then(its_mps, off, speed_mps, half_m) -> None:
+    place = OWN.north_m + off[0], OWN.east_m + off[1]
+    swimmer = Target("1", "ANA", *place, math.radians(30.0), its_mps, math.nan, 1.0, 1.0, True, 3.0, 0.0, False, "person", 0)
+    found = swept(OWN, speed_mps, swimmer)
+    north_m, east_m = half_m * math.cos(math.radians(30.0)), half_m * math.sin(math.radians(30.0))
+    assert (found.north_m, found.east_m) == pytest.approx((place[0] + north_m, place[1] + east_m))
+    assert found.margin_m == pytest.approx(3.0 + half_m), "the circle holds where it is and where it will be"
+    assert found._replace(north_m=place[0], east_m=place[1], margin_m=3.0) == swimmer._replace(heading_rad=found.heading_rad)
