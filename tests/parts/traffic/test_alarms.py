@@ -188,3 +188,27 @@ def test_the_words(monkeypatch: pytest.MonkeyPatch) -> None:
     assert Told(monkeypatch, here=0.5, cpa=(50.0, 0.0)).dangers[0].words == "MARIA is close: 500 m away, drawing apart"
     signal = Told(monkeypatch, targets=[SHIP._replace(kind="distress")])
     assert signal.dangers[0].words == "distress signal of MARIA, 500 m away"
+
+
+@pytest.mark.parametrize(
+    ("kind", "away_m", "more", "level"),
+    [
+        ("thing", 8.9, {"guarded": "on its way"}, "danger"),  # half of 10 m, beyond the boat's half, the thing's and its margin
+        ("thing", 9.1, {"guarded": "on its way"}, "none"),
+        ("thing", 9.1, {"guarded": "on its way", "to_come": (0.75, 10.0)}, "none"),  # the guard leads round it
+        ("thing", 9.1, {"to_come": (0.75, 29.0)}, "danger"),
+        ("thing", 9.1, {"to_come": (0.75, 30.0)}, "near"),
+        ("thing", 9.1, {"to_come": (1.25, 29.0)}, "none"),
+        ("thing", 8.9, {"own": OWN._replace(speed_mps=0.25)}, "danger"),
+        ("thing", 8.9, {"own": OWN._replace(speed_mps=0.2)}, "none"),  # it lies beside a pier
+        ("person", 18.9, {"guarded": "away"}, "danger"),
+        ("person", 19.1, {"guarded": "away"}, "near"),
+        ("person", 63.9, {"guarded": "away"}, "near"),
+        ("person", 64.1, {"guarded": "away"}, "none"),
+        ("person", 64.1, {"to_come": (0.75, 50.0)}, "none"),
+    ],
+)
+def test_a_thing_is_a_danger_at_half_the_distance_and_a_swimmer_near_at_twice(monkeypatch, kind, away_m, more, level):
+    here = OWN.north_m + 0.6 * away_m, OWN.east_m - 0.8 * away_m
+    thing = SHIP._replace(kind=kind, north_m=here[0], east_m=here[1], speed_mps=0.0, length_m=1.0, margin_m=1.0)
+    assert Told(monkeypatch, targets=[thing], **more).level == level
