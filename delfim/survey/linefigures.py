@@ -60,7 +60,10 @@ def lines_of(mission: Mission) -> tuple[Origin, dict[int, Segment]]:
         rows = mission.path
     at = origin(math.radians(rows[0].latitude_deg), math.radians(rows[0].longitude_deg))
     places = [in_plane(at, row.latitude_deg, row.longitude_deg) for row in rows]
-    lines = {row.line: (places[number - 1], places[number]) for number, row in enumerate(rows) if number and row.line}
+    lines = dict[int, Segment]()
+    for number, row in enumerate(rows):
+        if number and row.line:
+            lines[row.line] = lines.get(row.line, (places[number - 1], places[number]))[0], places[number]
     if not lines:
         raise DelfimError(f"{mission.name}: its legs have no numbers of lines: make it with delfim survey lines")
     return at, lines

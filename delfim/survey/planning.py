@@ -1,7 +1,7 @@
 """A survey planned: the lines of an area in order, with run-ins and turns that the boat can make, and the mission of it."""
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from itertools import pairwise
 from typing import Any, Final, NamedTuple
 
@@ -15,7 +15,7 @@ from delfim.base.errors import DelfimError
 from delfim.survey.ground import Ground, Place, Segment, in_degrees, polygons, simplified, swaths, water
 from delfim.survey.lines import Cut, Strip, headings, rings, rough_s, strips
 from delfim.survey.order import ordered
-from delfim.survey.turns import Bend, turn
+from delfim.survey.turns import Bend, along, places_of, towards, turn
 from delfim.survey.ways import OpenWater
 from delfim.vehicle.helm.planning import laid
 from delfim.vehicle.plans.fence import stopping_m
@@ -33,7 +33,6 @@ TRIED: Final = 3  # headings, whose lines are laid and put in order ...
 LOOKED_AT: Final = 120  # ... until there were so many lines
 LENGTHS: Final = 2.5  # of a boat that steers by a rudder or an outboard: its smallest turn
 CROSS: Final = 3.0  # spacings: a cross line is no shorter
-DRAWN_RAD: Final = 0.2  # of an arc, from place to place
 STEPS: Final = 16  # places of an arc, where its chords are no water
 LONGER: Final = 2.0  # times a run-in, before a line that is shorter than one
 SETTLED_M: Final = 10.0  # after a turn: then a boat is on its line, as boats sailed
@@ -41,9 +40,9 @@ SLOWLY: Final = 0.5  # of the speed, on the way to a line that begins at a hole 
 SLOW_MOST_M: Final = 30.0  # ... where this way is no longer
 TURNED_M: Final = 8.0  # ... and so far on a longer way from it
 STUB_M: Final = 4.0  # of the room for turns, that run-ins and ways may take
-PASSED_M: Final = 3.0  # so far a boat passes the end of a line before it has turned ...
-FASTER: Final = 1.15  # ... with so much of its speed, by wind and current ...
-STEERED_FASTER: Final = 1.5  # ... and by the thrust that steers it: the skiff's 1.5 m/s became 2.3
+PASSED_M: Final = 3.0  # so far a boat that steers passes the end of a line before it turns ...
+STEERED_FASTER: Final = 1.5  # ... with so much of its speed: the skiff's 1.5 m/s became 2.3
+FASTER: Final = 1.15  # of its speed, a boat that turns on the spot makes with wind and current behind
 BESIDE_M: Final = 2.0  # beyond what missions keep off, they keep off by so much
 PARTS: Final = 1.0, 0.75, 0.5, 1.0 / 3.0, 0.25, 0.0  # of a run-in, the longest for which there is water
 SIDES: Final = {"": 0, "port": -1, "starboard": 1}
@@ -60,6 +59,7 @@ class LinesWanted(NamedTuple):
     edges: bool = True  # the area is covered up to its edges; False: lines end where they leave it
     run_in_m: float = RUN_IN_M  # straight, before and behind each line
     room_m: float = config.FenceTable().mission_margin_m + TURN_M  # from holes and the fence
+    brake_m: float = 0.0  # where a line ends at a hole, so much of it is sailed slowly, by a boat that turns on the spot
     stub_m: float = 0.0  # of the room, that run-ins and ways may take: where a line ends at a hole, the boat turns beyond it
     radius_m: float = 0.0  # of the boat's smallest turn; 0: it turns on the spot
     turn_s: float = 0.0  # what a turn takes beyond its length
@@ -98,15 +98,22 @@ def wanted_of(settings: config.Vehicle, **asked: Any) -> LinesWanted:
         raise DelfimError("the swath is narrower than the spacing: water between lines stays uncovered")
     if wanted.speed_mps > control.speed.max_mps:
         raise DelfimError(f"faster than this boat goes: up to {control.speed.max_mps} m/s")
-    least_m = max(settings.fence.mission_margin_m + BESIDE_M, _stopped_m(settings.fence, FASTER * wanted.speed_mps))
-    stub_m = 0.0 if wanted.radius_m else min(max(wanted.room_m - least_m, 0.0), STUB_M)  # arcs need all of the room
-    return wanted._replace(stub_m=stub_m)
+    if wanted.radius_m:
+        return wanted  # arcs need all of the room
+    fastest_mps = FASTER * wanted.speed_mps
+    least_m = max(settings.fence.mission_margin_m + BESIDE_M, _stopped_m(settings.fence, wanted.speed_mps))
+    stub_m = min(max(wanted.room_m - least_m, 0.0), STUB_M)
+    brake_m = stopping_m(settings.fence, fastest_mps) - stopping_m(settings.fence, SLOWLY * fastest_mps)
+    return wanted._replace(stub_m=stub_m, brake_m=brake_m)
 
 
 def _room_m(limits: config.FenceTable, speed_mps: float, is_steered: bool) -> float:
-    """From holes and the fence: what missions keep and the room for a turn, and what the boat needs to stop before them."""
-    fastest_mps = (STEERED_FASTER if is_steered else FASTER) * speed_mps
-    return max(limits.mission_margin_m + TURN_M, _stopped_m(limits, fastest_mps) + PASSED_M)
+    """From holes and the fence: what missions keep and the room for a turn, and what the boat needs to stop before them. One
+    that steers passes the end of a line before it has turned, and the thrust that turns it makes it faster; another one comes
+    slowly (`slow_ways`)."""
+    stopped_m = _stopped_m(limits, STEERED_FASTER * speed_mps) + PASSED_M
+    slowly_m = _stopped_m(limits, FASTER * SLOWLY * speed_mps) + PASSED_M
+    return max(limits.mission_margin_m + TURN_M, stopped_m if is_steered else slowly_m)
 
 
 def _stopped_m(limits: config.FenceTable, speed_mps: float) -> int:
@@ -352,7 +359,7 @@ def _turned(
     """From the run-out of a line to the run-in of the next one."""
     if radius_m:
         bends = turn(here, _heading(before), ahead, _heading(line), radius_m)
-        if bends and open_water.covers(LineString(_drawn(here, bends))):
+        if bends and open_water.covers(LineString(places_of(here, bends))):
             return bends
     places = [*ways.between(here, ahead), ahead]
     kept = [there for before_it, there in pairwise([here, *places]) if math.dist(before_it, there) >= LEG_MIN_M]
@@ -364,27 +371,9 @@ def _heading(line: Segment) -> float:
     return math.atan2(to_x - x, to_y - y)
 
 
-def _along(begin: Place, bend: Bend, steps: int) -> list[Place]:
-    """So many places along a bend, its end the last one."""
-    if bend.centre is None:
-        return [bend.to]
-    from_rad = math.atan2(begin[0] - bend.centre[0], begin[1] - bend.centre[1])
-    turns = (from_rad + bend.turn_rad * step / steps for step in range(1, steps))
-    (x, y), radius_m = bend.centre, bend.radius_m
-    return [*((x + radius_m * math.sin(at_rad), y + radius_m * math.cos(at_rad)) for at_rad in turns), bend.to]
-
-
-def _drawn(begin: Place, bends: Iterable[Bend]) -> list[Place]:
-    """Places along bends, close enough to draw and to look at."""
-    places = [begin]
-    for bend in bends:
-        places += _along(places[-1], bend, max(2, math.ceil(abs(bend.turn_rad) / DRAWN_RAD)))
-    return places
-
-
 def drawn(plan: SurveyPlan) -> list[Place]:
     """The whole way as places, arcs as corners."""
-    return _drawn(plan.begin, (each.bend for each in plan.way))
+    return places_of(plan.begin, (each.bend for each in plan.way))
 
 
 def stops(plan: SurveyPlan) -> list[tuple[Place, int]]:
@@ -395,40 +384,43 @@ def stops(plan: SurveyPlan) -> list[tuple[Place, int]]:
         begin, found, steps = kept[-1][0], [bend.to], 1
         while steps < STEPS and not all(plan.ways.free(a, b) for a, b in pairwise([begin, *found])):
             steps *= 2
-            found = _along(begin, bend, steps)
+            found = along(begin, bend, steps)
         for place in found:
             if math.dist(kept[-1][0], place) >= LEG_MIN_M:
                 kept.append((place, _number(line)))
-    for number in sorted(_inwards(plan, kept), reverse=True):
-        (here, _), (after, line) = kept[number], kept[number + 1]
-        long_m = math.dist(here, after)
-        if not line and long_m > SLOW_MOST_M:
-            part = TURNED_M / long_m
-            turned = here[0] + part * (after[0] - here[0]), here[1] + part * (after[1] - here[1])
-            kept.insert(number + 1, (turned, 0))
+    for number in sorted(_inwards(plan, kept), reverse=True):  # from behind: places are put in
+        if number + 1 < len(kept) and not kept[number + 1][1] and math.dist(kept[number][0], kept[number + 1][0]) > SLOW_MOST_M:
+            kept.insert(number + 1, (towards(kept[number][0], kept[number + 1][0], TURNED_M), 0))
+        line, brake_m = kept[number][1], plan.wanted.brake_m
+        if line and math.dist(kept[number - 1][0], kept[number][0]) > brake_m + LEG_MIN_M:
+            kept.insert(number, (towards(kept[number][0], kept[number - 1][0], brake_m), line))
     return kept
 
 
 def _inwards(plan: SurveyPlan, places: Sequence[tuple[Place, int]]) -> set[int]:
-    """The stops, but the last, where a boat that turns on the spot has come nearer to a hole or the fence than lines do."""
-    near_m = max(plan.wanted.stub_m - LEG_MIN_M, 0.0)
-    shores_m = [min(plan.ways.shore_m(place), near_m) for place, _ in places] if near_m else []
-    return {number for number in range(1, len(shores_m) - 1) if shores_m[number] < shores_m[number - 1]}
+    """The stops where a boat that turns on the spot comes as near to a hole or the fence as lines do, or nearer."""
+    near_m = plan.wanted.stub_m + LEG_MIN_M
+    shores_m = [] if plan.wanted.radius_m else [min(plan.ways.shore_m(place), near_m) for place, _ in places]
+    return {number for number in range(1, len(shores_m)) if shores_m[number] < shores_m[number - 1]}
 
 
 def slow_ways(plan: SurveyPlan, places: Sequence[tuple[Place, int]]) -> set[int]:
     """To which of the stops a boat goes slowly: that which turns on the spot turns closer so, and where a line begins at a hole
-    it has little room to come nearer. So it has where a run-out ends at one: the boat would go straight on, faster than asked,
-    while it turns, and its fence would stop it."""
+    it has little room to come nearer. So it has where one ends there: wind and current behind make the boat faster than asked,
+    it goes straight on while it turns, and its fence would stop it."""
     if plan.wanted.radius_m:
         return set()
     rough = set(plan.rough)
-    begins = [number for number, (_, line) in enumerate(places) if line in rough]
+    begins = [number for number, (_, line) in enumerate(places) if line in rough and places[number - 1][1] != line]
     before = {each for begin in begins for each in range(max(begin - 2, 1), begin)}
+    inwards = _inwards(plan, places)
+    behind = {each + 1 for each in inwards if each + 1 < len(places)}
     return {
         number
-        for number in before | {each + after for each in _inwards(plan, places) for after in (0, 1)}
-        if not places[number][1] and math.dist(places[number - 1][0], places[number][0]) <= SLOW_MOST_M
+        for number in before | inwards | behind
+        if math.dist(places[number - 1][0], places[number][0])
+        <= (plan.wanted.brake_m + LEG_MIN_M if places[number][1] else SLOW_MOST_M)
+        and (number in inwards or not places[number][1])
     }
 
 
@@ -445,7 +437,8 @@ class LineActions(NamedTuple):
     def at(self, lines: list[int], key: str) -> Iterator[PayloadItem]:
         """The actions of legs or pieces with these lines; `key` is that of their places."""
         for number, line in enumerate(lines):
-            for place, actions in ((number, self.begin), (number + 1, self.end)):
+            is_first, is_last = line not in lines[:number][-1:], line not in lines[number + 1 : number + 2]
+            for place, actions in ((number, self.begin if is_first else ()), (number + 1, self.end if is_last else ())):
                 yield from (msgspec.structs.replace(each, **{key: place}) for each in actions if line)
 
 

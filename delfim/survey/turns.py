@@ -2,12 +2,13 @@
 smallest radius or straight (Dubins 1957). Angles as the compass has them: from north, clockwise, rad."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from typing import Final, NamedTuple
 
 from delfim.survey.ground import Place
 
 SHORT_M: Final = 0.6  # a piece that is no longer is left out: its neighbours bend by as little
+DRAWN_RAD: Final = 0.2  # of an arc, from place to place
 
 
 class Bend(NamedTuple):
@@ -83,3 +84,27 @@ def _words(d: float, a: float, b: float) -> Iterator[tuple[str, tuple[float, flo
         p = math.tau - math.acos(c)
         t = _mod(-a + math.atan2(cb - ca, d + sa - sb) + p / 2.0)
         yield "LRL", (t, p, _mod(b - a - t + p))
+
+
+def along(begin: Place, bend: Bend, steps: int) -> list[Place]:
+    """So many places along a bend, its end the last one."""
+    if bend.centre is None:
+        return [bend.to]
+    from_rad = math.atan2(begin[0] - bend.centre[0], begin[1] - bend.centre[1])
+    turns = (from_rad + bend.turn_rad * step / steps for step in range(1, steps))
+    (x, y), radius_m = bend.centre, bend.radius_m
+    return [*((x + radius_m * math.sin(at_rad), y + radius_m * math.cos(at_rad)) for at_rad in turns), bend.to]
+
+
+def places_of(begin: Place, bends: Iterable[Bend]) -> list[Place]:
+    """Places along bends, close enough to draw and to look at."""
+    places = [begin]
+    for bend in bends:
+        places += along(places[-1], bend, max(2, math.ceil(abs(bend.turn_rad) / DRAWN_RAD)))
+    return places
+
+
+def towards(here: Place, there: Place, far_m: float) -> Place:
+    """The place so far on the straight way from here to there."""
+    part = far_m / math.dist(here, there)
+    return here[0] + part * (there[0] - here[0]), here[1] + part * (there[1] - here[1])

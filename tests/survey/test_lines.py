@@ -346,4 +346,4 @@ def test_a_fast_boat_keeps_room_to_stop_before_a_hole() -> None:
         ground = Ground(AT, MultiPolygon([box(0, 0, 300, 200).difference(island)]), MultiPolygon([island]))
         plan = planned(ground, wanted, settings.fence)
         check(mission(plan, "fast"), plan, settings)
-    assert wanted_of(settings, spacing_m=15.0).room_m == 13.0
+    assert wanted_of(settings, spacing_m=15.0).room_m == 12.0

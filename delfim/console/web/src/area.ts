@@ -16,7 +16,7 @@ export const areasOf = (mission: Mission): Area[] => mission.survey?.areas ?? []
 
 /** The lines of the survey that the plan sails, or sails the rest of. Those of a mission that was read from a boat are its legs with a number. */
 export const linesOf = ({ survey, waypoints }: Mission): Line[] =>
-  survey?.lines ?? waypoints.flatMap((to, i): Line[] => (i && to.line ? [[corner(waypoints[i - 1]!), corner(to)]] : []));
+  survey?.lines ?? waypoints.flatMap((to, i): Line[] => (i && to.line && waypoints[i + 1]?.line !== to.line ? [[corner(waypoints[waypoints[i - 1]!.line === to.line ? i - 2 : i - 1]!), corner(to)]] : []));
 
 /** Whether hundreds of numbers would hide its lines. */
 export const isSurvey = (mission: Mission): boolean => linesOf(mission).length > 0;
