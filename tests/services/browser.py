@@ -137,7 +137,8 @@ class Page:
         except TimeoutError:
             left = expression.rpartition(" === ")[0]
             was = f"; at last it was {await self.value(f'String({left})')!r}" if left else ""
-            raise AssertionError(f"it never was so: {expression}{was}") from None
+            words = await self.value("document.body?.innerText.slice(0, 1000)")
+            raise AssertionError(f"it never was so: {expression}{was}; the page says {words!r}") from None
 
     async def press(self, key: str, modifiers: tuple[str, ...] = ()) -> None:
         """A key, as KeyboardEvent.key calls it, down and up again."""
