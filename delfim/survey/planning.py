@@ -399,9 +399,11 @@ def stops(plan: SurveyPlan) -> list[tuple[Place, int]]:
 
 def _inwards(plan: SurveyPlan, places: Sequence[tuple[Place, int]]) -> set[int]:
     """The stops where a boat that turns on the spot comes as near to a hole or the fence as lines do, or nearer."""
+    if plan.wanted.radius_m:
+        return set()
     near_m = plan.wanted.stub_m + LEG_MIN_M
-    shores_m = [] if plan.wanted.radius_m else [min(plan.ways.shore_m(place), near_m) for place, _ in places]
-    return {number for number in range(1, len(shores_m)) if shores_m[number] < shores_m[number - 1]}
+    shores_m = [min(shore_m, near_m) for shore_m in plan.ways.shores_m([place for place, _ in places])]
+    return {number for number, (before, here) in enumerate(pairwise(shores_m), 1) if here < before}
 
 
 def slow_ways(plan: SurveyPlan, places: Sequence[tuple[Place, int]]) -> set[int]:
@@ -414,14 +416,11 @@ def slow_ways(plan: SurveyPlan, places: Sequence[tuple[Place, int]]) -> set[int]
     begins = [number for number, (_, line) in enumerate(places) if line in rough and places[number - 1][1] != line]
     before = {each for begin in begins for each in range(max(begin - 2, 1), begin)}
     inwards = _inwards(plan, places)
-    behind = {each + 1 for each in inwards if each + 1 < len(places)}
-    return {
-        number
-        for number in before | inwards | behind
-        if math.dist(places[number - 1][0], places[number][0])
-        <= (plan.wanted.brake_m + LEG_MIN_M if places[number][1] else SLOW_MOST_M)
-        and (number in inwards or not places[number][1])
-    }
+    lengths_m = [0.0, *(math.dist(a, b) for (a, _), (b, _) in pairwise(places))]
+    beside = before | inwards | {each + 1 for each in inwards if each + 1 < len(places)}
+    between = {each for each in beside if not places[each][1] and lengths_m[each] <= SLOW_MOST_M}
+    ends = {each for each in inwards if places[each][1] and lengths_m[each] <= plan.wanted.brake_m + LEG_MIN_M}
+    return between | ends
 
 
 def _number(line: int | None) -> int:
@@ -436,9 +435,9 @@ class LineActions(NamedTuple):
 
     def at(self, lines: list[int], key: str) -> Iterator[PayloadItem]:
         """The actions of legs or pieces with these lines; `key` is that of their places."""
-        for number, line in enumerate(lines):
-            is_first, is_last = line not in lines[:number][-1:], line not in lines[number + 1 : number + 2]
-            for place, actions in ((number, self.begin if is_first else ()), (number + 1, self.end if is_last else ())):
+        for number, (before, line, after) in enumerate(zip((0, *lines), lines, (*lines[1:], 0), strict=False)):
+            begins, ends = self.begin if line != before else (), self.end if line != after else ()
+            for place, actions in ((number, begins), (number + 1, ends)):
                 yield from (msgspec.structs.replace(each, **{key: place}) for each in actions if line)
 
 

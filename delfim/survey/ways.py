@@ -2,6 +2,7 @@
 (Lozano-Perez and Wesley 1979), searched by A*."""
 
 import math
+from collections.abc import Sequence
 from heapq import heappop, heappush
 from typing import Final
 
@@ -32,9 +33,9 @@ class OpenWater:
             self._seen[a, b] = self._seen[b, a] = math.dist(a, b) < SAME_M or self._water.covers(LineString([a, b]))
         return self._seen[a, b]
 
-    def shore_m(self, place: Place) -> float:
-        """How far the water's edge is."""
-        return float(self._inner.boundary.distance(Point(place)))
+    def shores_m(self, places: Sequence[Place]) -> list[float]:
+        """How far the water's edge is from each."""
+        return list(map(float, shapely.distance(self._inner.boundary, shapely.points(places))))
 
     def nearest(self, place: Place) -> Place:
         """The place of the water that is nearest: the same, where it is water."""

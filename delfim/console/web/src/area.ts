@@ -15,8 +15,13 @@ export const corner = (place: Place): [number, number] => [place.latitude_deg, p
 export const areasOf = (mission: Mission): Area[] => mission.survey?.areas ?? [];
 
 /** The lines of the survey that the plan sails, or sails the rest of. Those of a mission that was read from a boat are its legs with a number. */
-export const linesOf = ({ survey, waypoints }: Mission): Line[] =>
-  survey?.lines ?? waypoints.flatMap((to, i): Line[] => (i && to.line && waypoints[i + 1]?.line !== to.line ? [[corner(waypoints[waypoints[i - 1]!.line === to.line ? i - 2 : i - 1]!), corner(to)]] : []));
+export const linesOf = ({ survey, waypoints }: Mission): Line[] => survey?.lines ?? linesSailed(waypoints);
+
+function linesSailed(waypoints: Mission["waypoints"]): Line[] {
+  const lines = new Map<number, Line>(); // one that ends at a hole has two legs
+  waypoints.forEach((to, i) => i && to.line && lines.set(to.line, [lines.get(to.line)?.[0] ?? corner(waypoints[i - 1]!), corner(to)]));
+  return [...lines.values()];
+}
 
 /** Whether hundreds of numbers would hide its lines. */
 export const isSurvey = (mission: Mission): boolean => linesOf(mission).length > 0;
