@@ -1,10 +1,11 @@
 """Surveys sailed in lock step: how well lines are kept, and whether time and energy are as foretold.
 
 python -m bench.survey following [SEAS [FIRST [BOAT...]]]    makes the table of docs/survey.md, "How well lines are kept"
-python -m bench.survey estimate [AREAS [FIRST [BOAT...]]]    and of "Time and energy"
+python -m bench.survey estimate [AREAS [FIRST [BOAT...]]]    and of "Time and energy": rectangles
+python -m bench.survey holes [AREAS [FIRST [BOAT...]]]       drawn areas with holes, in other weather
 
-True places against the lines as planned. Wind of 6 m/s and a current of 0.3 m/s come from anywhere, by the seed; FIRST is the
-first seed. A BOAT is a file of etc/boats.
+True places against the lines as planned. Wind and current come from anywhere, by the seed; FIRST is the first seed. A BOAT is a
+file of etc/boats.
 """
 
 import math
@@ -25,10 +26,11 @@ from delfim.simulator.lockstep import Lockstep
 from delfim.survey.ground import Ground, Place, in_degrees
 from delfim.survey.linefigures import LineFigures, beside, figures
 from delfim.survey.planning import SurveyPlan, mission, planned, wanted_of
-from delfim.survey.trialsail import sailed
+from delfim.survey.trialsail import foretold
 from delfim.vehicle import console
 from delfim.vehicle.plans.mission import canonical
 from delfim.vehicle.state import NoLog
+from tests.survey.drawn import drawn
 
 BOATS = "../delfimx", "otter", "blueboat", "skiff", "heron", "wam-v"
 FOLLOWED = BOATS[:4]
@@ -42,6 +44,14 @@ class Voyage(NamedTuple):
     energy_wh: float
     lines: list[LineFigures]
     p95_m: float  # 95 % of all places on lines are nearer to theirs
+
+
+class Area(NamedTuple):
+    seed: int
+    ground: Ground
+    spacing_m: float
+    wind_mps: float
+    current_mps: float
 
 
 def sea(seed: int, wind_mps: float, current_mps: float) -> str:
@@ -113,24 +123,44 @@ def followed(name: str, noise_m: float, wind_mps: float, current_mps: float, see
 
 
 def estimate(seeds: range, boats: Sequence[str]) -> None:
+    """Rectangles, 4 m/s of wind and 0.2 m/s of current."""
+    areas = list[Area]()
+    for seed in seeds:
+        chance = Random(f"area {seed}")
+        ground = rectangle(chance.uniform(60.0, 200.0), chance.uniform(60.0, 200.0))
+        areas.append(Area(seed, ground, chance.choice((8.0, 12.0, 20.0)), 4.0, 0.2))
+    _compared(areas, boats)
+
+
+def holes(seeds: range, boats: Sequence[str]) -> None:
+    """Wind to 6 m/s and current to 0.3 m/s."""
+    areas = list[Area]()
+    for seed in seeds:
+        chance, (ground, spacing_m) = Random(f"weather {seed}"), drawn(seed, (90.0, 150.0), 1.0)
+        areas.append(Area(seed, ground, spacing_m, chance.uniform(0.0, 6.0), chance.uniform(0.0, 0.3)))
+    _compared(areas, boats)
+
+
+def _compared(areas: Sequence[Area], boats: Sequence[str]) -> None:
+    """Time and energy as the command foretells them, by those of a voyage."""
     print("| boat | time, sailed by foretold: least, mean, most | energy, likewise |")
     print("|---|---|---|")
     for name in boats or BOATS:
-        times, energies = list[float](), list[float]()
-        for seed in seeds:
-            chance = Random(f"area {seed}")
-            ground = rectangle(chance.uniform(60.0, 200.0), chance.uniform(60.0, 200.0))
-            settings = load(name, PLACE)
-            plan, at = began(settings, ground, spacing_m=chance.choice((8.0, 12.0, 20.0)))
-            told = sailed(settings, plan.wanted)
-            plan = plan._replace(wanted=plan.wanted._replace(turn_s=told.turn_s))
-            seen = voyage(load(name, at, sea(seed, 4.0, 0.2)), plan, seed)
-            times.append(seen.took_s / plan.time_s)
-            energies.append(seen.energy_wh / told.energy_wh(plan.time_s))
+        times, energies, settings = list[float](), list[float](), load(name, PLACE)
+        for seed, ground, spacing_m, wind_mps, current_mps in areas:
+            plan, at = began(settings, ground, spacing_m=spacing_m)
+            time_s, energy_wh = foretold(settings, plan)
+            try:
+                seen = voyage(load(name, at, sea(seed, wind_mps, current_mps)), plan, seed)
+            except DelfimError as error:
+                print(f"{Path(name).name}, area {seed}: {error}", file=sys.stderr, flush=True)
+                continue
+            times.append(seen.took_s / time_s)
+            energies.append(seen.energy_wh / (energy_wh or math.nan))
         told_of = [f"{min(each):.3f}, {mean(each):.3f}, {max(each):.3f}" for each in (times, energies)]
         print(f"| {Path(name).name} | {' | '.join(told_of)} |", flush=True)
 
 
 if __name__ == "__main__":
     what, count, first, *names = (*sys.argv[1:], *("4", "1")[len(sys.argv) - 2 :])
-    {"following": following, "estimate": estimate}[what](range(int(first), int(first) + int(count)), names)
+    {"following": following, "estimate": estimate, "holes": holes}[what](range(int(first), int(first) + int(count)), names)

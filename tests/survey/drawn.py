@@ -15,12 +15,15 @@ from delfim.survey.ground import Ground, polygons, union
 AT: Final = origin(math.radians(38.69), math.radians(-9.21))
 
 
-def drawn(seed: int) -> tuple[Ground, float]:
-    """An area of 100 to 500 m, and a spacing."""
+def drawn(seed: int, far_m: tuple[float, float] = (100.0, 500.0), with_holes: float = 0.5) -> tuple[Ground, float]:
+    """An area of this size, such a part of them with holes, and a spacing."""
     draw = Random(f"survey area {seed}")
-    far_m = draw.uniform(100.0, 500.0)
+    return _drawn(draw, seed, draw.uniform(*far_m), with_holes)
+
+
+def _drawn(draw: Random, seed: int, far_m: float, with_holes: float) -> tuple[Ground, float]:
     shape = affinity.rotate(SHAPES[seed % len(SHAPES)](draw, far_m), draw.uniform(0.0, 360.0), origin=(0.0, 0.0))
-    cut = _holes(draw, shape, far_m) if draw.random() < 0.5 else []
+    cut = _holes(draw, shape, far_m) if draw.random() < with_holes else []
     holes = union([part for part in cut if part.intersects(shape)])
     parts = [part for part in polygons(shape.difference(holes)) if part.area > 200.0]
     return Ground(AT, MultiPolygon(parts), holes), draw.choice((5.0, 10.0, 15.0, 20.0))

@@ -1,4 +1,4 @@
-"""The figures of lines, and what the simulated boat says of its turns and its batteries."""
+"""The figures of lines, and the report of them."""
 
 import math
 from itertools import groupby
@@ -6,13 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from delfim import config
 from delfim.__main__ import main
 from delfim.base.errors import DelfimError
 from delfim.survey import linefigures
 from delfim.survey.linefigures import figures
-from delfim.survey.planning import wanted_of
-from delfim.survey.trialsail import sailed
 from delfim.vehicle.plans.mission import load_mission
 
 ROOT = Path(__file__).parents[2]
@@ -44,16 +41,6 @@ def test_a_line_that_the_boat_believes_to_begin_later_than_it_does_is_sailed_fro
     assert figures(LINE, [*aside, *along[14:]])[0].sailed == pytest.approx(0.98)
     other = [(6, (float(x), 0.2)) for x in range(3)]
     assert figures(LINE, [*other, *along[15:]])[0].sailed == pytest.approx(0.97)
-
-
-def test_a_boat_says_what_its_turns_and_lines_take() -> None:
-    short, long = (
-        sailed(vehicle, wanted_of(vehicle, spacing_m=10.0))
-        for vehicle in (config.load(ROOT / f"etc/boats/{name}.toml") for name in ("otter", "wam-v"))
-    )
-    assert short.turn_s < 0.0 < 3.0 < long.turn_s, "a long boat turns slowly"
-    assert short.power_w < long.power_w
-    assert short.energy_wh(3600.0) == pytest.approx(1.04 * short.power_w)
 
 
 def test_the_report_of_a_survey(tmp_path, monkeypatch, capsys) -> None:

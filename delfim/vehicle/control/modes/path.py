@@ -117,7 +117,7 @@ def step(
     if stops:
         return after._replace(north_m=north_m, east_m=east_m, heading_rad=None, left_s=piece.hold_s), reference, wanted
     corner_rad = abs(wrap(_start_tangent_rad(path[onwards]) - tangent_rad))
-    if left_m > _wheel_over_m(corner_rad, speed_mps, ahead_m):
+    if left_m > wheel_over_m(corner_rad, speed_mps, ahead_m):
         return after, reference, wanted
     course = LineOfSight(course.crab_rad, course.shift_m * max(math.cos(corner_rad), 0.0))
     return after._replace(leg=onwards, swept_rad=0.0, course=course), reference, wanted
@@ -155,7 +155,7 @@ def nearest(piece: Line | Arc, motion: Motion, swept_rad: float) -> tuple[float,
     return bearing_rad + side * math.pi / 2.0, cross_m, (abs(piece.turn_rad) - swept_rad) * piece.radius_m, swept_rad
 
 
-def _wheel_over_m(corner_rad: float, speed_mps: float, at_most_m: float) -> float:
+def wheel_over_m(corner_rad: float, speed_mps: float, at_most_m: float) -> float:
     """How far before its end a piece is left for the next one; zero where they join smoothly."""
     return min(speed_mps * TURN_S * math.tan(min(corner_rad, CORNER_MAX_RAD) / 2.0), at_most_m)
 
