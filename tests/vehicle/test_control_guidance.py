@@ -212,6 +212,24 @@ def test_farther_off_an_arc_than_its_radius_the_boat_does_not_turn_with_it(off_m
     assert turns or abs(wanted.yaw_nm) < 100.0
 
 
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_a_boat_that_has_turned_far_beyond_its_arc_turns_back(side: float) -> None:
+    """A current took a short boat off its course on an arc: the arc's turn was fed forward, stronger than what was to bring it
+    back, and it went round and round for three minutes."""
+    setpoint = Setpoint(plan=Plan("", (), (Arc(0.0, 0.0, 2.0, -side * math.pi / 2.0, side * math.pi, 1.0),)))
+    memory = enter(Mode.PATH, HERE, setpoint, SETTINGS)._replace(leg=0)
+    there = HERE._replace(north_m=0.5, east_m=-2.0 * side)
+    _, reference, _ = control(Mode.PATH, memory, there, setpoint, SETTINGS, DT_S)
+    assert reference.heading_rad is not None
+    yaws_nm = list[float]()
+    for beyond_rad in (-1.0, 0.1, 0.6, 2.0):
+        at_rad = reference.heading_rad + side * beyond_rad
+        turned = there._replace(heading_rad=at_rad, north_mps=math.cos(at_rad), east_mps=math.sin(at_rad))
+        yaws_nm.append(side * control(Mode.PATH, memory, turned, setpoint, SETTINGS, DT_S)[2].yaw_nm)
+    assert all(each > 0.0 for each in yaws_nm[:2]), "it turns with its arc"
+    assert all(each < 0.0 for each in yaws_nm[2:])
+
+
 def test_cross_track_is_positive_to_starboard() -> None:
     bearing_rad, cross_m, left_m = along(HERE._replace(north_m=10.0, east_m=3.0), 0.0, 0.0, 100.0, 0.0)
     assert (bearing_rad, cross_m, left_m) == (0.0, 3.0, 90.0)

@@ -26,6 +26,7 @@ TURN_S = 3.0  # radius of a turn at a corner, over speed
 CORNER_MAX_RAD = math.radians(120.0)
 RUN_IN = 2.5  # lookaheads: one for the corner where the boat comes onto its line, the others to settle on it
 STRAIGHT_RAD = 0.01
+TURNED_RAD = 0.5  # a boat that has turned so far beyond her arc turns no farther with it: she would go round and round
 BEFORE_LINE = 4  # pieces, from a run-out to the next line
 
 
@@ -102,7 +103,9 @@ def step(
         speed_mps = min(speed_mps, max(math.sqrt(settings.control.speed.ramp_mps2 * max(left_m, 0.0)), CREEP_MPS))
     turn_radps = 0.0
     if isinstance(piece, Arc) and abs(cross_m) <= piece.radius_m:  # farther off it the boat comes back straight
-        turn_radps = math.copysign(speed_mps / piece.radius_m, piece.turn_rad)
+        beyond_rad = math.copysign(1.0, piece.turn_rad) * wrap(motion.heading_rad - heading_rad)
+        if beyond_rad < TURNED_RAD:
+            turn_radps = math.copysign(speed_mps / piece.radius_m, piece.turn_rad)
     elif isinstance(piece, Line) and not is_gentle:
         turn_radps = turn_onto(motion, tangent_rad, cross_m, ahead_m, speed_mps)
     integrals, wanted = steer(memory.integrals, motion, heading_rad, speed_mps, settings, dt_s, turn_radps)
