@@ -6,8 +6,9 @@ The hulls below 40 are boats of etc/boats drawn anew (delfim/adoption/trial/hidd
 times, coefficients up to 40 % off, unequal motors, any wiring, dead bands to 0.15, delays to 0.5 s, wind to 4 m/s, current to
 0.3 m/s, a receiver of 1 m and 0.05 m/s that is late and off the middle, a compass of 2 degrees that is off by up to 20 and bent
 by up to 10. Those from 40 to 99 are hulls of another hand, programs of their own over UDP in lock step (bench/otherhulls.py),
-those from 100 on of boats with one motor that steers. One hull with 100 seeds takes five minutes of a core; each trial appends
-a row to the file, which it is not asked for again, and the table is of all rows.
+those from 100 on of boats with one motor that steers, those from 200 on of boats with three or four fixed thrusters
+(bench/layouts.py), in any order, unequal by up to 30 %. One hull with 100 seeds takes five
+minutes of a core; each trial appends a row to the file, which it is not asked for again, and the table is of all rows.
 """
 
 import argparse
@@ -18,7 +19,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from statistics import median
 from typing import Any, Final
@@ -26,6 +27,7 @@ from typing import Any, Final
 import msgspec
 
 from bench import otherhulls
+from bench.layouts import LAYOUTS
 from delfim import config
 from delfim.adoption import identify, magnet
 from delfim.adoption.trial.boats import SimulatedTrial
@@ -36,7 +38,7 @@ from delfim.adoption.trial.motors import corrected
 from delfim.adoption.trial.session import TrialProgress, TrialSession
 from delfim.adoption.trial.taped import record_of
 from delfim.base.errors import DelfimError
-from delfim.campaign.adopted.truth import BoatTruth, compass_off, figures_off, truth
+from delfim.campaign.adopted.truth import BoatTruth, compass_off, figures_off, is_right, truth
 from delfim.simulator.model import hull_of
 from delfim.simulator.realtime.external_model import SteppedModel
 from delfim.simulator.tables import Simulation
@@ -45,6 +47,7 @@ BOATS: Final = "heron", "otter", "wam-v", "blueboat"
 OTHERS: Final = 40  # the first hull of another hand
 STEERED: Final = "skiff", "bait-boat"
 STEERED_FROM: Final = 100  # the first hull with one motor that steers
+SEVERAL_FROM: Final = 200  # the first hull with three or four thrusters
 RADIUS_M: Final = 60.0
 
 
@@ -75,11 +78,15 @@ def other_truth(its: otherhulls.Drawn) -> BoatTruth:
     return BoatTruth(wiring, otherhulls.full_mps(its), tuple(its.dead), its.delay_s + its.lag_s)
 
 
-def tried(hull: int, seed: int, place: Path, *, motors_alone: bool) -> dict[str, Any]:
+def tried(hull: int, seed: int, place: Path, more: Sequence[str] = (), *, motors_alone: bool) -> dict[str, Any]:
     """One trial: a row of figures."""
     its = otherhulls.drawn(hull - OTHERS, seed) if OTHERS <= hull < STEERED_FROM else None
-    boats = BOATS if hull < OTHERS else STEERED
-    settings = vehicle(boats[hull % len(boats)]) if its is None else vehicle(its.hull.boat, *its.hull.told)
+    boats, layouts = BOATS if hull < OTHERS else STEERED, list(LAYOUTS.items())
+    name, layout = layouts[hull % len(layouts)]
+    if hull >= SEVERAL_FROM:
+        settings = vehicle(layout.boat, *layout.told, *more)
+    else:
+        name, settings = "", vehicle(boats[hull % len(boats)], *more) if its is None else vehicle(its.hull.boat, *its.hull.told)
     hidden, most_m, began_s = drawn(settings, seed, hull), [0.0], time.process_time()
 
     def look(boat: SimulatedTrial) -> None:
@@ -94,9 +101,13 @@ def tried(hull: int, seed: int, place: Path, *, motors_alone: bool) -> dict[str,
         ended = session.run() if not motors_alone else _motors(session)
         real = truth(settings, hidden) if its is None else other_truth(its)
         found = progress.wiring
-        row = {"hull": hull, "seed": seed, "boat": settings.boat.name, "ended": ended, "most_m": most_m[0]}
+        row = {"hull": hull, "seed": seed, "boat": name or settings.boat.name, "ended": ended, "most_m": most_m[0]}
         row |= {"seconds": session.trial.elapsed_s, "cpu_s": time.process_time() - began_s, "told": hidden.words()}
-        row["motors"] = "none" if found is None else "right" if (found[0], found[1], found[2]) == real.wiring else "wrong"
+        if its is None:
+            is_so = found is not None and is_right(found, hidden, settings.thrusters)
+        else:
+            is_so = found is not None and found[:3] == real.wiring
+        row["motors"] = "none" if found is None else "right" if is_so else "wrong"
         row["proven"] = progress.is_proven
         row["power"] = max((abs(part) for each in progress.tape for part in each.told), default=0.0)
         if not ended and not motors_alone:
@@ -209,13 +220,14 @@ def main() -> None:
     parser.add_argument("--seeds", type=span, default=range(1, 4), metavar="FIRST:LAST", help="Without the last.")
     parser.add_argument("--motors", action="store_true", help="Of each trial the motors alone.")
     parser.add_argument("--rows", type=Path, default=Path("run/adoption.jsonl"), metavar="FILE")
+    parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="Laid over the boats' files.")
     asked = parser.parse_args()
     asked.rows.parent.mkdir(parents=True, exist_ok=True)
     had = {(row["hull"], row["seed"]) for row in _rows(asked.rows)}
     with tempfile.TemporaryDirectory() as folder:
         for hull in asked.hulls:
             for seed in (each for each in asked.seeds if (hull, each) not in had):
-                row = tried(hull, seed, Path(folder) / f"{hull}-{seed}.trial", motors_alone=asked.motors)
+                row = tried(hull, seed, Path(folder) / f"{hull}-{seed}.trial", asked.set, motors_alone=asked.motors)
                 with asked.rows.open("a") as rows:
                     rows.write(json.dumps(row, default=float) + "\n")
     print("\n".join(table(list(_rows(asked.rows)))))

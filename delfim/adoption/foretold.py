@@ -5,8 +5,8 @@ from typing import Final, NamedTuple
 
 from delfim import config
 from delfim.adoption.fitting import Prior
-from delfim.adoption.model import NUMBERS, SPREADS, SteeringGear, internal
-from delfim.adoption.suited import unfit
+from delfim.adoption.model import NUMBERS, PLACE, SPREADS, SteeringGear, internal
+from delfim.adoption.suited import along_n, at_side, hull_unfit, is_several, place_of, unfit
 from delfim.base.errors import DelfimError
 from delfim.simulator.model import hull_of
 from delfim.vehicle.control.hull import craft, full_mps
@@ -14,17 +14,19 @@ from delfim.vehicle.control.hull import craft, full_mps
 LINEAR: Final = 0.2  # of the drag at full speed, that is linear, where the file says a speed alone
 LEAST: Final = 0.01  # of a factor: what is nothing in the file may be something
 DEAD: Final = 0.04  # of full command: motors have a dead band, whether their file says so or not
+UNEVEN: Final = 0.25, 0.2  # spread of thrust, and of turning, of those at starboard over those at port, logarithms
 LEAST_N: Final = 0.05  # of a motor that gives nothing astern
 LAG_S, DELAY_S, LATE_S, LOSS = 0.25, 0.15, 0.1, 0.03  # a first guess
 
 
 class Motor(NamedTuple):
-    """A row of the file as the fit sees it."""
+    """A row of the file as the fit sees it, or all at a side that a trial commands alike."""
 
-    row: int  # its place among the thrusters
+    row: int  # its place among the thrusters; of several the first
     name: str
     sign: float  # with which its part pushes the boat ahead
     aside_m: float  # from the middle, not less than zero
+    rows: tuple[int, ...]  # all of them
 
 
 class Motors(NamedTuple):
@@ -45,7 +47,9 @@ def motors_of(vehicle: config.Vehicle) -> Motors:
     """The motor at each side; that of a boat that steers twice. Raises DelfimError for boats that have other thrusters."""
     if gear_of(vehicle) is not None:
         row = vehicle.thrusters[0]
-        return Motors(*(Motor(0, row.name, 1.0, abs(row.x_m)),) * 2)
+        return Motors(*(Motor(0, row.name, 1.0, abs(row.x_m), (0,)),) * 2)
+    if is_several(vehicle.thrusters):
+        return _of_several(vehicle)
     found = dict[str, Motor]()
     for index, row in enumerate(vehicle.thrusters):
         if row.steer is not None or row.angle_deg % 180.0 or not row.y_m:
@@ -58,7 +62,7 @@ def motors_of(vehicle: config.Vehicle) -> Motors:
             raise DelfimError(
                 f"there are two motors to {side}: only boats with one at each side, or one that steers, can be identified yet"
             )
-        found[side] = Motor(index, row.name, 1.0 if row.angle_deg % 360.0 == 0.0 else -1.0, abs(row.y_m))
+        found[side] = Motor(index, row.name, 1.0 if row.angle_deg % 360.0 == 0.0 else -1.0, abs(row.y_m), (index,))
     if len(found) < 2:
         raise DelfimError(
             "there is a motor at one side alone: only boats with one at each side, or one that steers, can be identified yet"
@@ -66,11 +70,32 @@ def motors_of(vehicle: config.Vehicle) -> Motors:
     return Motors(**found)
 
 
+def _of_several(vehicle: config.Vehicle) -> Motors:
+    """All at each side, as one motor: the arm is that of what they give together."""
+    rows, found = vehicle.thrusters, list[Motor]()
+    if why := unfit(rows) or hull_unfit(rows):
+        raise DelfimError(f"the hull of this boat cannot be identified: {why}")
+    for side in (1, -1):
+        its = at_side(rows, side)
+        moment = sum(along_n(rows[at]) * abs(place_of(rows[at]).turn_m / place_of(rows[at]).ahead) for at in its)
+        arm_m = moment / max(sum(along_n(rows[at]) for at in its), LEAST_N)
+        found.append(Motor(its[0], rows[its[0]].name, float(place_of(rows[its[0]]).way), arm_m, its))
+    return Motors(*found)
+
+
+def _ends_n(vehicle: config.Vehicle, motor: Motor) -> list[float]:
+    """The larger and the smaller force of its full commands, along the keel, of all together."""
+    if len(motor.rows) == 1:
+        return sorted((abs(end) for end in vehicle.thrusters[motor.row].ends_n), reverse=True)
+    its = [(abs(place_of(vehicle.thrusters[at]).ahead), vehicle.thrusters[at].ends_n) for at in motor.rows]
+    return [sum(along * of(map(abs, ends)) for along, ends in its) for of in (max, min)]
+
+
 def prior(vehicle: config.Vehicle) -> Prior:
     """The numbers from which a fit begins and how wrong each may be; and those of the file, as the simulator has them."""
     starboard, port = motors_of(vehicle)
     rows = [vehicle.thrusters[motor.row] for motor in (starboard, port)]
-    ends = [sorted((abs(end) for end in row.ends_n), reverse=True) for row in rows]
+    ends = [_ends_n(vehicle, motor) for motor in (starboard, port)]
     uneven, uneven_astern = (math.log(max(ends[0][at], LEAST_N) / max(ends[1][at], LEAST_N)) for at in (0, 1))
     ahead_n, astern_n = (math.sqrt(max(ends[0][at], LEAST_N) * max(ends[1][at], LEAST_N)) for at in (0, 1))
     told = {number.name: 1.0 if number.is_factor else 0.0 for number in NUMBERS} | {
@@ -89,7 +114,10 @@ def prior(vehicle: config.Vehicle) -> Prior:
     centre = (
         told | {name: value for name, value in likely.items() if not told[name] or name == "lag"} | (twin or _likely(vehicle))
     )
-    return Prior(internal(centre), SPREADS.copy(), internal(told | (twin or _guessed(vehicle))))
+    spreads = SPREADS.copy()
+    if is_several(vehicle.thrusters):  # what stands for a motor are some, each as wrong as one
+        spreads[[PLACE["ahead_uneven"], PLACE["arm_uneven"]]] = UNEVEN
+    return Prior(internal(centre), spreads, internal(told | (twin or _guessed(vehicle))))
 
 
 def _likely(vehicle: config.Vehicle) -> dict[str, float]:

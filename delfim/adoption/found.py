@@ -12,8 +12,9 @@ from delfim import config
 from delfim.adoption.changes import changes, unseen
 from delfim.adoption.figures import TOO_WINDY, Figure, calm, figures
 from delfim.adoption.fitting import Fit
-from delfim.adoption.foretold import motors_of
+from delfim.adoption.foretold import Motor, motors_of
 from delfim.adoption.model import Array, ModelMotion, said, values_of
+from delfim.adoption.suited import along_n, place_of
 from delfim.adoption.writing import FoundKey
 from delfim.vehicle.control.hull import craft
 
@@ -55,11 +56,13 @@ def _thrusters(fit: Fit, vehicle: config.Vehicle) -> list[FoundKey]:
     p, found, mass_kg = fit.values, list[FoundKey](), craft(vehicle).mass_kg
     motors, gear = motors_of(vehicle), fit.windows.gear
     sides = ("starboard", 0.5, motors.starboard), ("port", -0.5, motors.port)
-    for side, sign, motor in sides if gear is None else (("starboard", 0.0, motors.starboard),):
-        row = vehicle.thrusters[motor.row]
-        ahead_n = mass_kg * p["ahead"] * math.exp(sign * p["ahead_uneven"])
+    alone = (("starboard", 0.0, motors.starboard),)
+    for side, sign, motor, row in (
+        (*its, vehicle.thrusters[at]) for its in (sides if gear is None else alone) for at in its[2].rows
+    ):
+        ahead_n = mass_kg * p["ahead"] * math.exp(sign * p["ahead_uneven"]) * _share(vehicle, motor, row)
         astern_n = ahead_n * p["astern"] * math.exp(sign * p["astern_uneven"])
-        ends = (-astern_n, ahead_n) if motor.sign > 0.0 else (-ahead_n, astern_n)
+        ends = (-astern_n, ahead_n) if place_of(row).way > 0 else (-ahead_n, astern_n)
         place, dead = ("thrusters", row.name), f"dead_{side}"
         keeps = bool(row.curve) and not {"ahead", "power", dead}.isdisjoint(fit.unseen)
         if row.curve and not keeps:
@@ -81,6 +84,14 @@ def _thrusters(fit: Fit, vehicle: config.Vehicle) -> list[FoundKey]:
     if gear is not None and "straight" not in fit.unseen:
         found.append(_straight(fit, vehicle.thrusters[0]))
     return found
+
+
+def _share(vehicle: config.Vehicle, motor: Motor, row: config.ThrusterTable) -> float:
+    """The force of one row over that ahead of all that are commanded alike at its side, as the file has them: they are seen
+    together alone."""
+    if len(motor.rows) == 1:
+        return 1.0
+    return along_n(row) / abs(place_of(row).ahead) / sum(along_n(vehicle.thrusters[at]) for at in motor.rows)
 
 
 def _straight(fit: Fit, row: config.ThrusterTable) -> FoundKey:

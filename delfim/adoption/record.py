@@ -17,6 +17,7 @@ from delfim.logging.reading import raw
 
 Array = NDArray[np.floating[Any]]
 
+TRIAL: Final = "trial"  # the source of its record
 DRIFT, DRIFT_LEAST = "drift", 20  # a manoeuvre with the motors off, and its least positions
 APART_S: Final = 60.0  # between two starts of a boat's program, whose clocks have nothing in common
 

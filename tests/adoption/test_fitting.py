@@ -122,7 +122,7 @@ def test_motors_that_always_run_alike_say_nothing_of_turning(heron: Hidden, tria
 
 
 def test_a_boat_with_other_thrusters_is_refused_by_name() -> None:
-    with pytest.raises(DelfimError, match="bow_starboard pushes aside"):
+    with pytest.raises(DelfimError, match="her thrusters push across"):
         motors_of(config.load(ROOT / "etc/boats/float.toml"))
 
 

@@ -14,8 +14,8 @@ from tests.campaign.test_runplan import ETC, written
 SHIPPED = ETC / "campaigns/adoption.toml"
 
 
-def of(folder: Path, boat: str, *more: str) -> Path:
-    text = f'version = 1\nname = "Try"\nvehicle = "{ETC}/boats/{boat}.toml"\nscenario = "adoption"\nseeds = {{count = 1}}\n'
+def of(folder: Path, boat: str | Path, *more: str) -> Path:
+    text = f'version = 1\nname = "Try"\nvehicle = "{ETC / "boats" / boat}.toml"\nscenario = "adoption"\nseeds = {{count = 1}}\n'
     place = folder / "try.toml"
     place.write_text("\n".join([text, *more]))
     return place
@@ -40,11 +40,21 @@ def test_it_goes_with_no_other_scenario(tmp_path: Path) -> None:
 
 
 def test_a_boat_that_cannot_be_adopted_and_one_that_takes_too_long_are_rows_with_their_reason(tmp_path: Path) -> None:
-    for boat, why in (("float", "DelfimError: float: this boat cannot be adopted: it has 4 thrusters"), ("heron", "TooLong")):
+    askew = (ETC / "boats/float.toml").read_text().replace("angle_deg = -45.0", "angle_deg = 45.0", 1)
+    (tmp_path / "askew.toml").write_text(askew.replace('"../missions', f'"{ETC}/missions'))
+    refused = "DelfimError: askew: this boat cannot be adopted: bow_starboard hardly turns the boat by itself"
+    for boat, why in ((tmp_path / "askew", refused), ("heron", "TooLong")):
         _, plan = read(of(tmp_path, boat, "page = false", "limit_s = 0.5"))
         (row,) = sailing.sail_batch(plan, Batch(0, ((0, 1),)), sailing.VERSION)
         assert not row["ok"]
         assert row["error"].startswith(why)
+
+
+def test_of_a_boat_whose_thrusters_push_across_a_run_has_the_motors_and_says_why_no_hull(tmp_path: Path) -> None:
+    _, plan = read(of(tmp_path, "float", "page = false", "limit_s = 600.0"))
+    (row,) = sailing.sail_batch(plan, Batch(0, ((0, 1),)), sailing.VERSION)
+    assert (row["error"], row["ok"], row["motors"], row["ended"]) == ("", True, "right", "")
+    assert row["refused"].startswith("the hull of this boat cannot be identified: her thrusters push across")
 
 
 def test_a_run_is_had_again_by_the_command_that_draws_the_same_boat() -> None:

@@ -73,13 +73,26 @@ def test_at_the_berth_each_motor_turns_and_nothing_else(capsys: pytest.CaptureFi
 
 
 def test_boats_that_cannot_be_adopted_and_circles_that_make_no_sense_are_refused(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["adopt", str(ROOT / "etc/boats/float.toml"), "--sim", "1"]) == 2
+    askew = (ROOT / "etc/boats/float.toml").read_text().replace("angle_deg = -45.0", "angle_deg = 45.0", 1)
+    Path("askew.toml").write_text(askew)
+    assert main(["adopt", "askew.toml", "--sim", "1"]) == 2
     told = capsys.readouterr().err
-    assert "this boat cannot be adopted: it has 4 thrusters" in told
+    assert "this boat cannot be adopted: bow_starboard hardly turns the boat by itself" in told
     assert "try each motor by hand (docs/bench.md), and write [adopted] proven = true" in told
     with pytest.raises(SystemExit):
         main(["adopt", "heron.toml", "--radius", "300"])
     assert "300 is not a number of metres from 15 to 160" in capsys.readouterr().err
+
+
+def test_a_drawn_boat_of_four_thrusters_has_her_motors_found_and_written(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["adopt", str(ROOT / "etc/boats/float.toml"), "--sim", "7", "--yes"]) == 0
+    out = capsys.readouterr().out
+    assert "will drive by herself for about 3 minutes" in out
+    assert "The motor that bow_starboard reaches is reversed." in out
+    assert "Hull, compass and gains stay as they are: her thrusters push across" in out
+    written = config.load("adopt/float-7.toml")
+    assert [row.reversed for row in written.thrusters] == [True, False, False, False]
+    assert written.adopted.proven
 
 
 def test_without_a_boat_that_runs_it_says_so(capsys: pytest.CaptureFixture[str]) -> None:

@@ -9,6 +9,7 @@ from delfim import config
 from delfim.adoption import identify, magnet
 from delfim.adoption.identify import Identified
 from delfim.adoption.record import scatter_m
+from delfim.adoption.suited import hull_unfit
 from delfim.adoption.trial.motors import corrected
 from delfim.adoption.trial.session import TrialProgress, Written
 from delfim.adoption.trial.taped import record_of
@@ -44,7 +45,8 @@ def motors_told(progress: TrialProgress, tell: Tell) -> None:
 
 def conclude(progress: TrialProgress, file: Path, report: Path, on: str, ask: Ask | None, tell: Tell) -> str:
     """Correct the rows, fit the hull, choose gains on the twin, write what is agreed to; `ask` None: nothing is written.
-    Returns why the fit was refused, in words; empty: it was not. `on`: the day. `progress` has then what was written."""
+    Returns why the fit was refused, in words; empty: it was not, or this boat has none. `on`: the day. `progress` has then what
+    was written."""
     text = changed(read_text(file), {key: (value, f"found {on}") for key, value in corrections(progress)}, str(file))
     vehicle = config.read(parse_toml(text), str(file))
     motors_told(progress, tell)
@@ -53,6 +55,9 @@ def conclude(progress: TrialProgress, file: Path, report: Path, on: str, ask: As
         replace_file(file, text)
         progress.written = Written(on, vehicle.thrusters)
         tell(f"{file} is written. The boat's program has the old one until it is started again.")
+    if why := hull_unfit(vehicle.thrusters):
+        tell(f"Hull, compass and gains stay as they are: {why}.")
+        return ""
     try:
         record = record_of(progress, is_estimated=vehicle.navigation.estimator)
         for line in magnet.told(record):

@@ -10,6 +10,7 @@ from typing import Any, Final, Protocol
 import msgspec
 
 from delfim import config
+from delfim.adoption.suited import hull_unfit
 from delfim.adoption.trial.boats import RunningTrial, SimulatedTrial
 from delfim.adoption.trial.hiddenhull import drawn, rewired
 from delfim.adoption.trial.proof import ProofBoat, RunningProof, SimulatedProof, proved
@@ -22,7 +23,7 @@ from delfim.services.bench import keys, pressed
 from delfim.vehicle.operator.link import Link
 
 BEFORE: Final = (
-    "{name} will drive by herself for about 12 minutes, at times with full power, in a circle of {radius_m:g} m.\n"
+    "{name} will drive by herself for about {minutes} minutes, at times with {power} power, in a circle of {radius_m:g} m.\n"
     "Begin upstream and upwind, away from piers. {ends}. Is the circle free?"
 )
 ENDS: Final = "Space or Ctrl-C ends it, STOP on the page, too"
@@ -114,6 +115,12 @@ def running(
     held.enter_context(dialogue.listening())
     middle = progress.middle if progress.is_proven else None  # until then she only drifts: the circle is where she is
     return RunningTrial(link, settings.thrusters, radius_m, dialogue.is_ended, middle)
+
+
+def before(settings: config.Vehicle, radius_m: float, ends: str) -> str:
+    """The question before a trial. `ends`: what ends it, in words."""
+    minutes, power = ("3", "much") if hull_unfit(settings.thrusters) else ("12", "full")
+    return BEFORE.format(name=settings.boat.name, minutes=minutes, power=power, radius_m=radius_m, ends=ends)
 
 
 def other_file(settings: config.Vehicle, told: str, file: str | Path) -> str:

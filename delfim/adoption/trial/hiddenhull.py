@@ -9,12 +9,14 @@ from typing import Final, NamedTuple
 import msgspec
 
 from delfim import config
+from delfim.adoption.suited import is_several
 from delfim.config import CompassTable, ThrusterTable
 from delfim.simulator.model import Hull, Model, hull_of
 from delfim.simulator.nodes import Nodes
 from delfim.simulator.nodes.measuring import Compass, felt
 from delfim.simulator.tables import Sea, Simulation
 
+UNEQUAL: Final = 0.7, 1.3  # how strong one of three or more motors is, of what it should be
 STEP_S: Final = 0.05  # a late command comes within one
 
 
@@ -61,11 +63,15 @@ class Hidden(NamedTuple):
     sensors: HiddenSensors = HiddenSensors()
     turned: bool = False  # what turns its motor turns it the other way ...
     middle_rad: float = 0.0  # ... and is told so much when it points straight
+    places: tuple[int, ...] = ()  # of three or more thrusters: the row of the file in whose place the motor is
 
     def words(self) -> str:
         """The truth, in a line."""
         back = [row.name for row, is_so in zip(self.rows, self.reversed, strict=True) if is_so]
-        wired = ("exchanged, " if self.swapped else "") + (f"reversed: {' and '.join(back)}" if back else "none reversed")
+        moved = "in the places of " + ", ".join(self.rows[at].name for at in self.places) + ", " if self.places else ""
+        wired = (moved or ("exchanged, " if self.swapped else "")) + (
+            f"reversed: {' and '.join(back)}" if back else "none reversed"
+        )
         wired += f", turned the other way: {self.turned}" if self.rows[0].steer is not None else ""
         dead = ", ".join(f"{row.dead:.2f}" for row in self.rows)
         wind, current = self.sea.wind_mps, self.sea.current_mps
@@ -99,17 +105,21 @@ def drawn(settings: config.Vehicle, seed: int, hull: int | None = None) -> Hidde
     is_swapped = of_day.random() < 0.5 and len(settings.thrusters) == 2
     backwards = tuple(of_day.random() < 0.5 for _ in settings.thrusters)
     dead, power, push = random.uniform(0.0, 0.15), random.uniform(1.3, 2.0), random.uniform(0.7, 1.3)
-    rows = list[ThrusterTable]()
+    rows, wired = list[ThrusterTable](), Random(f"hidden wiring {seed} {hull}")
+    several = is_several(settings.thrusters)
+    places = tuple(wired.sample(range(len(settings.thrusters)), len(settings.thrusters))) if several else ()
     for index, row in enumerate(settings.thrusters):
-        at = settings.thrusters[::-1][index] if is_swapped else row
-        ahead_n = row.ends_n[1] * push * random.uniform(0.9, 1.1)
+        at = settings.thrusters[places[index]] if several else settings.thrusters[::-1][index] if is_swapped else row
+        ahead_n = (at if several else row).ends_n[1] * push * random.uniform(*(UNEQUAL if several else (0.9, 1.1)))
         astern_n = ahead_n * random.uniform(0.4, 0.7)
         is_back = (
             backwards[index] and row.steer is None
         )  # what its file calls ahead pushes astern, with the strength that it has astern
         ends_n = (-ahead_n, astern_n) if is_back else (-astern_n, ahead_n)
-        changed = {"thrust_n": ends_n, "angle_deg": 180.0 if is_back else 0.0, "curve": (), "dead": dead, "power": power}
-        rows.append(msgspec.structs.replace(row, y_m=at.y_m, **changed))
+        angle_deg = math.remainder(at.angle_deg + (180.0 if is_back else 0.0), 360.0) if several else 180.0 if is_back else 0.0
+        changed = {"thrust_n": ends_n, "angle_deg": angle_deg, "curve": (), "dead": dead, "power": power}
+        x_m = at.x_m if several else row.x_m
+        rows.append(msgspec.structs.replace(row, x_m=x_m, y_m=at.y_m, **changed))
     there = settings.of(Simulation).sea
     sea = msgspec.structs.replace(
         there,
@@ -121,7 +131,7 @@ def drawn(settings: config.Vehicle, seed: int, hull: int | None = None) -> Hidde
     wiring, heading_rad = (is_swapped, backwards), of_day.uniform(0.0, math.tau)
     late_s, sensors = random.uniform(0.0, 0.5), _sensors(settings, of_day)
     turned = (of_day.random() < 0.5, math.radians(of_day.uniform(-6.0, 6.0))) if len(rows) == 1 else (False, 0.0)
-    return Hidden(its, tuple(rows), *wiring, late_s, sea, heading_rad, sensors, *turned)
+    return Hidden(its, tuple(rows), *wiring, late_s, sea, heading_rad, sensors, *turned, places)
 
 
 def _sensors(settings: config.Vehicle, random: Random) -> HiddenSensors:
@@ -144,6 +154,13 @@ def rewired(hidden: Hidden, rows: Sequence[ThrusterTable]) -> Hidden:
     """The same boat for a file whose rows reach the motor at their side, and push ahead with it."""
     found = list[ThrusterTable]()
     for row in rows:
+        if hidden.places:  # the row says which motor it reaches
+            motor = next(each for each in hidden.rows if (each.driver, each.address) == (row.driver, row.address))
+            is_back = abs(math.remainder(motor.angle_deg - row.angle_deg, 360.0)) > 90.0
+            low, high = motor.thrust_n
+            turned = {"thrust_n": (-high, -low), "angle_deg": math.remainder(motor.angle_deg + 180.0, 360.0)} if is_back else {}
+            found.append(msgspec.structs.replace(motor, name=row.name, **turned))
+            continue
         motor = next(each for each in hidden.rows if each.y_m * row.y_m > 0.0 or row.steer is not None)
         low, high = motor.thrust_n
         ends_n = (low, high) if motor.angle_deg == 0.0 else (-high, -low)

@@ -19,7 +19,7 @@ from typing import Any, Final
 import msgspec
 
 from delfim import config
-from delfim.adoption.suited import BY_HAND, unfit
+from delfim.adoption.suited import BY_HAND, is_several, unfit
 from delfim.adoption.trial import dialogue, session
 from delfim.adoption.trial.boats import BERTH_PART, BERTH_S, MODE, TrialCircle
 from delfim.adoption.trial.manoeuvres import MotionSeen, Parts, StepTold, TrialEnded
@@ -32,6 +32,9 @@ ENTERS_S: Final = 3.0  # from the answer to an order until the boat says that it
 TELLS_S: Final = 3.0  # until a boat has told by which file she sails
 BERTH_M: Final = 15.0  # of the circle in which she lies at her lines
 ENDS: Final = "STOP, and any other order to her, ends it"
+SEVERAL: Final = (
+    "this boat has {count} thrusters, and over the link she tells what two sides are told: adopt her on her own computer"
+)
 FOLDER: Final = "adopt"  # where trials are kept, as `delfim adopt` has it
 
 
@@ -260,6 +263,8 @@ def tried(wire: GatewayWire, file: Path, radius_m: float, folder: Path, what: st
     if what == "berth":
         dialogue.at_the_berth(LinkedTrial(wire, settings.thrusters, BERTH_M), settings, person)
         return 0
+    if is_several(settings.thrusters):
+        raise DelfimError(SEVERAL.format(count=len(settings.thrusters)))
     if progress.written is not None and progress.written.proof:
         person.tell(f"Adopted already, on {progress.written.on}: {progress.written.proof}.")
         return 0
@@ -291,7 +296,7 @@ def _sailed(
         person.tell(f"Goes on with {place}, behind: {', '.join(('motors', *dict.fromkeys(progress.done)))}.")
     radius_m = boat.circle.radius_m
     dialogue.may_begin(settings, wire.sails_by(), file, person)
-    if not person.ask(dialogue.BEFORE.format(name=settings.boat.name, radius_m=radius_m, ends=ENDS)):
+    if not person.ask(dialogue.before(settings, radius_m, ENDS)):
         raise DelfimError("the circle is not free")
     trial = session.TrialSession(boat, settings, progress, place, radius_m, person.ask, lambda words: None)
     trial.trial.step = person.step

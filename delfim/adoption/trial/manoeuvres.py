@@ -12,10 +12,11 @@ from random import Random
 from statistics import fmean
 from typing import Final, Literal, NamedTuple, Protocol
 
-from delfim.adoption.trial import motors, steered
+from delfim.adoption.trial import motors, several, steered
 from delfim.adoption.trial.motors import Doublet, DriftNoise, MotorsFound, Response, Sample
 from delfim.base.errors import DelfimError
 from delfim.base.geodesy import wrap
+from delfim.config import ThrusterTable
 
 AGAIN_S: Final = 0.2  # an order is renewed so often ...
 PIECE_S: Final = 1.0  # ... and lasts so long without
@@ -118,9 +119,11 @@ class SeaTrial:
         seed: int = 1,
         *,
         steers: bool = False,
+        rows: Sequence[ThrusterTable] = (),
     ) -> None:
-        """`tell` is given a sentence for each step; `steers`: the boat has one motor that steers."""
-        self.steers = steers
+        """`tell` is given a sentence for each step; `steers`: the boat has one motor that steers; `rows`: of its file, where it
+        has three or more."""
+        self.steers, self.rows = steers, rows
         self.boat, self.length_m, self.radius_m, self.tell = boat, length_m, radius_m, tell
         self.tape, self.played = list[MotionSeen](), list[Played]()
         self.seen = boat.wait()
@@ -197,15 +200,19 @@ class SeaTrial:
         ended = self.drive(asked.parts, asked.held_s, fast)
         held_s = self.seen.at_s - since_s
         ended = ended or self.drive(asked.back, held_s, fast) or self.rest(motors.LATE_S + 0.3)
-        answer = motors.response([_sample(each) for each in self.tape if each.at_s >= since_s], since_s, held_s)
-        self.rest(2.0)
+        of = several.response if self.rows else motors.response
+        answer = of([_sample(each) for each in self.tape if each.at_s >= since_s], since_s, held_s)
+        self.rest(several.REST_S if self.rows else 2.0)
         if ended:
             raise TrialEnded(f"{ended}: no clear answer; begin upstream and upwind")
         return answer
 
     def find_motors(self) -> MotorsFound:
         """Raises TrialEnded where there is no clear answer."""
-        asked = steered.finding(self.length_m, self.quiet) if self.steers else motors.finding(self.length_m, self.quiet)
+        if self.rows:
+            asked = several.finding(self.rows, self.length_m, self.quiet)
+        else:
+            asked = steered.finding(self.length_m, self.quiet) if self.steers else motors.finding(self.length_m, self.quiet)
         try:
             doublet = next(asked)
             while True:
@@ -240,7 +247,10 @@ class SeaTrial:
         if self.steers:
             self._prove_steering()
             return
-        asked = motors.proving(self.motors, self.length_m, self.quiet)
+        if self.rows:
+            asked = several.proving(self.motors, self.rows, self.length_m, self.quiet)
+        else:
+            asked = motors.proving(self.motors, self.length_m, self.quiet)
         try:
             doublet = next(asked)
             while True:
@@ -268,6 +278,8 @@ class SeaTrial:
     def mix(self, surge: float, turn: float) -> Parts:
         """Parts for a push ahead and a turn to starboard, of the rows of the file."""
         assert self.motors is not None
+        if self.rows:
+            return several.mix(self.motors, self.rows, surge, turn)
         return steered.mix(self.motors, surge, turn) if self.steers else motors.mix(self.motors, surge, turn)
 
     def towards(self, heading: float | Steered, surge: Steered) -> Callable[[MotionSeen], Parts]:
@@ -412,4 +424,4 @@ class SeaTrial:
 
 
 def _sample(seen: MotionSeen) -> Sample:
-    return Sample(seen.at_s, seen.turn_radps, seen.ahead_mps)
+    return Sample(seen.at_s, seen.turn_radps, seen.ahead_mps, seen.north_mps, seen.east_mps, seen.heading_rad)

@@ -34,6 +34,9 @@ class Sample(NamedTuple):
     at_s: float
     turn_radps: float  # positive to starboard
     ahead_mps: float  # over ground along the keel
+    north_mps: float = 0.0  # over ground, with the heading, for boats of three or more thrusters
+    east_mps: float = 0.0
+    heading_rad: float = 0.0
 
 
 class DriftNoise(NamedTuple):
@@ -46,9 +49,9 @@ class DriftNoise(NamedTuple):
 class Doublet(NamedTuple):
     """A command for some seconds, then its opposite for as long."""
 
-    parts: tuple[float, float]  # of both rows, or of one and its angle
+    parts: tuple[float, ...]  # of each row, or of one and its angle
     held_s: float
-    back: tuple[float, float]  # the opposite
+    back: tuple[float, ...]  # the opposite
 
 
 class Response(NamedTuple):
@@ -56,14 +59,16 @@ class Response(NamedTuple):
 
     turn_radps: float
     ahead_mps: float
+    aside_mps: float = 0.0  # to starboard, of boats of three or more thrusters
 
 
 class MotorsFound(NamedTuple):
-    """What was found, for the rows in the file's order: of two, or of one that steers."""
+    """What was found, for the rows in the file's order: of two, of one that steers, or of three or more."""
 
     sides: tuple[int, ...]  # 1 starboard, -1 port; of one that steers to which side a positive angle turns the boat
-    signs: tuple[int, ...]  # 1: a positive command pushes ahead; -1: astern
+    signs: tuple[int, ...]  # 1: a positive command pushes ahead, of three or more along the angle of its place; -1: astern
     least: tuple[float, ...]  # of full command: the first that moved the boat
+    places: tuple[int, ...] = ()  # of three or more: the row of the file in whose place the motor is that each row reaches
 
     @property
     def steers(self) -> bool:
@@ -141,6 +146,7 @@ class SureAnswer(NamedTuple):
 
     sign: int
     level: float
+    size: float = 0.0  # the mean of both
 
 
 def _of(first: float, second: float, held_s: float) -> Callable[[float], Doublet]:
@@ -162,7 +168,7 @@ def agreeing(
             if before:
                 agree = before * answer > 0.0
                 contradict = "two tries contradict each other: no clear answer"
-                return SureAnswer(1 if answer > 0.0 else -1, level) if agree else contradict
+                return SureAnswer(1 if answer > 0.0 else -1, level, 0.5 * abs(before + answer)) if agree else contradict
             before = answer
     return f"she does not move beyond doubt, up to {levels[-1]:.0%}: no clear answer"
 
@@ -184,13 +190,16 @@ def beyond(part: float, least: float) -> float:
 class Wiring(NamedTuple):
     """How the boat differs from its file."""
 
-    swapped: bool  # the motors of both rows are exchanged
+    swapped: bool  # the motors of both rows, or of some of more, are exchanged
     reversed: tuple[bool, ...]  # by row of the file: the motor that its commands reach pushes the other way
     turned: bool = False  # what turns the motor turns it the other way
+    places: tuple[int, ...] = ()  # of three or more, as `MotorsFound` has them
 
     def words(self, rows: Sequence[ThrusterTable]) -> list[str]:
         """A sentence for each difference."""
-        found = ["The motors of port and starboard are exchanged."] if self.swapped else []
+        found = ["The motors of port and starboard are exchanged."] if self.swapped and not self.places else []
+        moved = [(row.name, rows[at].name) for row, at in zip(rows, self.places, strict=False) if rows[at] is not row]
+        found += [f"The motor that {name} reaches is that of {place}." for name, place in moved]
         found += [
             f"The motor that {row.name} reaches is reversed." for row, is_so in zip(rows, self.reversed, strict=True) if is_so
         ]
@@ -199,6 +208,8 @@ class Wiring(NamedTuple):
 
 def wiring(found: MotorsFound, rows: Sequence[ThrusterTable]) -> Wiring:
     back = tuple(sign < 0 for sign in found.signs)
+    if found.places:
+        return Wiring(found.places != tuple(range(len(rows))), back, places=found.places)
     if found.steers:  # a thrust that is turned to starboard behind the middle turns the boat to port
         return Wiring(False, back, found.sides[0] * rows[0].x_m < 0.0)
     return Wiring(any(side * row.y_m < 0.0 for side, row in zip(found.sides, rows, strict=True)), back)
@@ -210,7 +221,7 @@ def corrected(found: MotorsFound, rows: Sequence[ThrusterTable]) -> list[dict[st
     its = wiring(found, rows)
     changed = list[dict[str, object]]()
     for index, row in enumerate(rows):
-        at = 1 - index if its.swapped else index
+        at = its.places.index(index) if its.places else 1 - index if its.swapped else index
         motor = rows[at]
         wanted = {"driver": motor.driver, "address": motor.address, "reversed": motor.reversed != its.reversed[at]}
         changed.append({key: value for key, value in wanted.items() if getattr(row, key) != value})
@@ -220,10 +231,12 @@ def corrected(found: MotorsFound, rows: Sequence[ThrusterTable]) -> list[dict[st
 
 
 def as_corrected(found: MotorsFound, rows: Sequence[ThrusterTable], told: Sequence[float]) -> tuple[float, ...]:
-    """Parts that were told to the rows of the file, as those of its corrected rows: positive is ahead. Behind that of a motor
-    that steers is its angle, rad."""
+    """Parts that were told to the rows of the file, as those of its corrected rows: positive is ahead, of three or more along
+    the angle of each. Behind that of a motor that steers is its angle, rad."""
     its = wiring(found, rows)
     parts = tuple(sign * part for sign, part in zip(found.signs, told, strict=False))
     if found.steers and rows[0].steer is not None:
         return *parts, math.radians(rows[0].steer.angle_max_deg) * told[1] * (-1.0 if its.turned else 1.0)
+    if its.places:
+        return tuple(parts[its.places.index(index)] for index in range(len(parts)))
     return tuple(reversed(parts)) if its.swapped else parts

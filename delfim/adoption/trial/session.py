@@ -13,7 +13,7 @@ from typing import Final
 import msgspec
 
 from delfim import config
-from delfim.adoption.suited import parts_told
+from delfim.adoption.suited import hull_unfit, is_several, parts_told
 from delfim.adoption.trial.manoeuvres import BoatOnTrial, MotionSeen, Played, SeaTrial, TrialEnded
 from delfim.adoption.trial.motors import DriftNoise, MotorsFound, Wiring, wiring
 from delfim.base.errors import DelfimError
@@ -36,6 +36,10 @@ MOTORS_WORDS: Final = (
 STEERED_WORDS: Final = (
     *("The motor ahead and astern, then what turns it, with little power first.", "The motor pushes her ahead."),
     "Steers to starboard and to port, by what was found.",
+)
+SEVERAL_WORDS: Final = (
+    *("Each motor by itself, with little power first, then all in patterns.", "Those that push ahead do."),
+    "A turn to starboard by all, which was not tried yet.",
 )
 LAST: Final = "drift again"  # of the manoeuvres
 
@@ -64,8 +68,8 @@ class TrialProgress(msgspec.Struct):
 
     @property
     def is_whole(self) -> bool:
-        """Whether every manoeuvre came to its end."""
-        return self.is_proven and LAST in self.done
+        """Whether every manoeuvre came to its end, of those that this boat sails."""
+        return self.is_proven and (LAST in self.done or bool(hull_unfit(self.thrusters)))
 
     @property
     def wiring(self) -> Wiring | None:
@@ -87,6 +91,10 @@ def _is_whole(kept: TrialProgress) -> bool:
     if (found := kept.motors) is not None:
         alike = len(found.sides) == len(found.signs) == len(found.least) == len(kept.thrusters)
         if not alike or not {*found.sides, *found.signs} <= {1, -1} or (not found.steers and set(found.sides) != {1, -1}):
+            return False
+        if found.places != () and (not is_several(kept.thrusters) or sorted(found.places) != [*range(len(kept.thrusters))]):
+            return False
+        if is_several(kept.thrusters) and not found.places:
             return False
     parts = parts_told(kept.thrusters)
     times_s = [each.at_s for each in kept.tape]
@@ -116,8 +124,9 @@ class TrialSession:
     ) -> None:
         self.progress, self._settings, self._place, self._ask, self._tell = progress, settings, place, ask, tell
         progress.middle = boat.middle
-        steers = len(settings.thrusters) == 1
-        self.trial = SeaTrial(boat, settings.boat.length_m, radius_m, self._step, steers=steers)
+        rows = settings.thrusters
+        length_m, several = settings.boat.length_m, rows if is_several(rows) else ()
+        self.trial = SeaTrial(boat, length_m, radius_m, self._step, steers=len(rows) == 1, rows=several)
         self.trial.motors, self.trial.quiet = progress.motors, progress.quiet
         before = progress.tape[-1].at_s + APART_S if progress.tape else 0.0
         self._shift_s = before - self.trial.began_s
@@ -129,6 +138,8 @@ class TrialSession:
             with self._ended_safely():
                 if not self.progress.is_proven:
                     self._motors()
+                if hull_unfit(self.progress.thrusters):
+                    return ""
                 if CIRCLES in self.progress.done:
                     self._compass()
                 self.trial.hull(self.progress.done, self._did)
@@ -152,7 +163,7 @@ class TrialSession:
         trial, progress = self.trial, self.progress
         trial.play("drift", "Motors off: what wind, current and noise do.", lambda: trial.drift(DRIFT_S))
         progress.quiet = trial.quiet
-        each, both, proof = STEERED_WORDS if trial.steers else MOTORS_WORDS
+        each, both, proof = STEERED_WORDS if trial.steers else SEVERAL_WORDS if trial.rows else MOTORS_WORDS
         trial.play("motors", each, trial.find_motors)
         if trial.gyro_is_upside_down:  # and then the sides of the motors are exchanged
             progress.motors = None

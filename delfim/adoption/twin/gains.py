@@ -11,6 +11,7 @@ from typing import Any, Final, NamedTuple
 import msgspec
 
 from delfim import config
+from delfim.adoption.suited import place_of
 from delfim.adoption.twin.margins import Loop, Margins
 from delfim.adoption.twin.twinvoyage import TwinVoyage, sailed, twin_of
 from delfim.adoption.writing import FoundKey, Key
@@ -193,7 +194,7 @@ def twin_hull(vehicle: config.Vehicle) -> TwinHull:
     if not its.mass_kg:
         raise DelfimError("gains follow from [simulation.hull], which this file has not")
     boat, model = craft(vehicle), model_of(twin_of(vehicle, Sea()), SEED)
-    ways = [1.0 if math.cos(math.radians(row.angle_deg)) > 0.0 else -1.0 for row in rows]
+    ways = [float(place_of(row).way) for row in rows]
     for row, way in zip(rows, ways, strict=True):
         model.push(row.name, way)
     model.advance(STEADY_S)
@@ -202,7 +203,7 @@ def twin_hull(vehicle: config.Vehicle) -> TwinHull:
         if row.steer is not None:
             model.push(row.name, 0.9, math.radians(row.steer.angle_max_deg))
         else:
-            model.push(row.name, -0.9 * math.copysign(way, row.y_m * way))
+            model.push(row.name, -0.9 * way * place_of(row).side)
     model.advance(STEADY_S)
     cruise_mps = round(min(vehicle.control.speed.cruise_mps, CRUISE * full_mps), 2)
     lags = [row.lag_s for row in rows if row.lag_s is not None]

@@ -1,6 +1,7 @@
 """The truth about a drawn boat, and how far what was found is from it."""
 
 import math
+from collections.abc import Sequence
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -8,7 +9,10 @@ import numpy as np
 from delfim import config
 from delfim.adoption.identify import Identified
 from delfim.adoption.model import said
+from delfim.adoption.suited import place_of
 from delfim.adoption.trial.hiddenhull import Hidden, LateModel
+from delfim.adoption.trial.motors import Wiring
+from delfim.adoption.trial.several import kinds_of
 from delfim.simulator.tables import Sea
 
 STEADY_S: Final = 60.0
@@ -37,12 +41,23 @@ def truth(settings: config.Vehicle, hidden: Hidden) -> BoatTruth:
     """Of a drawn boat; her full speed is sailed in calm water."""
     calm = LateModel(settings, hidden._replace(sea=Sea()), 1)
     for row, is_back in zip(hidden.rows, hidden.reversed, strict=True):
-        calm.push(row.name, -1.0 if is_back else 1.0, hidden.middle_rad)
+        way = (place_of(row).way if hidden.places else 1) * (1 if hidden.places or not is_back else -1)
+        calm.push(row.name, float(way), hidden.middle_rad)
     for _ in range(round(STEADY_S / STEP_S)):
         calm.advance(STEP_S)
     dead = tuple(row.dead for row in hidden.rows)
     wiring = hidden.swapped, hidden.reversed, hidden.turned
     return BoatTruth(wiring, calm.surge_mps, dead, hidden.delay_s + hidden.hull.motor_s)
+
+
+def is_right(found: Wiring, hidden: Hidden, rows: Sequence[config.ThrusterTable]) -> bool:
+    """Whether this is the wiring of a drawn boat. Of three or more motors those that do the same to it may be told one for the
+    other."""
+    if not hidden.places:
+        return found == Wiring(hidden.swapped, hidden.reversed, hidden.turned)
+    kinds = kinds_of(rows)
+    told, real = ([kinds[at] for at in places] for places in (found.places, hidden.places))
+    return told == real and found.reversed == hidden.reversed
 
 
 def compass_off(hidden: Hidden, numbers: dict[str, Any]) -> CompassOff:

@@ -8,6 +8,7 @@ import numpy as np
 
 from delfim import config
 from delfim.adoption.model import Array
+from delfim.adoption.suited import place_of
 from delfim.adoption.trial.boats import SETTLE_S, SimulatedTrial
 from delfim.adoption.trial.hiddenhull import Hidden, LateModel
 from delfim.adoption.twin import gains
@@ -71,7 +72,7 @@ def least_s(settings: config.Vehicle, true: Hidden, seed: int) -> float:
         while seconds < LONG_S and calm.yaw_rate_radps >= 0.0:
             way = 1.0 if seconds < for_s else -1.0
             for row in settings.thrusters:
-                calm.push(row.name, -math.copysign(way, row.y_m))
+                calm.push(row.name, math.copysign(way, place_of(row).turn_m))
             calm.advance(STEP_S)
             seconds += STEP_S
             gone_rad = math.remainder(calm.heading_rad - begun - math.pi, math.tau) + math.pi

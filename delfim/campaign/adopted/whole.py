@@ -24,7 +24,7 @@ from delfim.adoption.twin.twinvoyage import TwinVoyage
 from delfim.base import tables
 from delfim.base.errors import DelfimError
 from delfim.campaign.adopted.columns import VOYAGE
-from delfim.campaign.adopted.truth import figures_off, truth
+from delfim.campaign.adopted.truth import figures_off, is_right, truth
 from delfim.campaign.adopted.voyages import RADIUS_M, least_s, of_truth, twin_off_m, voyage
 
 DAY: Final = "2026-11-28"  # of what is found: no clock
@@ -53,9 +53,9 @@ def figures(boat: dict[str, Any], name: str, seed: int, look: Look) -> tuple[dic
         file.write_text(tables.text_of(tree), encoding="utf-8")
         sails = SimulatedTrial(was, hidden, seed, RADIUS_M, looks)
         trial = TrialSession(sails, was, progress, file.with_suffix(".trial"), RADIUS_M, lambda words: True, _quiet)
-        ended, real = trial.run(), truth(was, hidden)
+        ended = trial.run()
         found = progress.wiring
-        motors = "none" if found is None else "right" if tuple(found) == real.wiring else "wrong"
+        motors = "none" if found is None else "right" if is_right(found, hidden, was.thrusters) else "wrong"
         row = {"ended": ended, "motors": motors, "sailed_s": trial.trial.elapsed_s}
         row |= {"most_m": most_m[0], "most_part": most_m[0] / RADIUS_M}
         never = [] if motors != "wrong" else ["motors were told wrong"]

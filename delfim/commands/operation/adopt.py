@@ -77,7 +77,7 @@ def _trial(asked: argparse.Namespace, settings: Any, progress: Any, place: Path,
             return 0
         if asked.sim is None:
             dialogue.may_begin(settings, boat.sails_by, asked.file, person)
-        if not person.ask(dialogue.BEFORE.format(name=settings.boat.name, radius_m=asked.radius, ends=dialogue.ENDS)):
+        if not person.ask(dialogue.before(settings, asked.radius, dialogue.ENDS)):
             return 1
         try:
             ended = session.TrialSession(boat, settings, progress, place, asked.radius, person.ask, person.tell).run()
