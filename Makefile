@@ -14,6 +14,7 @@ NPM    := $(WEB)/node_modules/.package-lock.json
 MORE   := $(VENV)/.formats
 OTHERS := $(VENV)/.others
 MANUAL := $(VENV)/.manual
+FILM   := $(VENV)/.webrtc
 LOCKS  := $(addprefix requirements/,boat.txt services.txt ground.txt build.txt)
 
 # What the tests need of a Debian machine beside Python: a kernel that runs as a process, tools to look at it, and the clients
@@ -40,10 +41,10 @@ run: $(BOAT) ## sail the whole DelfimX in simulation, with the console in the br
 test: $(MORE) system ## run the tests, those on a real SocketCAN bus included, so many side by side (WORKERS=3)
 	$(BIN)/pytest $(BESIDE) -m "not long" $(ARGS)
 
-test-long: $(MORE) $(OTHERS) $(MANUAL) system ## run the tests that take longest, two side by side: images, power cuts, failing disks, bad neighbours, benchmarks
+test-long: $(MORE) $(OTHERS) $(MANUAL) $(FILM) system ## run the tests that take longest, two side by side: images, power cuts, failing disks, bad neighbours, benchmarks
 	$(BIN)/pytest -n 2 --no-loadscope-reorder -m long $(ARGS)
 
-again: $(MORE) $(OTHERS) ## run the tests that failed last, alone
+again: $(MORE) $(OTHERS) $(FILM) ## run the tests that failed last, alone
 	$(BIN)/pytest -n 1 --no-loadscope-reorder --last-failed --last-failed-no-failures none -rA $(ARGS)
 
 fast: $(MORE) ## run the tests that need no guest, with ARGS="..." and WORKERS as for test
@@ -173,6 +174,7 @@ lock: $(READY) ## pin and hash the packages of pyproject.toml again (ARGS=--upgr
 	$(call compile,foxglove) --extra foxglove -c requirements/boat.txt pyproject.toml
 	$(call compile,ros) --extra ros -c requirements/boat.txt pyproject.toml
 	$(call compile,fleet) --extra fleet -c requirements/boat.txt -c requirements/ground.txt pyproject.toml
+	$(call compile,webrtc) --extra webrtc -c requirements/boat.txt -c requirements/ground.txt -c requirements/test.txt pyproject.toml
 	$(call compile,build) requirements/build.in
 	$(call compile,page) requirements/page.in
 	$(call compile,site) -c requirements/boat.txt -c requirements/ground.txt -c requirements/campaign.txt -c requirements/test.txt \
@@ -215,6 +217,12 @@ $(NPM): $(WEB)/package-lock.json $(READY)
 $(OTHERS): $(READY) requirements/boat.txt
 	for version in 3.11 3.12 3.13 3.14; do $(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes --no-deps \
 		--only-binary :all: --python-version $$version --target $(VENV)/builds/$$version --upgrade -r requirements/boat.txt || exit 1; done
+	@touch $@
+
+# Codecs for WebRTC, which are GPL: in a folder of their own, which no other test has on its path.
+$(FILM): $(READY) requirements/webrtc.txt
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes --no-deps --target $(VENV)/webrtc --upgrade \
+		-r requirements/webrtc.txt
 	@touch $@
 
 # Two scripts of the site are npm's; their packages are held by their hashes.

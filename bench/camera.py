@@ -13,14 +13,14 @@ import sys
 import tempfile
 import time
 from collections.abc import AsyncIterator, Callable, Iterator
-from contextlib import asynccontextmanager, contextmanager, suppress
+from contextlib import AsyncExitStack, asynccontextmanager, contextmanager, suppress
 from pathlib import Path
 from statistics import median, quantiles
 from typing import Any, Final, cast
 
 import aiohttp
 
-from delfim.parts.camera.table import PORTS
+from delfim.parts.camera.table import LIVE_PORTS, PORTS, STREAMS
 
 ROOT: Final = Path(__file__).parents[1]
 NUMBER: Final = 77  # of the boat
@@ -34,14 +34,14 @@ class Way:
     """One direction: its rate, its losses, a second of queue."""
 
     def __init__(self, chance: random.Random, loss: float = LOSS, delay_s: float = DELAY_S) -> None:
-        self.rate_bps, self._free_s, self._chance, self._loss, self._delay_s = 1e8, 0.0, chance, loss, delay_s
+        self.rate_bps, self._free_s, self._chance, self.loss, self._delay_s = 1e8, 0.0, chance, loss, delay_s
 
     def carry(self, data: bytes, send: Callable[[bytes], object]) -> None:
         loop = asyncio.get_running_loop()
         free_s = max(self._free_s, loop.time()) + 8.0 * (len(data) + 28) / self.rate_bps
         if free_s - loop.time() < 1.0:
             self._free_s = free_s
-            if self._chance.random() >= self._loss:
+            if self._chance.random() >= self.loss:
                 loop.call_at(free_s + self._delay_s, send, data)
 
 
@@ -59,16 +59,25 @@ class Relay(asyncio.DatagramProtocol):
         self._way.carry(data, self.other.send)
 
     def send(self, data: bytes) -> None:
-        self.transport.sendto(data, self.to)
+        if not self.transport.is_closing():
+            self.transport.sendto(data, self.to)
 
 
-async def relay(down: Way, up: Way, from_boat: tuple[str, int], from_shore: tuple[str, int], boat: int, shore: int) -> None:
+@asynccontextmanager
+async def relay(
+    down: Way, up: Way, from_boat: tuple[str, int], from_shore: tuple[str, int], boat: int, shore: int
+) -> AsyncIterator[None]:
     """Between the boat, which speaks to one address, and the shore, which speaks to another one."""
     loop = asyncio.get_running_loop()
     _, one = await loop.create_datagram_endpoint(lambda: Relay(down), local_addr=from_boat)
     _, other = await loop.create_datagram_endpoint(lambda: Relay(up), local_addr=from_shore)
     one.other, other.other = other, one
     one.to, other.to = ("127.0.0.1", boat), ("127.0.0.1", shore)
+    try:
+        yield
+    finally:
+        one.transport.close()
+        other.transport.close()
 
 
 @contextmanager
@@ -132,14 +141,19 @@ async def tables(url: str, down: Way, up: Way) -> None:
 
 
 @asynccontextmanager
-async def at_sea(folder: Path, down: Way, up: Way) -> AsyncIterator[str]:
-    """A simulated boat and a console beyond a relay; gives the address of the page."""
-    (folder / "boat.toml").write_text((ROOT / "etc/lake.toml").read_text() + '\n[camera.bow]\nsource = "test"\n')
-    await relay(down, up, ("127.0.0.3", 24550), ("127.0.0.2", 24555), 24555, 24551)
-    await relay(down, up, ("127.0.0.3", 0), ("127.0.0.2", PORTS + NUMBER), PORTS + NUMBER, 0)
+async def at_sea(folder: Path, down: Way, up: Way, more: str = "", film: Way | None = None) -> AsyncIterator[str]:
+    """A simulated boat and a console beyond a relay; gives the address of the page. `more` keys has its camera, whose film by
+    WebRTC comes by another way, if that is given."""
+    (folder / "boat.toml").write_text((ROOT / "etc/lake.toml").read_text() + '\n[camera.bow]\nsource = "test"\n' + more)
+    first = LIVE_PORTS + STREAMS * NUMBER
+    ways = [(PORTS + NUMBER, down, up), *((first + at, film or down, film or up) for at in range(STREAMS))]
     sets = ('mavlink.listen="127.0.0.1:24555"', 'mavlink.peers=["127.0.0.3:24550"]', f"boat.id={NUMBER}")
     words = ("--boats", "127.0.0.1:24551", "--page", "127.0.0.1:0", *(word for each in sets for word in ("--set", each)))
-    with running(folder, "sim", "boat.toml", "--console", "--no-browser", "--plain", *words) as child:
+    async with AsyncExitStack() as relays:
+        await relays.enter_async_context(relay(down, up, ("127.0.0.3", 24550), ("127.0.0.2", 24555), 24555, 24551))
+        for port, its_down, its_up in ways:
+            await relays.enter_async_context(relay(its_down, its_up, ("127.0.0.3", 0), ("127.0.0.2", port), port, 0))
+        child = relays.enter_context(running(folder, "sim", "boat.toml", "--console", "--no-browser", "--plain", *words))
         assert child.stdout is not None
         yield next(line for line in child.stdout if "the console is at" in line).split("is at ")[1].split(";")[0]
 

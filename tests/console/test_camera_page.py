@@ -34,12 +34,11 @@ from tests.services.browser import Page, tab
 __all__ = ["gateway", "page"]
 ROOT = Path(__file__).parents[2]
 PATIENCE_S = 200.0
-# The time since each picture was drawn, in ms, once it is on the screen: `glass`, from the clock in the picture.
-GLASS = """
-window.glass = [];
-const image = document.querySelector('#picture img'), canvas = document.createElement('canvas');
-image.addEventListener('load', () => requestAnimationFrame(() => {
-  const [width, height] = [canvas.width, canvas.height] = [image.naturalWidth, image.naturalHeight];
+# The clock in a picture, in ms.
+CLOCK = """
+const canvas = document.createElement('canvas');
+window.clock_of = (image, width, height) => {
+  [canvas.width, canvas.height] = [width, height];
   const drawing = canvas.getContext('2d', { willReadFrequently: true });
   drawing.drawImage(image, 0, 0);
   const data = drawing.getImageData(0, 0, width, height).data;
@@ -49,8 +48,17 @@ image.addEventListener('load', () => requestAnimationFrame(() => {
       const [x, y] = [Math.floor((column + 0.5) / 10 * width), Math.floor((row + 0.5) / 11 * height)];
       time = 2 * time + (data[4 * (y * width + x)] > 128 ? 1 : 0);
     }
-  glass.push([Date.now() % 2 ** 40 - time, width]);
-}));
+  return time;
+};
+"""
+# The time since each picture was drawn, in ms, once it is on the screen: `glass`, from the clock in the picture.
+GLASS = f"""{CLOCK}
+window.glass = [];
+const image = document.querySelector('#picture img');
+image.addEventListener('load', () => requestAnimationFrame(() => {{
+  const [width, height] = [image.naturalWidth, image.naturalHeight];
+  glass.push([Date.now() % 2 ** 40 - clock_of(image, width, height), width]);
+}}));
 """
 AGE = "document.querySelector('#picture output').textContent"
 SAID = "document.querySelector('#picture b').textContent"

@@ -225,19 +225,32 @@ class Logs(Said, frozen=True):
     chart: Annotated[str, msgspec.Meta(max_length=60)] = ""
 
 
+class SeeLive(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A page's end of a connection by WebRTC (docs/camera.md)."""
+
+    payload: Annotated[int, msgspec.Meta(ge=0, le=127)]  # number of VP8
+    certificate: Annotated[str, msgspec.Meta(pattern="^[0-9a-f]{64}$")]  # its SHA-256
+    user: Annotated[str, msgspec.Meta(pattern="^[A-Za-z0-9+/]{4,32}$")]  # of ICE
+    password: Annotated[str, msgspec.Meta(pattern="^[A-Za-z0-9+/]{22,64}$")]
+    shown: bool = False  # its pictures come: stills need not
+
+
 class See(Said, frozen=True):
     """The page shows the picture of a boat's camera; said again each second, as long as it does. Without a name it is the
-    first. `picture` tells it, or why there is none."""
+    first. `picture` tells it, or why there is none. With `live` the page asks for it by WebRTC as well; `live` answers."""
 
     boat: Number
     camera: Annotated[str, msgspec.Meta(max_length=32)] = ""
+    live: SeeLive | None = None
 
 
 class Snapshot(Said, frozen=True):
     """Writes the picture that is shown to a file beside the console's sessions, with place and time; the answer's reason names
-    it."""
+    it. A picture that came by WebRTC only the page has: it brings it along, with the time when it was taken, since 1970."""
 
     boat: Number
+    jpeg: Annotated[str, msgspec.Meta(max_length=700_000)] = ""  # base64
+    taken_s: Annotated[float, msgspec.Meta(ge=0.0, le=1e11)] = 0.0
 
 
 Message = (

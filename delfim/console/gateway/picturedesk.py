@@ -1,6 +1,7 @@
 """The pictures of boats, for pages that look: of the boats' cameras, or of the recording that is replayed."""
 
 import base64
+import binascii
 import time
 from collections import Counter
 from collections.abc import Callable, Sequence
@@ -9,16 +10,16 @@ from pathlib import Path
 from typing import Any, Final
 
 from delfim.base.clock import Clock
-from delfim.base.errors import Refused
+from delfim.base.errors import FormatError, Refused
 from delfim.console.boats.boat import Boat
 from delfim.console.boats.fleet import Fleet
 from delfim.console.gateway import page_messages
 from delfim.console.link.udp import Udp
-from delfim.console.pictures.picturelink import HeardPicture, PictureLink
+from delfim.console.pictures.picturelink import HeardPicture, PageOffer, PictureLink
 from delfim.console.pictures.snapshot import with_place
 from delfim.console.tapes.replay import TapePlayer
 from delfim.console.tapes.tape import Tape
-from delfim.parts.camera import jpegblocks, wire
+from delfim.parts.camera import jpegblocks, livewire, wire
 from delfim.parts.camera.kept import PicturesByTime, recorded
 from delfim.parts.camera.table import PORTS
 
@@ -34,14 +35,24 @@ class PictureLooks:
 
     def __init__(self, link: PictureLink | None) -> None:
         self.link = link
-        self.pages = dict[int, tuple[Tell, float]]()  # by number: and until when
+        self.pages = dict[int, tuple[Tell, float, bool]]()  # by number: until when, and whether it is seen by WebRTC
         self.last: tuple[bytes, int] | None = None  # the newest picture, and when it was taken, ms
         self.camera = ""
         self.said_s = 0.0
 
     def tell(self, told: Told) -> None:
-        for tell, _ in self.pages.values():
+        for tell, _, _ in self.pages.values():
             tell(told)
+
+    def expect(self, now_s: float) -> None:
+        """Pages that do not say again that they look are gone."""
+        gone = [page for page, (_, until_s, _) in self.pages.items() if until_s < now_s]
+        for page in gone:
+            del self.pages[page]
+            if self.link is not None:
+                self.link.live.forget(page)
+        if self.link is not None:
+            self.link.live.is_shown = all(is_shown for _, _, is_shown in self.pages.values())
 
 
 class PictureDesk:
@@ -69,10 +80,13 @@ class PictureDesk:
         if boat is None:
             raise Refused(f"no boat {asked.boat}")
         if isinstance(asked, page_messages.Snapshot):
-            return self._snapshot(boat)
+            return self._snapshot(boat, asked)
         looks = self._looks.get(boat.number) or self._begin(boat.number)
-        looks.pages[page] = tell, self._clock.monotonic_s() + LOOK_S
+        live = asked.live
+        looks.pages[page] = tell, self._clock.monotonic_s() + LOOK_S, live is not None and live.shown
         if looks.link is not None:
+            offer = None if live is None else PageOffer(live.payload, live.certificate, live.user, live.password)
+            looks.link.live.look(page, offer)
             looks.link.look(asked.camera)
             looks.camera = _name(looks.link.names, looks.link.camera)
         else:
@@ -84,7 +98,7 @@ class PictureDesk:
         """Often."""
         now_s = self._clock.monotonic_s()
         for number, looks in list(self._looks.items()):
-            looks.pages = {page: its for page, its in looks.pages.items() if its[1] >= now_s}
+            looks.expect(now_s)
             boat = self._fleet.boats.get(number)
             if not looks.pages or boat is None:
                 del self._looks[number]
@@ -113,11 +127,20 @@ class PictureDesk:
             return
         if number not in self._fleet.boats or self._fleet.address(number)[1] != address[1]:
             return
+        if livewire.is_answer(datagram):
+            self._answer(number, looks, looks.link.hear_live(datagram, now_s), address[1])
+            return
         picture = looks.link.hear(datagram, now_s)
         if picture is not None:
             looks.last = picture.jpeg, picture.taken_ms
             looks.camera = _name(looks.link.names, looks.link.camera)
             looks.tell(_told(number, looks, looks.link.names, looks.link.kbps) | _shown(picture, now_s))
+
+    def _answer(self, number: int, looks: PictureLooks, answer: livewire.LiveAnswer | None, host: str) -> None:
+        """The page that offered a connection hears what the boat says to it."""
+        told = looks.link.live.told(answer, host) if looks.link is not None and answer is not None else None
+        if told is not None and told[0] in looks.pages:
+            looks.pages[told[0]][0](told[1] | {"boat": number})
 
     def _play(self, number: int, looks: PictureLooks, now_s: float) -> None:
         """The picture of the time that a replay shows."""
@@ -141,13 +164,13 @@ class PictureDesk:
     def _say(self, number: int, looks: PictureLooks, why: str, names: tuple[str, ...], now_s: float) -> None:
         if why and now_s - looks.said_s >= SAY_S:
             looks.said_s, looks.last = now_s, None
-            looks.tell(_told(number, looks, names, 0) | {"why": why})
+            looks.tell(_told(number, looks, names, 0) | {"why": why, "live": False})
 
-    def _snapshot(self, boat: Boat) -> str:
+    def _snapshot(self, boat: Boat, asked: page_messages.Snapshot) -> str:
         looks = self._looks.get(boat.number)
-        if looks is None or looks.last is None:
+        if looks is None or (looks.last is None and not asked.jpeg):
             raise Refused("there is no picture")
-        jpeg, taken_ms = looks.last
+        jpeg, taken_ms = (_read(asked.jpeg), round(asked.taken_s * 1000)) if asked.jpeg else looks.last or (b"", 0)
         self._folder.mkdir(parents=True, exist_ok=True)
         moment = time.strftime("%Y%m%d-%H%M%S", time.gmtime(taken_ms // 1000)) + f".{taken_ms % 1000:03}"
         file = self._folder / f"{''.join(each if each.isalnum() else '_' for each in boat.name)}-{looks.camera}-{moment}.jpg"
@@ -156,12 +179,23 @@ class PictureDesk:
         return str(file)
 
 
+def _read(coded: str) -> bytes:
+    """A JPEG that a page brings. Raises Refused."""
+    try:
+        jpeg = base64.b64decode(coded, validate=True)
+        jpegblocks.size_of(jpeg)
+    except (binascii.Error, FormatError):
+        raise Refused("that is no JPEG") from None
+    return jpeg
+
+
 def _name(names: tuple[str, ...], at: int) -> str:
     return names[at] if at < len(names) else ""
 
 
 def _told(number: int, looks: PictureLooks, names: tuple[str, ...], kbps: int) -> Told:
-    return {"t": "picture", "boat": number, "camera": looks.camera, "cameras": names, "kbps": kbps, "why": ""}
+    live = looks.link is not None and looks.link.is_live_wise
+    return {"t": "picture", "boat": number, "camera": looks.camera, "cameras": names, "kbps": kbps, "why": "", "live": live}
 
 
 def _shown(picture: HeardPicture, now_s: float) -> Told:

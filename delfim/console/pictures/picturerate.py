@@ -48,6 +48,10 @@ class PictureRate:
         self._first = number if self._first < 0 else min(self._first, number)
         self._last = max(self._last, number)
 
+    def came_beside(self, size: int) -> None:
+        """So many bytes came by another way, of the same link."""
+        self._bits += 8 * size
+
     def next(self, now_s: float, hold: bool) -> int:
         """The rate of the next ask, due each ASK_S. `hold`: an order is under way, or the link is weak: as little as can be."""
         sent = self._last - self._first + 1 if self._first >= 0 else 0

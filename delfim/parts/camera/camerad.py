@@ -22,6 +22,7 @@ from delfim.base.ranges import address
 from delfim.parts.camera import wire
 from delfim.parts.camera.grabber import LEVELS, Grabber, Picture
 from delfim.parts.camera.kept import PictureKeeper
+from delfim.parts.camera.livedesk import LiveDesk
 from delfim.parts.camera.sending import PictureSender
 from delfim.parts.camera.table import PORTS, CameraTable
 from delfim.parts.mavlink.table import Mavlink
@@ -41,7 +42,7 @@ class Camera:
     """One camera: the newest picture of each size, and the files of those that are kept."""
 
     def __init__(self, name: str, table: CameraTable, directory: Path, runtime: Runtime) -> None:
-        self.name, self.latest = name, list[Picture | None](None for _ in range(LEVELS))
+        self.name, self.table, self.latest = name, table, list[Picture | None](None for _ in range(LEVELS))
         self.same_since_s = runtime.clock.monotonic_s()
         self._grabber = Grabber(name, table, runtime.clock, runtime, self._took)
         self._keeper = PictureKeeper(directory, name, table.kept_mb << 20) if table.kept_mb else None
@@ -115,9 +116,11 @@ async def serve(runtime: Runtime) -> None:
         cameras = [Camera(name, table, directory, runtime) for name, table in tables.items()]
         for each in cameras:
             closing.callback(each.close)
-        sender = PictureSender(key, cameras, runtime.clock, functools.partial(_send, door))
+        live = LiveDesk(door.getsockname()[0], settings.boat.id, cameras, runtime.clock, runtime)
+        closing.callback(live.close)
+        sender = PictureSender(key, cameras, runtime.clock, functools.partial(_send, door), live)
         closing.enter_context(runtime.reading(door.fileno(), functools.partial(_hear, door, sender)))
-        closing.enter_context(runtime.publishing("camerad", lambda: {each.name: each.report() for each in cameras}))
+        closing.enter_context(runtime.publishing("camerad", lambda: _report(cameras, live)))
         due_s, keeping = 0.0, None
         while True:
             now_s = runtime.clock.monotonic_s()
@@ -128,7 +131,13 @@ async def serve(runtime: Runtime) -> None:
                 if keeping is None or keeping.done():
                     keeping = loop.run_in_executor(None, _keep, cameras)
             sender.tick()
+            live.tick()
             await asyncio.sleep(TICK_S if sender.is_watched else IDLE_S)
+
+
+def _report(cameras: list[Camera], live: LiveDesk) -> dict[str, object]:
+    shown = {"by WebRTC": live.report()} if any(each.table.webrtc for each in cameras) else {}
+    return {**{each.name: each.report() for each in cameras}, **shown}
 
 
 def _keep(cameras: list[Camera]) -> None:

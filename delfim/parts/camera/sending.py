@@ -12,7 +12,7 @@ from typing import Any, Final, Protocol
 
 from delfim.base.clock import Clock
 from delfim.base.errors import FormatError
-from delfim.parts.camera import wire
+from delfim.parts.camera import livewire, wire
 from delfim.parts.camera.grabber import Picture
 
 LEASE_S: Final = 3.0  # after the last ask nothing more is sent
@@ -35,6 +35,14 @@ class PictureSource(Protocol):
     def why(self) -> str: ...
 
 
+class LiveSource(Protocol):
+    """What shows cameras by WebRTC."""
+
+    names: tuple[str, ...]
+
+    def ask(self, address: Any, offer: livewire.LiveOffer) -> livewire.LiveAnswer: ...
+
+
 class PictureViewer:
     """A console that asks."""
 
@@ -51,9 +59,14 @@ class PictureSender:
     """`send` puts a datagram on the way to an address."""
 
     def __init__(
-        self, key: bytes, cameras: Sequence[PictureSource], clock: Clock, send: Callable[[Any, bytes], object]
+        self,
+        key: bytes,
+        cameras: Sequence[PictureSource],
+        clock: Clock,
+        send: Callable[[Any, bytes], object],
+        live: LiveSource | None = None,
     ) -> None:
-        self._key, self._cameras, self._clock, self._send = key, cameras, clock, send
+        self._key, self._cameras, self._clock, self._send, self._live = key, cameras, clock, send, live
         self._secret = secrets.token_bytes(16)
         self._viewers = dict[Any, PictureViewer]()
         self.refused = self._number = 0
@@ -65,14 +78,18 @@ class PictureSender:
     def hear(self, address: Any, datagram: bytes) -> None:
         """Takes an ask and answers it; pictures follow if its cookie is the one of this address."""
         try:
+            if self._live is not None and datagram.startswith(livewire.OFFER):
+                self._hear_offer(self._live, address, livewire.read_offer(self._key, datagram))
+                return
             ask = wire.read_ask(self._key, datagram)
         except FormatError:
             self.refused += 1
             return
         now_s, cookie = self._clock.monotonic_s(), self._cookie(address)
         names = tuple(each.name for each in self._cameras)
+        live = self._live.names if self._live is not None else ()
         why = self._cameras[ask.camera].why if ask.camera < len(names) else "there is no such camera"
-        self._send(address, wire.told_bytes(self._key, wire.PictureTold(ask.at_us, cookie, names, why)))
+        self._send(address, wire.told_bytes(self._key, wire.PictureTold(ask.at_us, cookie, names, why, live)))
         if ask.camera >= len(names) or not hmac.compare_digest(ask.cookie, cookie):
             return
         viewer = self._viewers.get(address)
@@ -93,6 +110,11 @@ class PictureSender:
                 del self._viewers[viewer.address]
             elif viewer.ask.rate_bps:
                 self._serve(viewer, now_s)
+
+    def _hear_offer(self, live: LiveSource, address: Any, offer: livewire.LiveOffer) -> None:
+        """Nothing is said to who has not its address's cookie."""
+        if hmac.compare_digest(offer.cookie, self._cookie(address)):
+            self._send(address, livewire.answer_bytes(self._key, live.ask(address, offer)))
 
     def _cookie(self, address: Any) -> bytes:
         return hmac.digest(self._secret, repr(address).encode(), "sha256")[: wire.COOKIE_BYTES]

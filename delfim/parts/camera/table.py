@@ -9,6 +9,8 @@ from delfim.base.ranges import Megabytes, Name
 from delfim.base.tables import Table, text
 
 PORTS = 14600  # and the boat's number: where its cameras are asked
+LIVE_PORTS = 14900  # and twice the boat's number, and the next: where they are shown by WebRTC
+STREAMS = 2  # of them at once
 Side = Annotated[int, msgspec.Meta(ge=64, le=3840)]
 PictureOrigin = Annotated[str, text("(test|rtsps?://[^ ]+|/dev/[^ ]+)", '"rtsp://HOST/...", "/dev/video0", or "test"')]
 
@@ -21,6 +23,7 @@ class CameraTable(Table, frozen=True):
     width_px: Side = 640  # of its largest pictures, an even number
     height_px: Side = 360  # of them
     rate_hz: Annotated[float, msgspec.Meta(ge=0.2, le=30.0)] = 10.0  # pictures, where the link carries so many
+    webrtc: bool = False  # where the link is good, also as a film by WebRTC; it needs `delfim[webrtc]` aboard
     kept_mb: Megabytes = 1000  # of pictures aboard, one a second; the oldest give way; 0: none
 
     def __post_init__(self) -> None:

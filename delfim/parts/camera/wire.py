@@ -37,12 +37,13 @@ class PictureAsk(NamedTuple):
 
 
 class PictureTold(NamedTuple):
-    """The answer to an ask: names of the cameras, and why this one has no pictures, in words."""
+    """The answer to an ask: names of the cameras, why this one has no pictures, in words, and which come by WebRTC as well."""
 
     at_us: int  # of the ask
     cookie: bytes
     names: tuple[str, ...]
     why: str
+    live: tuple[str, ...] = ()
 
 
 class PicturePiece(NamedTuple):
@@ -66,11 +67,11 @@ def mac_key(secret: bytes) -> bytes:
     return hashlib.sha256(b"delfim camera" + secret).digest()
 
 
-def _signed(key: bytes, body: bytes) -> bytes:
+def signed(key: bytes, body: bytes) -> bytes:
     return body + hmac.digest(key, body, "sha256")[:MAC_BYTES]
 
 
-def _opened(key: bytes, datagram: bytes, kind: bytes, head: int) -> bytes:
+def opened(key: bytes, datagram: bytes, kind: bytes, head: int) -> bytes:
     body, mac = datagram[:-MAC_BYTES], datagram[-MAC_BYTES:]
     if (
         len(body) < head
@@ -82,12 +83,12 @@ def _opened(key: bytes, datagram: bytes, kind: bytes, head: int) -> bytes:
 
 
 def ask_bytes(key: bytes, ask: PictureAsk) -> bytes:
-    return _signed(key, _ask.pack(_ASK, ask.at_us, ask.rate_bps, ask.camera, ask.cookie))
+    return signed(key, _ask.pack(_ASK, ask.at_us, ask.rate_bps, ask.camera, ask.cookie))
 
 
 def read_ask(key: bytes, datagram: bytes) -> PictureAsk:
     """Raises FormatError."""
-    body = _opened(key, datagram, _ASK, _ask.size)
+    body = opened(key, datagram, _ASK, _ask.size)
     if len(body) != _ask.size:
         raise FormatError("an ask of another length")
     at_us, rate, camera, cookie = _ask.unpack(body)[1:]
@@ -95,23 +96,23 @@ def read_ask(key: bytes, datagram: bytes) -> PictureAsk:
 
 
 def told_bytes(key: bytes, told: PictureTold) -> bytes:
-    words = "\n".join((",".join(told.names), told.why)).encode()[:NAMES_MAX]
-    return _signed(key, _told.pack(_TOLD, told.at_us, told.cookie) + words)
+    words = "\n".join((",".join(told.names), told.why, *([",".join(told.live)] if told.live else []))).encode()[:NAMES_MAX]
+    return signed(key, _told.pack(_TOLD, told.at_us, told.cookie) + words)
 
 
 def piece_bytes(key: bytes, piece: PicturePiece) -> bytes:
     numbers = (piece.at_us, piece.held_us, piece.number, piece.picture, piece.age_us, piece.same_s, piece.taken_ms, piece.size)
-    return _signed(key, _piece.pack(_PIECE, *numbers, piece.step, piece.at, piece.camera) + piece.data)
+    return signed(key, _piece.pack(_PIECE, *numbers, piece.step, piece.at, piece.camera) + piece.data)
 
 
 def read_answer(key: bytes, datagram: bytes) -> PictureTold | PicturePiece:
     """Raises FormatError."""
     if datagram.startswith(_TOLD):
-        body = _opened(key, datagram, _TOLD, _told.size)
+        body = opened(key, datagram, _TOLD, _told.size)
         _, at_us, cookie = _told.unpack_from(body)
-        names, _, why = body[_told.size :].decode(errors="replace").partition("\n")
-        return PictureTold(at_us, cookie, tuple(filter(None, names.split(","))), why)
-    body = _opened(key, datagram, _PIECE, _piece.size)
+        names, why, live, *_ = (*body[_told.size :].decode(errors="replace").split("\n"), "", "")
+        return PictureTold(at_us, cookie, _names(names), why, _names(live))
+    body = opened(key, datagram, _PIECE, _piece.size)
     piece = PicturePiece._make((*_piece.unpack_from(body)[1:], body[_piece.size :]))
     if not (0 < piece.size <= PICTURE_MAX and 0 < piece.step <= PIECE_MAX and len(piece.data) <= piece.step):
         raise FormatError("a piece of no picture")
@@ -119,6 +120,10 @@ def read_answer(key: bytes, datagram: bytes) -> PictureTold | PicturePiece:
     if piece.at >= count + -(-count // GROUP) or len(piece.data) != length_of(piece.at, piece.size, piece.step):
         raise FormatError("a piece beyond its picture")
     return piece
+
+
+def _names(words: str) -> tuple[str, ...]:
+    return tuple(filter(None, words.split(",")))
 
 
 def length_of(at: int, size: int, step: int) -> int:

@@ -13,9 +13,11 @@ from delfim import config
 from delfim.base.clock import SystemClock
 from delfim.console.pictures.picturelink import PictureLink
 from delfim.parts.camera import camerad, wire
+from delfim.parts.camera.exposure import entrances
 from delfim.parts.camera.kept import PicturesByTime, cameras_under
 from delfim.parts.camera.played import BITS
 from delfim.parts.camera.table import PORTS, CameraTable
+from delfim.parts.mavlink.table import Mavlink
 from delfim.services.runtime import LoadedService, Runtime
 from tests.parts.camera.test_pictures import clock_in
 from tests.services.boat import vehicle_file
@@ -88,3 +90,15 @@ def test_a_port_that_another_program_has_is_told(tmp_path: Path) -> None:
 def test_wrong_keys_are_refused_in_words(keys: dict[str, object], words: str) -> None:
     with pytest.raises(ValueError, match=words):
         CameraTable(**keys)  # type: ignore[arg-type]
+
+
+def test_where_the_film_is_shown_is_told_as_a_door(tmp_path: Path) -> None:
+    """Of a boat with a key; without one it is this computer's alone, as all of its pictures."""
+    both = {"bow": CameraTable(source="test", webrtc=True), "stern": CameraTable(source="test")}
+    known = vehicle_file(tmp_path, camera=both, mavlink=Mavlink(listen="0.0.0.0:14555", key="/etc/delfim/key"))
+    told = [(each.place, each.may) for each in entrances(known, ["camerad"])]
+    assert told == [
+        ("0.0.0.0:14601", "see the pictures of bow, stern"),
+        ("0.0.0.0:14902-14903", "see the pictures of bow, by WebRTC"),
+    ]
+    assert [each.place for each in entrances(vehicle_file(tmp_path, camera=both), ["camerad"])] == ["127.0.0.1:14601"]

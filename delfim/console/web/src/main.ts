@@ -207,6 +207,8 @@ function heard(message: Heard): void {
       return depths.forget();
     case "picture":
       return picture.take(message);
+    case "live":
+      return picture.answered(message);
     case "adoption":
       return adopt.take(message);
     case "survey":

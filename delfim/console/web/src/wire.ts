@@ -296,6 +296,28 @@ export interface Shot {
   same_s?: number; // since it was another one
   taken_s?: number; // since 1970, by the boat's clock
   jpeg?: string; // base64
+  live?: boolean; // it is better seen by WebRTC now
+}
+
+/** A page's end of a connection by WebRTC. */
+export interface Offer {
+  payload: number;
+  certificate: string; // hex
+  user: string;
+  password: string;
+}
+
+/** The boat's end, or why there is none. */
+export interface Answer {
+  boat: number;
+  of: string; // user of the offer
+  why: string;
+  host: string;
+  port: number;
+  ssrc: number;
+  certificate: string;
+  user: string;
+  password: string;
 }
 
 export type Heard =
@@ -318,6 +340,7 @@ export type Heard =
   | { t: "missions"; names: string[] }
   | { t: "survey"; boat: number; lines: Line[]; across: number; way: Ring; heading_deg: number; spacing_m: number; line_m: number; way_m: number; time_s: number; covered: [number, number]; room_m: number; rough: number; mission: Mission; done: Line[]; counts: string; known: Line[]; known_across: number; shares: (Share | null)[]; energy_wh: number | null }
   | ({ t: "picture" } & Shot)
+  | ({ t: "live" } & Answer)
   | { t: "adoption"; boat: number | null; is_running: boolean; circle: (Place & { radius_m: number }) | null; steps: TrialStep[]; part: number; lines: string[]; question: string; end: string; file: string; is_written: boolean; report: boolean }
   | { t: "depths"; tile: [row: number, column: number]; extent: [number, number, number, number]; whole?: string; cells?: [cell: number, depth_cm: number][] }
   | { t: "aboard"; boat: number; of: "settings" | "checks" | "change"; rows: AboardRow[] }
@@ -342,8 +365,8 @@ export type Said =
   | { t: "profile"; boat: number; profile: string }
   | { t: "survey"; boat: number; areas: Area[]; heading_deg: number | null; start: string; side: string; inside: boolean; fence: Ring; obstacles: Obstacle[]; closed: Ring[]; name: string; lines?: Line[]; across?: number; sailed?: boolean; at?: Ring[0] | null; others?: (Ring[0] | null)[]; [key: `${string}_m` | `${string}_mps` | `${string}_pct`]: number }
   | { t: "depths"; do: "forget" }
-  | { t: "see"; boat: number; camera: string }
-  | { t: "snapshot"; boat: number }
+  | { t: "see"; boat: number; camera: string; live?: Offer & { shown: boolean } }
+  | { t: "snapshot"; boat: number; jpeg?: string; taken_s?: number }
   | { t: "adopt"; boat: number; do: "begin" | "afresh" | "berth" | "yes" | "no" | "end" | "close"; radius_m?: number }
   | { t: "itself"; boat: number; do: "settings" | "checks" | "change"; key?: string; value?: AboardRow["value"] }
   | { t: "logs"; boat: number; do: "state" | "all" | "end" | "chart" | "unsent"; chart?: string }
