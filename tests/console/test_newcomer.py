@@ -28,6 +28,7 @@ from tests.console.scenes import choose
 from tests.services.browser import Page, tab
 
 PLANNED = "delfim.drawn().plan"
+SHOWN_MODE = "document.querySelector('.chip.selected').dataset.mode"
 SMALL_TEXT = """[...document.querySelectorAll('body *')].filter((each) => each.getClientRects().length &&
   [...each.childNodes].some((node) => node.nodeType === Node.TEXT_NODE && node.data.trim()) &&
   parseFloat(getComputedStyle(each).fontSize) < 12).map((each) => each.outerHTML)"""
@@ -186,7 +187,9 @@ async def test_what_is_aboard_is_drawn_and_a_mode_that_would_sail_it_asks_first(
     await it.page.until("delfim.drawn().aboard === 3 && delfim.drawn().plan === 3")
     await it.page.press("y")
     await until(boat, 1)
-    boat.mode = 4
+    await it.page.until(f"{SHOWN_MODE} === 'play'")
+    boat.mode = Mode.IDLE
+    await it.page.until(f"{SHOWN_MODE} === 'idle'")  # or a mode of before is taken for the one that comes
     for _ in range(2):
         await it.page.press("w")
     await it.page.press("Escape")
@@ -199,9 +202,10 @@ async def test_what_is_aboard_is_drawn_and_a_mode_that_would_sail_it_asks_first(
     await it.page.press("h")
     await until(boat, 1)
     assert boat.obeyed[0]["command"] == "heading"
+    await it.page.until(f"{SHOWN_MODE} === 'heading'")
     boat.obeyed.clear()
     boat.mode = Mode.PLAY
-    await it.page.until("document.querySelector('.chip.selected').dataset.mode === 'play'")
+    await it.page.until(f"{SHOWN_MODE} === 'play'")
     await it.page.press("y")
     await choose(it.page, "Hold, send the plan, then play it")
     await until(boat, 2)
