@@ -20,9 +20,9 @@ LOCKS  := $(addprefix requirements/,boat.txt services.txt ground.txt build.txt)
 # What the tests need of a Debian machine beside Python: a kernel that runs as a process, tools to look at it, and the clients
 # that people use: a browser, FTP, SSH, Octave.
 SYSTEM_PACKAGES := user-mode-linux gcc libc6-dev kmod iproute2 can-utils busybox-static dmsetup e2fsprogs chromium curl lftp openssh-client openssl \
-	tnftp wget qemu-system-x86 qemu-system-arm qemu-user grub-pc-bin grub-common octave octave-instrument-control podman crun gpsd rtklib mosquitto dosfstools mtools
+	tnftp wget qemu-system-x86 qemu-system-arm qemu-user grub-pc-bin grub-common octave octave-instrument-control podman crun gpsd rtklib mosquitto dosfstools mtools ffmpeg
 SYSTEM_PROGRAMS := linux.uml cc modprobe ip candump busybox dmsetup e2fsck chromium curl lftp ssh openssl tnftp wget \
-	qemu-system-x86_64 qemu-system-aarch64 qemu-aarch64 grub-mkimage octave-cli podman gpsd str2str mosquitto
+	qemu-system-x86_64 qemu-system-aarch64 qemu-aarch64 grub-mkimage octave-cli podman gpsd str2str mosquitto ffmpeg
 
 export PYTHONSAFEPATH := 1
 unexport PYTHONDONTWRITEBYTECODE # with it each program that a test starts compiles all of Delfim again

@@ -111,12 +111,16 @@ def _ffmpeg() -> list[str]:
 
 
 def encoding(table: CameraTable, fds: Sequence[int]) -> list[str]:
-    """The words that make ffmpeg write the sizes."""
-    chains = [f"[0:v]fps={table.rate_hz},split={LEVELS}" + "".join(f"[s{level}]" for level in range(LEVELS))]
+    """The words that make ffmpeg write the sizes: each picture at once, none waits for the next. So the first one of each
+    period is taken, where its filter `fps` waits for the one behind, and one thread encodes, where each other one keeps a
+    picture back."""
+    first = f"select='isnan(prev_t)+gt(floor(t*{table.rate_hz}),floor(prev_t*{table.rate_hz}))'"
+    chains = [f"[0:v]{first},split={LEVELS}" + "".join(f"[s{level}]" for level in range(LEVELS))]
     outs = list[str]()
     for level, ((width, height), fd) in enumerate(zip(sizes(table), fds, strict=True)):
         chains.append(f"[s{level}]scale={width}:{height}:flags=bilinear,format=yuvj420p[o{level}]")
-        outs += ["-map", f"[o{level}]", "-c:v", "mjpeg", "-q:v", "6", "-flush_packets", "1", "-f", "mpjpeg", f"pipe:{fd}"]
+        outs += ["-map", f"[o{level}]", "-fps_mode", "passthrough", "-c:v", "mjpeg", "-threads", "1", "-q:v", "6"]
+        outs += ["-flush_packets", "1", "-f", "mpjpeg", f"pipe:{fd}"]
     return ["-filter_complex", ";".join(chains), *outs]
 
 

@@ -1,5 +1,6 @@
 """The program that grabs: real processes, which end, hang, flood, and say why."""
 
+import os
 import select
 import shutil
 import sys
@@ -163,16 +164,22 @@ def test_the_password_is_in_the_programs_words_and_in_no_others(
     assert its.why == "rtsp://...@10.0.0.5/main: 401, ..."
 
 
-@pytest.mark.xfail(shutil.which("ffmpeg") is None, run=False, reason="without ffmpeg, which make system does not bring")
-def test_ffmpeg_writes_what_is_read(readers: Readers, grab: Grab, monkeypatch: pytest.MonkeyPatch) -> None:
-    table = CameraTable(source="/dev/video0")
+def test_ffmpeg_writes_the_first_picture_of_each_period_at_once(
+    tmp_path: Path, readers: Readers, grab: Grab, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """None waits for another one: a picture that did would be a period older, with each thread that encodes one more."""
+    table, line = CameraTable(source="/dev/video0", rate_hz=10.0), tmp_path / "frames"
+    os.mkfifo(line)
 
     def words(table: CameraTable, fds: list[int]) -> list[str]:
-        source = ["-nostdin", "-loglevel", "error", "-re", "-f", "lavfi", "-i", "testsrc2=size=640x360:rate=30"]
-        return ["ffmpeg", *source, *encoding(table, fds)]
+        frames = ["-f", "rawvideo", "-pix_fmt", "yuv420p", "-s", f"{table.width_px}x{table.height_px}", "-framerate", "30"]
+        return ["ffmpeg", "-nostdin", "-loglevel", "error", *frames, "-i", str(line), *encoding(table, fds)]
 
     monkeypatch.setattr(grabber, "command", words)
     its, took = grab(table)
     its.tick()
-    until(readers, its, lambda: len(took) > 12)
+    with line.open("wb") as feed:
+        feed.write(bytes(table.width_px * table.height_px * 3 // 2 * 10))  # at 30 a second: the first, 4th, 7th, 10th
+        feed.flush()
+        until(readers, its, lambda: len(took) == 4 * len(sizes(table)))
     assert {(level, size_of(each.jpeg)) for level, each in took} == set(enumerate(sizes(table)))
