@@ -1,8 +1,10 @@
 """How the page draws all that it promises at once: ten boats, two hundred vessels and a hundred thousand soundings; and what it
-takes when nobody touches it. `python -m tests.console.crowded` prints both. A headless Chromium draws without a graphics card.
+takes when nobody touches it: steady, and swaying, with values that are others in each message, as measured ones are.
+`python -m tests.console.crowded` prints all. A headless Chromium draws without a graphics card.
 """
 
 import asyncio
+import random
 import tempfile
 import time
 from pathlib import Path
@@ -23,8 +25,21 @@ async def busy_s(page: Page) -> float:
     return next(float(each["value"]) for each in metrics if each["name"] == "ProcessTime")
 
 
-async def at_rest(page: Page, gateway: Standin) -> float:
+def sway(gateway: Standin, drawn: random.Random) -> None:
+    """Each boat by what waves and sensors make of a steady course."""
+    for each in gateway.boats:
+        each["speed_mps"] = 1.5 + drawn.uniform(0.0, 0.1)
+        each["heading_deg"] = (each["course_deg"] + drawn.uniform(0.0, 2.0)) % 360.0
+        each["rpm"] = [800.0 + drawn.uniform(0.0, 20.0), 830.0 + drawn.uniform(0.0, 20.0)]
+        each["thrust_pct"] = [40.0 + drawn.uniform(0.0, 3.0)] * 2
+        each["battery_v"] = 49.0 + drawn.uniform(0.0, 0.2)
+        each["link"]["rtt_ms"] = drawn.uniform(1.0, 5.0)
+        each["age_s"] = {group: round(drawn.uniform(0.0, 0.2), 2) for group in each["age_s"]}
+
+
+async def at_rest(page: Page, gateway: Standin, swaying: bool) -> float:
     """Its share of a core while ten boats and all vessels are told as they are at sea."""
+    drawn = random.Random(1)
     begun_s, before_s = time.monotonic(), await busy_s(page)
     n = 0
     while (since_s := time.monotonic() - begun_s) < REST_S:
@@ -32,6 +47,8 @@ async def at_rest(page: Page, gateway: Standin) -> float:
             n += 1
             for each in gateway.boats:
                 each["latitude_deg"] += 1e-6
+            if swaying:
+                sway(gateway, drawn)
             await gateway.frame()
             if n % 10 == 0:
                 for each in gateway.vessels:
@@ -58,7 +75,8 @@ async def main() -> None:
             await show(page, -600, -600, 600, 600)
             frames = [await second_of_moving(page, gateway, "dragged") for _ in range(5)]
             print(f"dragged: {frames} frames a second")
-            print(f"nobody at the mouse: {100 * await at_rest(page, gateway):.1f} % of a core")
+            for swaying, how in (False, "steady"), (True, "swaying"):
+                print(f"nobody at the mouse, {how}: {100 * await at_rest(page, gateway, swaying):.1f} % of a core")
             await page.call("Page.navigate", url="about:blank")
 
 

@@ -22,6 +22,7 @@ from delfim.base.clock import ManualClock
 from delfim.console.gateway import page_messages
 from delfim.console.gateway.picturedesk import PictureDesk
 from delfim.console.tapes.replay import TapePlayer, open_tapes
+from delfim.parts.camera.jpegblocks import size_of
 from delfim.parts.camera.kept import PictureKeeper
 from delfim.parts.camera.played import PlayedPictures
 from delfim.simulator.lockstep import Lockstep
@@ -200,9 +201,10 @@ async def replayed(url: str) -> None:
         await its.nothing_amiss()
 
 
-def logged(folder: Path, number: int, width: int) -> Path:
+def logged(folder: Path, number: int, width: int, name: str = "") -> Path:
     """A boat's logs of ten seconds, with pictures of this width."""
-    more = f'log.directory="{folder}"', 'log.state_method="write"', f"boat.id={number}", f'boat.name="number-{number}"'
+    called = f'boat.name="{name or f"number-{number}"}"'
+    more = f'log.directory="{folder}"', 'log.state_method="write"', f"boat.id={number}", called
     settings = config.load(ROOT / "etc/delfimx.toml", more)
     run = Lockstep(settings, 1, lambda clock: Logbook(settings, clock))
     run.sail((ROOT / "etc/missions/doca.toml").read_text(), 10.0)
@@ -258,6 +260,26 @@ def test_pictures_in_a_folder_with_the_logs_of_several_boats_are_nobodys(tmp_pat
     clock.advance(1.0)
     desk.tick()
     assert told[-1]["why"] == "logs of several boats are in one folder: nobody knows whose pictures those are"
+
+
+def test_two_recorded_boats_of_one_number_have_each_their_own_pictures(tmp_path: Path) -> None:
+    """The second gets a number that none has, and the console says so when it starts."""
+    trees = [logged(tmp_path / name, 1, width, name) for name, width in (("heron", 240), ("otter", 160))]
+    told = list[dict[str, Any]]()
+    clock = ManualClock()
+    tapes = open_tapes(trees)
+    player = TapePlayer(tapes, clock, told.append)
+    assert {number: boat.name for number, boat in player.boats.items()} == {1: "heron", 2: "otter"}
+    assert [tape.complaint for tape in tapes] == ["", "otter: its number 1 is heron’s, too; here it has 2"]
+    desk = PictureDesk(player, b"", clock, tmp_path)
+    desk.replays(tapes)
+    for number in (1, 2):
+        desk.ask(1, page_messages.See(number), told.append)
+    clock.advance(1.0)
+    player.tick()
+    desk.tick()
+    shown = [each for each in told if each.get("jpeg")]
+    assert [(each["boat"], size_of(base64.b64decode(each["jpeg"]))[0]) for each in shown] == [(1, 240), (2, 160)]
 
 
 @pytest.mark.long

@@ -3,6 +3,7 @@
 import math
 from bisect import bisect_right
 from collections.abc import Callable, Sequence
+from itertools import count
 from pathlib import Path
 from typing import Any, Final, NoReturn
 
@@ -11,7 +12,7 @@ from delfim.base.errors import DelfimError, FormatError, Refused, in_words
 from delfim.console.boats.boat import Boat
 from delfim.console.boats.plan_transfer import planned
 from delfim.console.plans.plan import mission_of
-from delfim.console.tapes.statetape import States
+from delfim.console.tapes.statetape import States, number_of
 from delfim.console.tapes.tape import Graphs, Tape, TlogTape, Track
 from delfim.logging.statelog import read_state
 
@@ -160,9 +161,31 @@ def open_tapes(paths: Sequence[Path]) -> list[Tape]:
                     by_boat.setdefault(read_state(file).schema.boat, []).append(file)
                 except FormatError as error:
                     reason = str(error)
-        tapes += [States(group, number) for number, group in enumerate(by_boat.values(), 1)]
+        tapes += _states(by_boat, {number for tape in tapes for number in tape.tracks})
     except OSError as error:
         raise DelfimError(in_words(error)) from None
     if not tapes:
         raise DelfimError(f"{', '.join(map(str, paths))}: {reason}")
+    return tapes
+
+
+def _states(by_boat: dict[str, list[Path]], known: set[int]) -> list[Tape]:
+    """The state logs of each boat under its own number where no boat before has it, or else under one that nobody has.
+    `known` are the numbers in the sessions."""
+    own = {name: number_of(files) for name, files in by_boat.items()}
+    whose: dict[int, str] = {}
+    tapes: list[Tape] = []
+
+    def free(but: set[int]) -> int:
+        return next(number for number in count(1) if number not in but | whose.keys() | set(own.values()))
+
+    for name, files in by_boat.items():
+        told = own[name]
+        number = free(set()) if told is None else told if told not in whose else free(known)
+        tape = States(files, number)
+        if told is not None and told != number:
+            words = f"{name}: its number {told} is {whose[told]}’s, too; here it has {number}"
+            tape.complaint = "; ".join(filter(None, [words, tape.complaint]))
+        whose[number] = name
+        tapes.append(tape)
     return tapes

@@ -45,8 +45,7 @@ class LogRow(NamedTuple):
 
 
 class States:
-    """The state logs of one boat. Its number is that of their sidecars, or else `number`. Raises OSError; FormatError if
-    there is no record."""
+    """The state logs of one boat, which has this number in the replay. Raises OSError; FormatError if there is no record."""
 
     def __init__(self, files: Sequence[Path], number: int) -> None:
         self.name, self.complaint = "", ""
@@ -54,7 +53,7 @@ class States:
         self._rows: list[LogRow] = []
         self.texts: list[Text] = []
         self._vessels: list[tuple[float, list[dict[str, Any]]]] = []  # when, and the other vessels
-        self._number, self._size = _number(files, number), _size(files)
+        self._number, self._size = number, _size(files)
         track: Track = []
         for file in in_order(files):
             self._read(file)
@@ -192,11 +191,12 @@ def _events(file: Path) -> Iterator[dict[str, Any]]:
         yield from read_events(sidecar)
 
 
-def _number(files: Sequence[Path], number: int) -> int:
+def number_of(files: Sequence[Path]) -> int | None:
+    """The number that a boat had by the sidecars of its logs."""
     for told in (told for file in files for told in _events(file)):
         with contextlib.suppress(KeyError, TypeError, ValueError):
             return int(told["settings"]["boat"]["id"])
-    return number
+    return None
 
 
 def _size(files: Sequence[Path]) -> boatsize.BoatSize | None:

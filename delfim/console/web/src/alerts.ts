@@ -1,5 +1,5 @@
 // Alerts: the gravest that nobody has seen stands at the top of the page, with how many there are; the list has all, and what was.
-import { attribute, make, text } from "./dom";
+import { attribute, disable, make, text } from "./dom";
 import type { Net } from "./net";
 import type { Sound } from "./sound";
 import type { State } from "./state";
@@ -120,8 +120,8 @@ export class Alerts {
     text(this.what, first ? first.text : this.list.length ? "All alerts are acknowledged" : "No alerts");
     text(this.when, first ? `${clock(first.at_s)}${first.state === "rectified" ? " · over" : first.state === "silenced" ? " · silent" : ""}` : "");
     const [acknowledge, silence] = this.buttons as [HTMLButtonElement, HTMLButtonElement];
-    acknowledge.disabled = !first;
-    silence.disabled = !this.list.some(({ sounds, priority }) => sounds && priority !== "emergency");
+    disable(acknowledge, !first);
+    disable(silence, !this.list.some(({ sounds, priority }) => sounds && priority !== "emergency"));
     PRIORITIES.forEach((priority, i) => {
       const its = this.list.filter((each) => each.priority === priority);
       const count = this.counts.children[i] as HTMLElement;

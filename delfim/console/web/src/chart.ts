@@ -12,8 +12,10 @@ import type BaseLayer from "ol/layer/Base";
 import Graticule from "ol/layer/Graticule";
 import ImageLayer from "ol/layer/Image";
 import TileLayer from "ol/layer/Tile";
+import VectorImageLayer from "ol/layer/VectorImage";
 import { fromLonLat, toLonLat, transformExtent } from "ol/proj";
 import ImageStatic from "ol/source/ImageStatic";
+import type VectorSource from "ol/source/Vector";
 import XYZ from "ol/source/XYZ";
 import { Fill, Stroke, Text } from "ol/style";
 import { DangerLayer } from "./dangers";
@@ -107,6 +109,13 @@ export class Chart {
   add(layer: BaseLayer, order: number): void {
     layer.setZIndex(order);
     this.map.addLayer(layer);
+  }
+
+  /** One picture of all that a source holds, moved and scaled while the view moves. It is larger than the map: of nothing none is drawn. */
+  addPicture(source: VectorSource, imageRatio: number, order: number): void {
+    const layer = new VectorImageLayer({ source, imageRatio, visible: false });
+    source.on("change", () => layer.setVisible(!source.isEmpty()));
+    this.add(layer, order);
   }
 
   setBackgrounds(backgrounds: Background[]): void {

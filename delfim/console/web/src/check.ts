@@ -2,7 +2,7 @@
 import type { Actions } from "./actions";
 import { counted, isSurvey } from "./area";
 import type { Chart } from "./chart";
-import { make } from "./dom";
+import { attribute, hide, make, text } from "./dom";
 import { metres } from "./geo";
 import { length_m } from "./mission";
 import type { Answer } from "./net";
@@ -15,6 +15,8 @@ export class Check {
   private asked: Mission | null = null; // the answer to this is shown, or is under way
   private answer: Answer | null = null;
   private busy = false;
+  private readonly what = make("b");
+  private readonly words = make("span");
 
   constructor(
     private readonly box: HTMLElement,
@@ -22,6 +24,7 @@ export class Check {
     private readonly actions: Actions,
     private readonly chart: Chart,
   ) {
+    box.append(this.what, this.words);
     state.on(["hello"], () => (this.asked = null)); // the gateway may be another one
     state.on(["hello", "plan", "selection", "boats"], () => this.look());
   }
@@ -50,13 +53,14 @@ export class Check {
 
   private draw(): void {
     const { answer, mission } = this;
-    this.box.hidden = !mission || !answer;
+    hide(this.box, !mission || !answer);
     if (!mission || !answer) return;
     const size = `${counted(mission)} · ${metres(length_m(mission))}`;
     const words = answer.ok ? `in order${answer.reason ? `; ${answer.reason}` : ""}` : answer.reason.replace(/^mission refused: /, "");
     const place = this.state.crossed.get(this.state.planning);
     const why = place && !answer.ok && this.chart.why({ latitude_deg: place[0], longitude_deg: place[1] }, NEAR_M);
-    this.box.dataset["state"] = answer.ok ? "well" : "wrong";
-    this.box.replaceChildren(make("b", `${isSurvey(mission) ? "survey" : "plan"}: ${size}`), make("span", why ? `${words} (${why})` : words));
+    attribute(this.box, "data-state", answer.ok ? "well" : "wrong");
+    text(this.what, `${isSurvey(mission) ? "survey" : "plan"}: ${size}`);
+    text(this.words, why ? `${words} (${why})` : words);
   }
 }

@@ -1,6 +1,6 @@
 // Boxes over the map: the stop corner, the key card, the result of a dry run, the position of the pointer.
 import type { Actions } from "./actions";
-import { make, text } from "./dom";
+import { attribute, make, text } from "./dom";
 import { position as boatPosition } from "./fleet";
 import { bearing, bearing_deg, distance_m, duration, metres, position } from "./geo";
 import { CARD, REPLAY_CARD } from "./keys";
@@ -35,9 +35,9 @@ export class Corner {
     const { boat } = this.state;
     text(this.name, boat?.name ?? "");
     const stopping = boat !== null && this.actions.stopping.has(boat.id);
-    this.stop.dataset["state"] = stopping ? "stopping" : boat?.mode === "idle" ? "idle" : "ready";
+    attribute(this.stop, "data-state", stopping ? "stopping" : boat?.mode === "idle" ? "idle" : "ready");
     const others = this.state.boats.filter((each) => each.id !== this.state.selected);
-    this.all.dataset["state"] = others.some((each) => this.actions.stopping.has(each.id)) ? "stopping" : "ready";
+    attribute(this.all, "data-state", others.some((each) => this.actions.stopping.has(each.id)) ? "stopping" : "ready");
   }
 }
 

@@ -6,7 +6,7 @@ import Layer from "ol/layer/Layer";
 import { areasOf, isInside } from "./area";
 import type { Chart } from "./chart";
 import { point } from "./chart";
-import { make, text } from "./dom";
+import { hide, make, text } from "./dom";
 import { distance_m } from "./geo";
 import type { State } from "./state";
 import type { Survey } from "./survey";
@@ -139,12 +139,12 @@ export class Depths {
   }
 
   private legend(): void {
-    this.box.hidden = !this.visible || !this.tiles.size;
+    hide(this.box, !this.visible || !this.tiles.size);
     if (this.box.hidden) return;
     const [least, most] = this.range.map((each) => each / 100) as [number, number];
     this.labels.replaceChildren(...[least, (least + most) / 2, most].map((each) => make("b", `${each} m`)));
     text(this.share, this.covered === null ? "" : `${Math.floor(100 * this.covered)} % covered`);
-    this.fill.hidden = this.state.replaying || !this.survey.hasLines;
+    hide(this.fill, this.state.replaying || !this.survey.hasLines);
   }
 
   /** What of the area has no sounding within half a line's spacing: looked for now and then. */

@@ -1,4 +1,4 @@
-// Elements in one line.
+// Elements in one line. What is written is compared first: a browser lays out and paints anew what was written, be it the same.
 
 type Child = Node | string | null | undefined | false;
 type Made<K extends keyof HTMLElementTagNameMap> = HTMLElementTagNameMap[K];
@@ -22,4 +22,8 @@ export function attribute(element: Element, name: string, value: string): void {
 
 export function hide(element: HTMLElement, on: boolean): void {
   if (element.hidden !== on) element.hidden = on;
+}
+
+export function disable(button: HTMLButtonElement, on: boolean): void {
+  if (button.disabled !== on) button.disabled = on;
 }

@@ -44,6 +44,11 @@ export class Drive {
     return this.hands.get(id);
   }
 
+  /** Whether this page drives any boat. */
+  get busy(): boolean {
+    return this.hands.size > 0;
+  }
+
   /** The operator asked for manual mode: start from zero. */
   begin(id: number): void {
     const [n, released] = [this.hands.get(id)?.n ?? 0, this.state.byId(id)?.released ?? false];

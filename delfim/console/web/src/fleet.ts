@@ -69,7 +69,7 @@ export class Fleet {
     private readonly state: State,
   ) {
     const layer = (source: VectorSource) => new VectorLayer({ source, updateWhileAnimating: true, updateWhileInteracting: true });
-    chart.add(new VectorImageLayer({ source: this.closedTracks, imageRatio: 2 }), 4); // one picture, moved and scaled while the view moves
+    chart.addPicture(this.closedTracks, 2, 4);
     chart.add(layer(this.tails), 4);
     chart.add(layer(this.aboard), 2);
     chart.add(layer(this.live), 6);

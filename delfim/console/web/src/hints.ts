@@ -1,6 +1,6 @@
 // The first voyage in five hints, each until it was done once, and the word that no boat is heard yet.
 import { linesOf } from "./area";
-import { make } from "./dom";
+import { hide, make, text } from "./dom";
 import type { Popup } from "./popup";
 import { NOBODY } from "./state";
 import type { State } from "./state";
@@ -52,7 +52,7 @@ export class Hints {
     popup.opened = () => this.used();
     state.on(["hello", "boats", "plan", "missions"], () => {
       this.draw();
-      nobody.hidden = !state.hello || state.replaying || state.boats.length > 0;
+      hide(nobody, !state.hello || state.replaying || state.boats.length > 0);
       nobody.classList.toggle("aside", this.planned > 0 || state.backgrounds.length > 0);
       if (!nobody.hidden) nobody.replaceChildren(make("b", state.nobody), make("span", "You can plan a mission now: it becomes the plan of the first boat."));
     });
@@ -71,17 +71,21 @@ export class Hints {
   }
 
   private end(): void {
-    this.step = this.steps.length;
+    this.keep(this.steps.length);
     this.draw();
+  }
+
+  private keep(step: number): void {
+    this.step = step;
+    localStorage.setItem(KEPT, String(step));
   }
 
   private draw(): void {
     const { boat, replaying } = this.state;
-    while (this.steps[this.step]?.done(boat)) this.step++;
-    if (this.step) localStorage.setItem(KEPT, String(this.step));
+    while (this.steps[this.step]?.done(boat)) this.keep(this.step + 1);
     const words = replaying && this.step ? "" : (this.steps[this.step]?.words(boat) ?? "");
-    this.words.textContent = words;
-    this.hint.hidden = !words;
+    text(this.words, words);
+    hide(this.hint, !words);
   }
 
   private get planned(): number {

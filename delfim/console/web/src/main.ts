@@ -7,6 +7,7 @@ import { Adopt } from "./adopt";
 import { Aim } from "./aim";
 import { Alerts } from "./alerts";
 import { Bridge } from "./bridge";
+import { Calm } from "./calm";
 import { Camera } from "./camera";
 import type { Pixel } from "./chart";
 import { Chart } from "./chart";
@@ -53,6 +54,7 @@ import type { Background, Boat, Heard, Mission, Place, Vessel } from "./wire";
 
 const REACH_PX = 22;
 const REACH_TOUCH_PX = 32;
+const APART: ReadonlySet<Heard["t"]> = new Set(["boats", "vessels", "depths", "picture", "answer"]); // what comes often and leans on nothing that a boat told just before
 
 const element = (id: string): HTMLElement => document.getElementById(id)!;
 
@@ -76,6 +78,7 @@ const chart = new Chart(element("map"), element("scale"), { click, press, hover 
 const camera = new Camera(chart, state, element("north"));
 const land = new Land(chart, state, element("base"));
 const fleet = new Fleet(chart, state);
+const calm = new Calm(chart, drive, ({ boats, at_s, came }) => took(boats, at_s, came));
 const watch = new Watch(state, sound);
 const others = new Others(chart, state, watch);
 const plans = new Plans(chart, state, (mission) => edit(state.planning, mission));
@@ -147,6 +150,7 @@ window.addEventListener("beforeunload", (event) => {
 });
 
 function heard(message: Heard): void {
+  if (!APART.has(message.t)) calm.tell();
   switch (message.t) {
     case "hello":
       if (!state.hello) makeWay(message.built ?? "");
@@ -164,7 +168,7 @@ function heard(message: Heard): void {
       takeCharts(message.backgrounds);
       return state.tell("theme");
     case "boats":
-      return took(message.boats, message.at_s);
+      return calm.take(message.boats, message.at_s);
     case "vessels":
       return state.takeVessels(message.vessels, message.heard_s);
     case "whole_track":
@@ -241,9 +245,9 @@ function takeCharts(backgrounds: Background[]): void {
 }
 
 /** The first boat gets the plan that was made before it was heard. */
-function took(boats: Boat[], at_s: number): void {
+function took(boats: Boat[], at_s: number, came?: number): void {
   const first = state.selected === null;
-  state.takeBoats(boats, at_s);
+  state.takeBoats(boats, at_s, came);
   if (first && state.selected !== null && state.inherit(state.selected)) planned(state.selected);
 }
 

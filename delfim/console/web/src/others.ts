@@ -3,7 +3,6 @@ import Feature from "ol/Feature";
 import { type Geometry, LineString, Point } from "ol/geom";
 import Polygon, { circular } from "ol/geom/Polygon";
 import VectorLayer from "ol/layer/Vector";
-import VectorImageLayer from "ol/layer/VectorImage";
 import VectorSource from "ol/source/Vector";
 import { Fill, Icon, Stroke, Style, Text } from "ol/style";
 import type { Chart, Pixel } from "./chart";
@@ -40,7 +39,7 @@ export class Others {
     private readonly state: State,
     private readonly watch: Watch,
   ) {
-    chart.add(new VectorImageLayer({ source: this.source, imageRatio: 1.5 }), 5); // one picture, moved and scaled while the view moves
+    chart.addPicture(this.source, 1.5, 5);
     chart.add(new VectorLayer({ source: this.own, updateWhileAnimating: true, updateWhileInteracting: true }), 5);
     chart.onZoom((zoom) => {
       const named = this.zoom >= NAMES_FROM_ZOOM;

@@ -69,7 +69,7 @@ export class Plans {
     const layer = (source: VectorSource) => new VectorLayer({ source, updateWhileAnimating: true, updateWhileInteracting: true });
     const picture = (source: VectorSource) => new VectorImageLayer({ source, imageRatio: 1.5, visible: false });
     [this.drawn, this.pictures] = [[layer(this.legs), layer(this.marks)], [picture(this.legs), picture(this.marks)]];
-    chart.add(new VectorImageLayer({ source: this.others, imageRatio: 1.5 }), 3);
+    chart.addPicture(this.others, 1.5, 3);
     chart.add(layer(this.shapes), 3);
     for (const each of [this.drawn[0]!, this.pictures[0]!]) chart.add(each, 3);
     for (const each of [this.drawn[1]!, this.pictures[1]!]) chart.add(each, 5);

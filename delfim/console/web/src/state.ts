@@ -79,11 +79,11 @@ export class State {
   }
 
   /** A boat is never dropped from the list: one that the gateway no longer names keeps its last values. */
-  takeBoats(boats: Boat[], at_s: number): void {
+  takeBoats(boats: Boat[], at_s: number, came = performance.now()): void {
     const known = new Set(boats.map((each) => each.id));
     this.boats = [...boats, ...this.boats.filter((each) => !known.has(each.id))].sort((a, b) => a.id - b.id);
     this.at_s = at_s;
-    this.framedAt = performance.now();
+    this.framedAt = came;
     if (this.selected === null && this.boats.length) this.select(this.boats[0]!.id);
     this.tell("boats");
   }

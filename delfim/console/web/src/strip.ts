@@ -18,7 +18,7 @@ import { speedWords } from "./units";
 import type { Boat } from "./wire";
 
 const CONFIRM_LATE_MS = 3000;
-const SILENT_S = 0.2;
+const SILENT_S = 0.4; // longer than between two showings at rest (calm.ts)
 const FULL_AT_MOST = 3; // boats; with more of them only the selected one is shown in full
 
 const UNFOLDED = "delfim.unfolded";

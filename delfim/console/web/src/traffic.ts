@@ -1,5 +1,5 @@
 // Other vessels in words: how many are heard and how long ago, who keeps clear of whom, and a table by the time of the nearest approach.
-import { attribute, make, text } from "./dom";
+import { attribute, hide, make, text } from "./dom";
 import { position } from "./fleet";
 import { bearing, bearing_deg, distance_m, metres } from "./geo";
 import { isThing, secondsWords, tcpaWords } from "./others";
@@ -50,11 +50,12 @@ export class Traffic {
     this.tell();
     this.drawOrders();
     const shown = this.open ? vessels.slice(0, ROWS_MOST) : grave.slice(0, ROWS_MOST);
-    this.table.hidden = !shown.length;
+    hide(this.table, !shown.length);
+    hide(this.note, !alarming.length);
+    if (!shown.length) return this.table.replaceChildren();
     const heads = make("tr", make("th", "vessel"), make("th", "away"), make("th", "CPA"), make("th", "TCPA"), make("th", "age"));
     const more = (this.open ? vessels.length : grave.length) - shown.length;
     this.table.replaceChildren(heads, ...shown.map((each) => this.row(each)), ...(more > 0 ? [make("tr", make("td", `and ${more} more, later`))] : []));
-    this.note.hidden = !alarming.length;
   }
 
   /** Rows are made anew each second, so a click is taken by the table. */
@@ -66,7 +67,7 @@ export class Traffic {
 
   private drawOrders(): void {
     const { boats, vessels } = this.state;
-    this.box.hidden = !boats.length;
+    hide(this.box, !boats.length);
     const words = boats.flatMap((boat) => guardWords(boat, boats.length > 1, vessels.length > 0));
     if (words.join() === this.ordered) return;
     this.ordered = words.join();
