@@ -1,7 +1,7 @@
 """Which of three or four fixed motors is where, and which way each pushes: boats that are played, and trials in lock step."""
 
 import math
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Sequence
 from itertools import permutations, product
 from pathlib import Path
 from random import Random
@@ -26,6 +26,7 @@ from delfim.base import tables
 from delfim.base.errors import DelfimError
 from delfim.campaign.adopted.truth import is_right, truth
 from delfim.config import ThrusterTable
+from tests.adoption.test_motors import asked
 
 ROOT = Path(__file__).parents[2]
 QUIET = DriftNoise(0.0, 0.0)
@@ -52,17 +53,6 @@ def boat(rows: Rows, places: Sequence[int], signs: Sequence[int], strong: Sequen
         return Response(turn / arm_m, 2.0 * ahead, 1.0 * aside)
 
     return answer
-
-
-def asked(what: Generator[Doublet, Response, Any], answers: Callable[[Doublet], Response]) -> tuple[Any, list[Doublet]]:
-    said = list[Doublet]()
-    try:
-        doublet = next(what)
-        while True:
-            said.append(doublet)
-            doublet = what.send(answers(doublet))
-    except StopIteration as end:
-        return end.value, said
 
 
 @pytest.mark.parametrize("name", LAYOUTS)

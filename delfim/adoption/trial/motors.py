@@ -108,9 +108,14 @@ def _at(samples: Sequence[Sample], at_s: float) -> tuple[float, float]:
     return fmean(each.turn_radps for each in near), fmean(each.ahead_mps for each in near)
 
 
+def hold_s(length_m: float, bounds_s: tuple[float, float] = HELD_S, s_per_m: float = HELD_S_PER_M) -> float:
+    """How long a doublet of a boat so long holds one command."""
+    return min(max(s_per_m * length_m, bounds_s[0]), bounds_s[1])
+
+
 def finding(length_m: float, quiet: DriftNoise) -> Finding:
     """Ask for one doublet after the other, and take its answer; returns what was found."""
-    held_s = min(max(HELD_S_PER_M * length_m, HELD_S[0]), HELD_S[1])
+    held_s = hold_s(length_m)
     turn_radps = max(TURN_RADPS, TURN_NOISES * quiet.turn_radps)
     turns = list[SureAnswer]()
     for row in (0, 1):
@@ -132,7 +137,7 @@ def finding(length_m: float, quiet: DriftNoise) -> Finding:
 
 def proving(found: MotorsFound, length_m: float, quiet: DriftNoise) -> Generator[Doublet, Response, str]:
     """A turn to starboard by both motors, which was never tried. Returns why that proves nothing, in words; empty: proven."""
-    held_s = min(max(HELD_S_PER_M * length_m, HELD_S[0]), HELD_S[1])
+    held_s = hold_s(length_m)
     first, second = (float(-side * sign) for side, sign in zip(found.sides, found.signs, strict=True))
     least_radps = max(PROOF_RADPS, TURN_NOISES * quiet.turn_radps)
     sure = yield from agreeing(_of(first, second, held_s), 0, least_radps, PROOF_LEVELS)

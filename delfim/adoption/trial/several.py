@@ -32,6 +32,7 @@ from delfim.adoption.trial.motors import (
     Sample,
     agreeing,
     beyond,
+    hold_s,
 )
 from delfim.config import ThrusterTable
 
@@ -93,7 +94,7 @@ def _near(samples: Sequence[Sample], at_s: float) -> list[Sample]:
 
 def finding(rows: Sequence[ThrusterTable], length_m: float, quiet: DriftNoise) -> Finding:
     """Ask for one doublet after the other, and take its answer; returns what was found."""
-    held_s = _held_s(length_m)
+    held_s = hold_s(length_m, HELD_S, HELD_S_PER_M)
     turn_radps, turns, levels = max(TURN_RADPS, TURN_NOISES * quiet.turn_radps), list[int](), list[float]()
     for row in range(len(rows)):
         alone = tuple(float(each == row) for each in range(len(rows)))
@@ -125,10 +126,6 @@ def finding(rows: Sequence[ThrusterTable], length_m: float, quiet: DriftNoise) -
 def _from(level: float) -> tuple[float, ...]:
     """The levels from that at which another motor was found, which is no stronger."""
     return tuple(each for each in LEVELS if each >= min(level, BEGIN_MOST))
-
-
-def _held_s(length_m: float) -> float:
-    return min(max(HELD_S_PER_M * length_m, HELD_S[0]), HELD_S[1])
 
 
 def _of(parts: Sequence[float], held_s: float) -> Callable[[float], Doublet]:
@@ -266,7 +263,7 @@ def proving(
     found: MotorsFound, rows: Sequence[ThrusterTable], length_m: float, quiet: DriftNoise
 ) -> Generator[Doublet, Response, str]:
     """A turn to starboard by all motors, which was never tried. Returns why that proves nothing, in words; empty: proven."""
-    held_s = _held_s(length_m)
+    held_s = hold_s(length_m, HELD_S, HELD_S_PER_M)
     every = [place_of(rows[at]) for at in found.places]
     parts = [math.copysign(1.0, its.turn_m) * sign for its, sign in zip(every, found.signs, strict=True)]
     sure = yield from agreeing(_of(parts, held_s), 0, max(PROOF_RADPS, TURN_NOISES * quiet.turn_radps), _from(max(found.least)))

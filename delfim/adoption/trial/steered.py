@@ -10,8 +10,6 @@ from typing import Final
 from delfim.adoption.trial.motors import (
     AHEAD_MPS,
     AHEAD_NOISES,
-    HELD_S,
-    HELD_S_PER_M,
     LEAST_PART,
     LEVELS,
     TURN_NOISES,
@@ -22,6 +20,7 @@ from delfim.adoption.trial.motors import (
     MotorsFound,
     agreeing,
     beyond,
+    hold_s,
 )
 
 SHARE: Final = 0.7  # of the greatest angle, to find out what it does
@@ -30,7 +29,7 @@ PUSH: Final = 0.25  # of full command: without it nothing turns the boat
 
 def finding(length_m: float, quiet: DriftNoise) -> Finding:
     """Ask for one doublet after the other, and take its answer; returns what was found."""
-    held_s = min(max(HELD_S_PER_M * length_m, HELD_S[0]), HELD_S[1]) + 0.5
+    held_s = hold_s(length_m) + 0.5
     ahead_mps = max(AHEAD_MPS, AHEAD_NOISES * quiet.ahead_mps)
     pushes = yield from agreeing(lambda level: Doublet((level, 0.0), held_s, (-level, 0.0)), 1, ahead_mps, LEVELS)
     if isinstance(pushes, str):
