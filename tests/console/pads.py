@@ -7,10 +7,15 @@ REST = 0.12  # of the way of a stick: gamepad.ts
 
 
 async def plug(page: Page, right: float = 0.0, ahead: float = 0.0, *, stop: bool = False) -> None:
-    """From now on there is one, with its left stick so far to the right and ahead, -1 to 1 beyond its rest."""
+    """From now on there is one, with its left stick so far to the right and ahead, -1 to 1 beyond its rest. A browser says when
+    it is plugged in, and no more."""
     axes = [_axis(right), -_axis(ahead)]
     buttons = f"[{{pressed: false}}, {{pressed: {str(stop).lower()}}}]"
-    await page.value(f"navigator.getGamepads = () => [null, {{connected: true, axes: {axes}, buttons: {buttons}}}], 0")
+    await page.value(f"""(() => {{
+      const was = navigator.getGamepads().some(Boolean);
+      navigator.getGamepads = () => [null, {{connected: true, axes: {axes}, buttons: {buttons}}}];
+      if (!was) window.dispatchEvent(new Event('gamepadconnected'));
+    }})()""")
     await looked(page)
 
 

@@ -1,5 +1,5 @@
 """What nobody can see is not drawn: the page draws its map when something has moved by a pixel, and no oftener. While nobody
-touches it it does so four times a second, unless it is what an operator waits for."""
+touches it it does so twice a second, unless it is what an operator waits for."""
 
 import asyncio
 from collections.abc import Callable
@@ -28,6 +28,21 @@ PICTURES = """(() => {
     if (this.canvas.isConnected && image.width > this.canvas.width) pictures++;
     draw.call(this, image, ...where);
   };
+})()"""
+
+AGED = """(() => {
+  window.shown_ms = window.aged_ms = 0;
+  const speed = ({ target }) => (target.parentElement ?? target).closest('.speed') ?? target.closest?.('.speed');
+  new MutationObserver((all) => {
+    if (all.some(speed)) [shown_ms, aged_ms] = [performance.now(), 0];
+    else aged_ms ||= performance.now();
+  }).observe(document.getElementById('strips'), { subtree: true, childList: true, characterData: true });
+})()"""
+
+LOOKS = """(() => {
+  window.looks = 0;
+  const gamepads = navigator.getGamepads.bind(navigator);
+  navigator.getGamepads = () => (looks++, gamepads());
 })()"""
 
 WASTED = """(() => {
@@ -105,14 +120,33 @@ async def test_steps_of_less_than_a_pixel_are_not_drawn(gateway, page):
     assert await counted(gateway, page, DRAWN, north(gateway, 600 * CENTIMETRE)) >= FRAMES // 2, "steps of six metres are drawn"
 
 
-async def test_a_page_at_rest_is_drawn_four_times_a_second(gateway, page):
+async def test_a_page_at_rest_is_drawn_twice_a_second(gateway, page):
     """Each message would be drawn, if somebody touched it."""
     await at_rest(gateway, page)
     begun_ms = await page.value("performance.now()")
     drawn = await counted(gateway, page, DRAWN, to_and_fro(gateway))
     took_s = (await page.value("performance.now()") - begun_ms) / 1000
-    assert drawn <= 4 * took_s + 2
+    assert drawn <= 2 * took_s + 2
     assert await counted(gateway, page, DRAWN, to_and_fro(gateway), touched=True) >= FRAMES // 2
+
+
+async def test_ages_alone_are_written_only_where_nothing_arrives(gateway, page):
+    """Between two showings nothing is: the next brings them with it."""
+    await at_rest(gateway, page)
+    await page.value(AGED)
+    for speed_mps in 1.1, 1.2, 1.3:
+        await page.value("new Promise(done => setTimeout(done, 600))")  # what comes now does not wait for its showing
+        await page.value("shown_ms = 0")
+        gateway.boat(1)["speed_mps"] = speed_mps
+        await gateway.frame()
+        await page.until("shown_ms && aged_ms", 10.0)
+        assert await page.value("aged_ms - shown_ms") >= 600
+
+
+async def test_a_gamepad_is_looked_for_once_a_second(page):
+    await page.value(LOOKS)
+    await page.value("new Promise(done => setTimeout(done, 2000))")
+    assert 1 <= await page.value("looks") <= 4
 
 
 async def test_the_last_that_was_told_is_shown_without_another_message(gateway, page):

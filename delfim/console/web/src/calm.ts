@@ -1,5 +1,5 @@
-// Nobody looks closer at a page than somebody who touches it. While nobody does, what the boats tell is shown four times a second
-// and not with each message, unless it is what an operator waits for: a command that was taken, a trouble, a boat that has gone far.
+// Nobody looks closer at a page than somebody who touches it. While nobody does, what the boats tell is shown twice a second and
+// not with each message, unless it is what an operator waits for: a command that was taken, a trouble, a boat that has gone far.
 import type { Chart, Pixel } from "./chart";
 import type { Drive } from "./drive";
 import { position } from "./fleet";
@@ -7,7 +7,7 @@ import { freshness } from "./state";
 import type { Boat } from "./wire";
 
 const TOUCHED_MS = 2000; // so long after a touch everything is shown at once
-const SHOWN_MS = 250; // between two showings at rest
+const SHOWN_MS = 500; // between two showings at rest
 const FAR_PX = 3;
 const SELDOM_S = 0.5; // what is told no oftener is shown at once: a replay that runs, a link that is thin
 const TOUCHES = ["pointerdown", "pointermove", "pointerup", "wheel", "keydown"];

@@ -7,6 +7,7 @@ import type { State } from "./state";
 import type { Boat } from "./wire";
 
 const LOOK_MS = 100;
+const SEARCH_MS = 1000; // while there is none
 const REST = 0.12; // of the way: sticks do not come back to exactly 0
 const STOP_BUTTON = 1; // B, or the circle
 const TURN_DEG = 2; // a look: 20 degrees a second
@@ -19,6 +20,7 @@ export class Pad {
   private hand: object | undefined; // on the boat's thrust; a stop ends it, and manual mode begins another
   private driven: number | null = null; // boat whose thrust is the stick's
   private stopped = false;
+  private timer = 0;
 
   constructor(
     private readonly state: State,
@@ -26,7 +28,17 @@ export class Pad {
     private readonly drive: Drive,
     private readonly say: Say,
   ) {
-    setInterval(() => this.look(), LOOK_MS);
+    window.addEventListener("gamepadconnected", () => this.again());
+    this.again();
+  }
+
+  private again(): void {
+    clearTimeout(this.timer);
+    try {
+      this.look();
+    } finally {
+      this.timer = window.setTimeout(() => this.again(), this.present ? LOOK_MS : SEARCH_MS);
+    }
   }
 
   private look(): void {

@@ -54,7 +54,7 @@ import type { Background, Boat, Heard, Mission, Place, Vessel } from "./wire";
 
 const REACH_PX = 22;
 const REACH_TOUCH_PX = 32;
-const APART: ReadonlySet<Heard["t"]> = new Set(["boats", "vessels", "depths", "picture", "answer"]); // what comes often and leans on nothing that a boat told just before
+const APART: ReadonlySet<Heard["t"]> = new Set(["boats", "depths", "picture", "answer"]); // what comes often and leans on nothing that a boat told just before
 
 const element = (id: string): HTMLElement => document.getElementById(id)!;
 

@@ -38,6 +38,7 @@ export class Picture {
   private readonly name = make("button.plain");
   private readonly age = make("output");
   private readonly said = make("b");
+  private timer = 0;
   private kept: [string, number] = ["", 0]; // what became of Keep, and until when it is shown
   private readonly box = make("section", make("header", this.name, this.age), this.image, this.video, this.said);
 
@@ -61,7 +62,6 @@ export class Picture {
     this.video.hidden = this.video.muted = this.video.autoplay = this.video.playsInline = true;
     this.name.addEventListener("click", () => this.next());
     setInterval(() => this.look(), LOOK_MS);
-    setInterval(() => this.draw(), DRAW_MS);
     parent.append(this.box);
   }
 
@@ -72,6 +72,8 @@ export class Picture {
   toggle(): void {
     this.box.hidden = !this.box.hidden;
     this.boat = null;
+    clearInterval(this.timer);
+    if (this.visible) this.timer = window.setInterval(() => this.draw(), DRAW_MS);
     this.look();
     this.draw(); // its name, too: no button is without a word
   }

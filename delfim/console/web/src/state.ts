@@ -8,6 +8,7 @@ export type DryRun = Extract<Heard, { t: "dryrun" }>;
 
 export const NOBODY = 0; // stands for the boat of the plan that is made before one is heard
 
+const SILENT_S = 0.7; // longer than between two showings at rest (calm.ts)
 const FRESH_S = 1.5;
 const OLD_S = 3.5;
 const SAID_S = 2; // an older message is shown with its age
@@ -76,6 +77,11 @@ export class State {
   /** Seconds since the gateway's last word about the boats. */
   get frameAge_s(): number {
     return this.framedAt ? (performance.now() - this.framedAt) / 1000 : Infinity;
+  }
+
+  /** Ages grow by this page's own clock then. */
+  get nothingArrives(): boolean {
+    return this.frameAge_s > SILENT_S;
   }
 
   /** A boat is never dropped from the list: one that the gateway no longer names keeps its last values. */

@@ -18,7 +18,6 @@ import { speedWords } from "./units";
 import type { Boat } from "./wire";
 
 const CONFIRM_LATE_MS = 3000;
-const SILENT_S = 0.4; // longer than between two showings at rest (calm.ts)
 const FULL_AT_MOST = 3; // boats; with more of them only the selected one is shown in full
 
 const UNFOLDED = "delfim.unfolded";
@@ -46,7 +45,7 @@ export class Strips {
     state.on(["forgotten"], () => {
       for (const [id, chip] of this.chips) if (!state.byId(id) && this.chips.delete(id)) chip.root.remove();
     });
-    setInterval(() => state.frameAge_s > SILENT_S && this.draw(false), 250); // ages grow while nothing arrives
+    setInterval(() => state.nothingArrives && this.draw(false), 250); // ages grow while nothing arrives
   }
 
   draw(fresh: boolean): void {

@@ -37,9 +37,12 @@ export class Traffic {
     box.append(this.line, this.orders, this.table, this.note);
     this.table.addEventListener("pointerup", (event) => this.choose(event));
     state.on(["vessels"], () => this.draw());
-    state.on(["boats"], () => this.drawOrders());
+    state.on(["boats"], () => {
+      this.tell();
+      this.drawOrders();
+    });
     this.tell();
-    setInterval(() => this.tell(), 500);
+    setInterval(() => state.nothingArrives && this.tell(), 500);
   }
 
   private draw(): void {
