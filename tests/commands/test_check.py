@@ -1,5 +1,6 @@
 """`delfim check` as it is typed: all mistakes at once, and what the file names that is not there."""
 
+import importlib.util
 from pathlib import Path
 
 import pytest
@@ -56,6 +57,26 @@ def test_what_is_not_on_this_computer_is_a_warning(check, tmp_path):
         "delfim: warning: boat.toml: simulation.mission: there is no file away.toml; put it beside the vehicle's file",
     ]
     assert main(["sim", str(tmp_path / "boat.toml"), "--lockstep"]) == 2
+
+
+def test_a_camera_that_this_computer_cannot_show_is_a_warning(check, monkeypatch):
+    monkeypatch.setenv("PATH", "")
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
+    text = (
+        '[boat]\nname = "x"\n[can]\ninterface = "canloop:x"\n[camera.bow]\nsource = "/dev/video99"\n'
+        '[camera.mast]\nsource = "test"\nwebrtc = true\n[camera.stern]\nsource = "rtsp://192.168.2.9/1"\n'
+    )
+    code, _, err = check(text)
+    needs = "need the program ffmpeg, which this computer lacks"
+    assert (code, err.splitlines()) == (
+        0,
+        [
+            "delfim: warning: camera.bow.source: there is no /dev/video99 on this computer",
+            f"delfim: warning: camera.bow.source: pictures of /dev/video99 {needs}",
+            "delfim: warning: camera.mast.webrtc: only stills, for aiortc is not installed: pip install 'delfim[webrtc]'",
+            f"delfim: warning: camera.stern.source: pictures of rtsp://192.168.2.9/1 {needs}",
+        ],
+    )
 
 
 @pytest.mark.parametrize(

@@ -2,8 +2,10 @@
 
 import argparse
 import contextlib
+import importlib.util
 import math
 import os
+import shutil
 import sys
 from collections.abc import Iterator
 from ipaddress import IPv4Interface, ip_network
@@ -107,6 +109,7 @@ def _doubts(file: str, vehicle: config.Vehicle) -> Iterator[str]:
     for name, payload in vehicle.table("payload").items():
         if not os.access(payload.command[0], os.X_OK):
             yield f"payload.{name}.command: there is no program {payload.command[0]} on this computer"
+    yield from _without_pictures(vehicle)
     named, chart = vehicle.fence.chart, None
     if named and not Path(named).exists():
         yield f"fence.chart: there is no file {named} on this computer"
@@ -123,6 +126,17 @@ def _doubts(file: str, vehicle: config.Vehicle) -> Iterator[str]:
             yield str(error)
         except Refused as error:
             yield f"simulation.mission: {error}"
+
+
+def _without_pictures(vehicle: config.Vehicle) -> Iterator[str]:
+    """The cameras that this computer cannot show, or not by WebRTC, with what it lacks."""
+    for name, camera in vehicle.table("camera").items():
+        if camera.source.startswith("/dev/") and not Path(camera.source).exists():
+            yield f"camera.{name}.source: there is no {camera.source} on this computer"
+        if camera.source != "test" and shutil.which("ffmpeg") is None:
+            yield f"camera.{name}.source: pictures of {camera.source} need the program ffmpeg, which this computer lacks"
+        if camera.webrtc and importlib.util.find_spec("aiortc") is None:
+            yield f"camera.{name}.webrtc: only stills, for aiortc is not installed: pip install 'delfim[webrtc]'"
 
 
 def _on_the_bus(vehicle: config.Vehicle) -> Iterator[str]:
