@@ -374,10 +374,12 @@ async def watched(sea: Sea) -> AsyncIterator[Sea]:
 
 
 @contextlib.contextmanager
-def afternoon(folder: Path, *more: str, env: dict[str, str] | None = None) -> Iterator[tuple[asyncio.Runner, Sea]]:
+def afternoon(
+    folder: Path, *more: str, count: int = 2, env: dict[str, str] | None = None
+) -> Iterator[tuple[asyncio.Runner, Sea]]:
     """`operating` for all tests of a file: what runs them, and the sea."""
     with asyncio.Runner() as runner:
-        chain = operating(folder, *more, env=env)
+        chain = operating(folder, *more, count=count, env=env)
         sea = runner.run(chain.__aenter__())
         try:
             yield runner, sea

@@ -30,7 +30,7 @@ def afloat(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[asyncio.R
     installed(folder / "laboratory", "mode")
     values = ('parts.example_mode="1.0"', 'failsafe.console_silent.weave="hold"', WATCHES)
     env = os.environ | {"PYTHONPATH": f"{folder}/laboratory:{ROOT}"}
-    with afternoon(folder, *values, env=env) as both:
+    with afternoon(folder, *values, count=1, env=env) as both:
         yield both
 
 

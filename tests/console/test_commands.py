@@ -472,15 +472,22 @@ async def test_what_the_page_says_is_what_the_vehicle_obeys(its: Sea, rows: list
     await said_and_obeyed(its, rows)
 
 
+async def steady(page: Page, boat: Boat) -> bool:
+    """Whether she does not turn, and the page knows her heading."""
+    state = await asyncio.to_thread(boat.state)
+    off_deg = (await page.value(SHOWN_DEG) - state["heading_deg"] + 540.0) % 360.0 - 180.0
+    return abs(state["turn_dps"]) < 0.5 and abs(off_deg) < 1.5
+
+
 async def said_and_obeyed(sea: Sea, rows: list[Row], hand: Callable[[Page], Page] = lambda page: page) -> None:
     """The rows of one way. `hand`: what works the page, if it is no mouse and no keys."""
     row = rows[0]
     page, boat = await sea.at_rest(2)
     await select(page, 2)
     if row.told and "turned_deg" in row.told:  # of the heading that it has when the menu is chosen from
-        await boat.until(lambda state: abs(state["turn_dps"]) < 0.5)
-        off_deg = f"(({SHOWN_DEG} - {boat.state()['heading_deg']} + 540) % 360 - 180)"
-        await page.until(f"Math.abs({off_deg}) < 1.5")  # as the page knows it
+        async with asyncio.timeout(PATIENCE_S):  # she drifts on: what the page shows is held against what she says now
+            while not await steady(page, boat):
+                await asyncio.sleep(0.05)
     if row.told and row.told["command"] == "reset":  # refused while a stopped propeller coasts
         await boat.until(lambda state: all(abs(each["rpm"] or 0.0) < 50.0 for each in state["thrusters"].values()))
     began_ns, before = time.time_ns(), boat.state() | {"origin": await page.value("window.origin")}

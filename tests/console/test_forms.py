@@ -59,24 +59,25 @@ async def test_numbers_are_typed_and_those_that_cannot_be_are_refused_with_their
     assert [each["t"] for each in gateway.said if each["t"] == "command"] == []
 
 
-@pytest.mark.parametrize(
-    ("latitude", "longitude"),
-    [("38.6905", "-9.2149"), ("38 41.430N", "9 12.894W"), ("N38°41′25.8″", "W9°12′53.64″"), ("38,6905", "009-12.894W")],
-)
-async def test_a_waypoint_is_put_where_its_coordinates_say(page: Page, gateway: Standin, latitude: str, longitude: str) -> None:
+COORDINATES = ("38.6905", "-9.2149"), ("38 41.430N", "9 12.894W"), ("N38°41′25.8″", "W9°12′53.64″"), ("38,6905", "009-12.894W")
+
+
+async def test_a_waypoint_is_put_where_its_coordinates_say(page: Page, gateway: Standin) -> None:
     mission = {**survey(), "name": "Square", "waypoints": waypoints(SQUARE), "fence": [], "obstacles": [], "home": None}
-    await gateway.tell({"t": "mission", "boat": 1, "where": "here", "mission": mission})
-    await settled(page, gateway)
-    await page.mouse(await pixel(page, *SQUARE[2]))
-    await choose(page, "Position…")
-    await type_in(page, "Latitude", latitude)
-    await type_in(page, "Longitude", "somewhere")
-    await page.until(f"{WORDS} === 'Longitude: -180 to 180 °'")
-    await type_in(page, "Longitude", longitude)
-    await page.press("Enter")
-    moved = await planned(gateway, lambda w: not close(w[2], SQUARE[2]))
-    at = [round(moved["waypoints"][2][name], 6) for name in ("latitude_deg", "longitude_deg")]
-    assert at == [38.6905, -9.2149]
+    for latitude, longitude in COORDINATES:
+        gateway.forget()
+        await gateway.tell({"t": "mission", "boat": 1, "where": "here", "mission": mission})  # it is where it was
+        await settled(page, gateway)
+        await page.mouse(await pixel(page, *SQUARE[2]))
+        await choose(page, "Position…")
+        await type_in(page, "Latitude", latitude)
+        await type_in(page, "Longitude", "somewhere")
+        await page.until(f"{WORDS} === 'Longitude: -180 to 180 °'")
+        await type_in(page, "Longitude", longitude)
+        await page.press("Enter")
+        moved = await planned(gateway, lambda w: not close(w[2], SQUARE[2]))
+        at = [round(moved["waypoints"][2][name], 6) for name in ("latitude_deg", "longitude_deg")]
+        assert at == [38.6905, -9.2149], latitude
 
 
 def extent_m(waypoints: list[Message]) -> float:

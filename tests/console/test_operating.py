@@ -186,6 +186,7 @@ async def sent(page: Page) -> None:
 # Keys.
 
 
+@pytest.mark.long
 async def test_each_key_of_the_thesis_is_seen_at_the_vehicle(sea: Sea) -> None:
     page, boat = await sea.at_rest(2)
     await drawn(page, boat, [(60, -69), (60, 69), (-60, 69)])

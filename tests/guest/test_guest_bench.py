@@ -2,6 +2,8 @@
 
 import json
 
+import pytest
+
 from bench.critical_path import build
 from delfim.logging.statelog import columns
 from tests.guest.harness import Guest
@@ -17,6 +19,7 @@ kill %1 %2; exit $code
 """
 
 
+@pytest.mark.long
 def test_c_programs_on_a_real_bus(can_guest: Guest) -> None:
     programs = build(can_guest.folder)
     log, frames = can_guest.folder / "c.state", can_guest.folder / "frames"

@@ -1,4 +1,8 @@
-"""etc/init.d/delfim, for boards that keep their init: start, status, restart, stop, and a suite that died."""
+"""etc/init.d/delfim, for boards that keep their init: start, status, restart, stop, and a suite that died. What the script does
+with any program is in tests/services/test_initd.py.
+"""
+
+import pytest
 
 from tests.guest.harness import ROOT, Guest
 
@@ -7,6 +11,7 @@ VEHICLE=$FOLDER/board.toml DELFIM="python -m delfim" RUN=/run/board
 """
 
 
+@pytest.mark.long
 def test_start_status_restart_stop(can_guest: Guest) -> None:
     text = (ROOT / "etc/delfimx.toml").read_text()
     text = text.replace('interface = "can0"', 'interface = "vcan0"').replace('"/log"', '"/run/board/log"')

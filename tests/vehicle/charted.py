@@ -5,6 +5,8 @@ from bisect import bisect_right
 from collections.abc import Sequence
 from pathlib import Path
 
+import numpy as np
+
 from delfim.base.geodesy import Origin
 from delfim.vehicle.plans.clearance import METRES, ClearanceHead, GridHead
 from delfim.vehicle.plans.clearancefile import packed
@@ -20,16 +22,12 @@ def code(clear_m: float) -> int:
 
 
 def field(shoals: Sequence[Shoal], knots: int = KNOTS) -> bytes:
-    side = [CELL_M * (number - (knots - 1) / 2.0) for number in range(knots)]
-    edge_m = CELL_M * (knots - 1) / 2.0
-    found = bytearray()
-    for north_m in side:
-        for east_m in side:
-            clear_m = edge_m - max(abs(north_m), abs(east_m))
-            for n, e, radius_m in shoals:
-                clear_m = min(clear_m, math.hypot(north_m - n, east_m - e) - radius_m)
-            found.append(code(clear_m))
-    return bytes(found)
+    side = CELL_M * (np.arange(knots) - (knots - 1) / 2.0)
+    north_m, east_m = side[:, None], side[None, :]
+    clear_m = CELL_M * (knots - 1) / 2.0 - np.maximum(abs(north_m), abs(east_m))
+    for n, e, radius_m in shoals:
+        clear_m = np.minimum(clear_m, np.hypot(north_m - n, east_m - e) - radius_m)
+    return (np.searchsorted(METRES, np.maximum(clear_m, METRES[0]), side="right") - 1).astype(np.uint8).tobytes()
 
 
 def chart(
