@@ -104,7 +104,7 @@ def trial_to_go_on(here: Path) -> Said:
     from delfim.adoption.windows import windows_of
 
     progress = kept(here / "trial.json", config.load(ROOT / "etc/delfimx.toml"))
-    return refused(lambda: windows_of(record_of(progress, is_estimated=True), (0, 1.0), (1, 1.0)))
+    return refused(lambda: windows_of(record_of(progress, is_estimated=True), [(0, 1.0), (1, 1.0)]))
 
 
 def identified(here: Path) -> Said:

@@ -1,6 +1,6 @@
 """What a boat does in calm water by its fitted numbers: speeds, ways to stop, rates of turn, each with its uncertainty."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -12,6 +12,7 @@ from delfim.adoption.model import (
     PLACE,
     Array,
     ModelMotion,
+    MotorPush,
     SteeringGear,
     Windows,
     simulate,
@@ -134,7 +135,8 @@ STOPS: Final = {"stop_full_m": "100", "stop_60_m": "60", "stop_30_m": "30"}  # f
 
 def calm(fit: Fit) -> ModelMotion:
     """The runs of a fit, in lanes: as found, with each number nudged, as the file tells."""
-    return sailed(np.concatenate([[fit.theta], fit.theta + np.diag(NUDGES), [fit.prior.told]]), fit.windows.gear)
+    lanes = np.concatenate([[fit.theta], fit.theta + np.diag(NUDGES), [fit.prior.told]])
+    return sailed(lanes, fit.windows.gear, fit.windows.rows)
 
 
 def figures(fit: Fit, motion: ModelMotion) -> dict[str, Figure]:
@@ -182,17 +184,19 @@ def _pushed(fit: Fit, name: str) -> float:
     return max(float(p["ahead"] * (sum(share) if fit.windows.gear is None else share[0])), 1e-6)
 
 
-def sailed(lanes: Array, gear: SteeringGear | None = None) -> ModelMotion:
-    """The runs of these internal numbers (lanes, numbers), in calm water, with what turns a motor set straight: (steps, lanes,
-    runs)."""
+def sailed(lanes: Array, gear: SteeringGear | None = None, rows: tuple[MotorPush, ...] = ()) -> ModelMotion:
+    """The runs of these internal numbers (lanes, numbers), in calm water, with what turns a motor set straight, and with those
+    of `rows` at a side alike: (steps, lanes, runs)."""
     calm = lanes.copy()
     calm[:, [PLACE[name] for name in (*OF_THE_DAY, "straight")]] = 0.0
     steps = round((PUSH_S + COAST_S) / STEP_S)
-    commands = np.zeros((len(RUNS), BACK + steps, 2))
+    commands = np.zeros((len(RUNS), BACK + steps, len(rows) or 2))
     for index, run in enumerate(RUNS):
-        parts = run.parts if gear is None else _steered(run, gear)
+        parts: Sequence[float] = run.parts if gear is None else _steered(run, gear)
+        if rows:
+            parts = [{1: run.parts[0], -1: run.parts[1], 0: 0.0}[row.side] for row in rows]
         commands[index, BACK : BACK + _PUSHED] = parts
-    windows = Windows(STEP_S, commands, np.empty((steps, len(RUNS), 4)), np.zeros(len(RUNS)), BACK, gear)
+    windows = Windows(STEP_S, commands, np.empty((steps, len(RUNS), 4)), np.zeros(len(RUNS)), BACK, gear, rows)
     return simulate(values_of(calm), windows, np.zeros((len(calm), len(RUNS), LOCAL)))
 
 

@@ -5,7 +5,7 @@ from typing import Final, NamedTuple
 
 from delfim import config
 from delfim.adoption.fitting import Prior
-from delfim.adoption.model import NUMBERS, PLACE, SPREADS, SteeringGear, internal
+from delfim.adoption.model import NUMBERS, PLACE, SPREADS, MotorPush, SteeringGear, internal
 from delfim.adoption.suited import along_n, at_side, hull_unfit, is_several, place_of, unfit
 from delfim.base.errors import DelfimError
 from delfim.simulator.model import hull_of
@@ -73,7 +73,7 @@ def motors_of(vehicle: config.Vehicle) -> Motors:
 def _of_several(vehicle: config.Vehicle) -> Motors:
     """All at each side, as one motor: the arm is that of what they give together."""
     rows, found = vehicle.thrusters, list[Motor]()
-    if why := unfit(rows) or hull_unfit(rows):
+    if why := unfit(rows):
         raise DelfimError(f"the hull of this boat cannot be identified: {why}")
     for side in (1, -1):
         its = at_side(rows, side)
@@ -81,6 +81,28 @@ def _of_several(vehicle: config.Vehicle) -> Motors:
         arm_m = moment / max(sum(along_n(rows[at]) for at in its), LEAST_N)
         found.append(Motor(its[0], rows[its[0]].name, float(place_of(rows[its[0]]).way), arm_m, its))
     return Motors(*found)
+
+
+def pushes_of(vehicle: config.Vehicle) -> tuple[MotorPush, ...]:
+    """What each of three or four fixed motors does, for a fit of commands that are not alike at a side; nothing of fewer."""
+    if not is_several(vehicle.thrusters):
+        return ()
+    motors, found, across = motors_of(vehicle), list[MotorPush](), hull_unfit(vehicle.thrusters)
+    arm_m = 0.5 * (motors.starboard.aside_m + motors.port.aside_m)
+    side_n = math.sqrt(math.prod(max(*_ends_n(vehicle, motor), LEAST_N) for motor in motors))
+    for index, row in enumerate(vehicle.thrusters):
+        its, (low, high) = place_of(row), row.ends_n
+        side = next((side for side, motor in zip((1, -1), motors, strict=True) if index in motor.rows), 0)
+        way = its.way or 1
+        if side:
+            share = along_n(row) / abs(its.ahead) / sum(along_n(vehicle.thrusters[at]) for at in motors[side < 0].rows)
+            shares = share, share
+        else:
+            shares = high / side_n, -low / side_n
+        beside = motors[side < 0].rows if side else ()
+        within = 0.5 - beside.index(index) if len(beside) == 2 and across else 0.0
+        found.append(MotorPush(side, way * its.ahead, way * its.aside, way * its.turn_m / arm_m, within, shares))
+    return tuple(found)
 
 
 def _ends_n(vehicle: config.Vehicle, motor: Motor) -> list[float]:

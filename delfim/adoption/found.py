@@ -4,6 +4,7 @@ Mass and thrust are known up to one factor. The file's mass is kept: forces are 
 """
 
 import math
+from collections.abc import Iterator
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -14,7 +15,7 @@ from delfim.adoption.figures import TOO_WINDY, Figure, calm, figures
 from delfim.adoption.fitting import Fit
 from delfim.adoption.foretold import Motor, motors_of
 from delfim.adoption.model import Array, ModelMotion, said, values_of
-from delfim.adoption.suited import along_n, place_of
+from delfim.adoption.suited import along_n, hull_unfit, place_of
 from delfim.adoption.writing import FoundKey
 from delfim.vehicle.control.hull import craft
 
@@ -47,7 +48,8 @@ def findings(fit: Fit, vehicle: config.Vehicle, *, is_raw: bool) -> BoatFindings
     keys = [*_thrusters(fit, vehicle), *_boat(fit, vehicle, told), *_fence(vehicle, told), *_twin(fit, vehicle)]
     if is_raw:
         keys += _antenna(fit, vehicle)
-    keys += compass(fit, vehicle, 0.0 if is_raw else SMOOTHED_DEG)
+    if not hull_unfit(vehicle.thrusters):  # else leeway looks like a compass that is off
+        keys += compass(fit, vehicle, 0.0 if is_raw else SMOOTHED_DEG)
     return BoatFindings(tuple(keys), told, tuple(changes(fit)), tuple(unseen(fit, told)), runs)
 
 
@@ -81,9 +83,28 @@ def _thrusters(fit: Fit, vehicle: config.Vehicle) -> list[FoundKey]:
             for key, name, value, scale, told in rows
             if name not in fit.unseen and not (keeps and key in ("power", "dead"))
         ]
+    for row, its in zip(vehicle.thrusters, fit.windows.rows, strict=False):
+        if not its.side and not row.curve and not {"ahead", "across"} & set(fit.unseen):
+            found += _across(fit, row, mass_kg, its.shares)
     if gear is not None and "straight" not in fit.unseen:
         found.append(_straight(fit, vehicle.thrusters[0]))
     return found
+
+
+def _across(fit: Fit, row: config.ThrusterTable, mass_kg: float, shares: tuple[float, float]) -> Iterator[FoundKey]:
+    """The force of a motor that pushes aside alone, with law, dead band and lateness of the others, by which it was found."""
+    p, unsure = fit.values, fit.relative("ahead", "across")
+    full_n = mass_kg * p["ahead"] * p["across"]
+    ends = round(-full_n * shares[1], 2), round(full_n * shares[0], 2)
+    dead = 0.5 * (p["dead_starboard"] + p["dead_port"])
+    for key, value, spread in (
+        ("thrust_n", ends, full_n * shares[0] * unsure),
+        ("power", round(p["power"], 3), p["power"] * fit.relative("power")),
+        ("dead", round(dead, 3), 0.5 * fit.relative("dead_starboard", "dead_port")),
+        ("delay_s", round(p["delay"], 3), fit.relative("delay")),
+        ("lag_s", round(max(p["lag"], 0.01), 3), p["lag"] * fit.relative("lag")),
+    ):
+        yield FoundKey(("thrusters", row.name, key), value, spread, getattr(row, key))
 
 
 def _share(vehicle: config.Vehicle, motor: Motor, row: config.ThrusterTable) -> float:

@@ -7,10 +7,10 @@ from typing import NamedTuple
 
 from delfim import config
 from delfim.adoption.fitting import Fit, fitted
-from delfim.adoption.foretold import gear_of, motors_of, prior
+from delfim.adoption.foretold import gear_of, motors_of, prior, pushes_of
 from delfim.adoption.found import BoatFindings, findings
 from delfim.adoption.record import TRIAL, BoatRecord, read_log
-from delfim.adoption.suited import is_several
+from delfim.adoption.suited import hull_unfit, place_of
 from delfim.adoption.twin.gains import ChosenGains
 from delfim.adoption.twin.twintrack import TwinTrack, twin_track
 from delfim.adoption.windows import windows_of
@@ -65,14 +65,15 @@ def since(files: Sequence[LogFile], vehicle: config.Vehicle) -> str:
 def identified(record: BoatRecord, vehicle: config.Vehicle, on: str) -> Identified:
     """Fit a record of the boat of this file, whose thrusters are those of the record. Raises DelfimError, in words."""
     motors, names = motors_of(vehicle), tuple(row.name for row in vehicle.thrusters)
-    if is_several(vehicle.thrusters) and record.source != TRIAL:
-        raise DelfimError(
-            f"of a boat with {len(names)} thrusters a trial alone can be fitted (delfim adopt): it commands a side alike"
-        )
+    if record.source == TRIAL and (why := hull_unfit(vehicle.thrusters)):
+        raise DelfimError(f"the hull of this boat cannot be found by a trial: {why}")
     if record.thrusters != names:
         raise DelfimError(f"the record is of thrusters {', '.join(record.thrusters)}, the file has {', '.join(names)}")
     columns = [(motor.row, motor.sign) for motor in motors] if (gear := gear_of(vehicle)) is None else [(0, 1.0), (1, 1.0)]
-    windows = windows_of(record, columns[0], columns[1], gear)
+    pushes = () if record.source == TRIAL else pushes_of(vehicle)  # a trial commands all at a side alike
+    if pushes:
+        columns = [(index, float(place_of(row).way or 1)) for index, row in enumerate(vehicle.thrusters)]
+    windows = windows_of(record, columns, gear, pushes)
     fit = fitted(windows, prior(vehicle))
     return Identified(record, fit, findings(fit, vehicle, is_raw=record.is_raw), on)
 

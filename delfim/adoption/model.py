@@ -1,5 +1,5 @@
-"""The reduced model of a boat with a motor at each side, or of one that steers: surge, sway and yaw, 40 numbers, of which each
-boat has some, and what a trial measures of them.
+"""The reduced model of a boat with a motor at each side, of one that steers, or of three or four fixed motors: surge, sway and
+yaw, 43 numbers, of which each boat has some, and what a trial measures of them.
 
 Everything is an acceleration: without a force gauge mass and thrust are known up to one factor, and control needs no more.
 Equations: T. I. Fossen, Handbook of Marine Craft Hydrodynamics and Motion Control, 2011, 6.5 and 7.1, solved for u', v', r'.
@@ -28,11 +28,13 @@ class Number(NamedTuple):
     is_factor: bool = False  # above zero: wrong by a factor rather than by a difference
     low: float = -math.inf
     high: float = math.inf
-    of: str = ""  # SIDES or STEERS: of such boats alone
+    of: str = ""  # SIDES, STEERS or ACROSS: of such boats alone
 
 
 DEGREE: Final = math.pi / 180.0
 SIDES, STEERS = "sides", "steers"  # boats with a motor at each side, and those whose one motor steers
+WITHIN: Final = "within"  # boats with two motors at a side, set across
+ACROSS: Final = "across"  # boats with a motor that pushes aside alone
 NUMBERS: Final = (
     Number("ahead", 0.7, "m/s2", "acceleration by one motor at full command ahead", True),
     Number("ahead_uneven", 0.12, "", "starboard motor over port ahead, logarithm", of=SIDES),
@@ -74,6 +76,9 @@ NUMBERS: Final = (
         high=0.3,
         of=STEERS,
     ),
+    Number("across", 0.35, "", "strength of motors that push aside alone, over that of the others", True, of=ACROSS),
+    Number("within_starboard", 0.25, "", "first motor over second at starboard, logarithm", of=WITHIN),
+    Number("within_port", 0.25, "", "first motor over second at port, logarithm", of=WITHIN),
     Number("turning", 0.02, "rad/s2", "turning by itself"),
     Number("wind_north", 0.03, "m/s2", "acceleration by the wind, to the north"),
     Number("wind_east", 0.03, "m/s2", "acceleration by the wind, to the east"),
@@ -111,20 +116,46 @@ class SteeringGear(NamedTuple):
     most_rad: float
 
 
+class MotorPush(NamedTuple):
+    """What one of three or four fixed motors does to the boat, each commanded by itself. Its command is positive where it
+    pushes ahead; of one that pushes aside alone along its angle."""
+
+    side: int  # 1 starboard, -1 port: whose numbers it has; 0: it pushes aside alone
+    ahead: float  # of its force, by a positive command
+    aside: float
+    arm: float  # of its moment, positive to starboard, over the mean arm of both sides
+    within: float  # 0.5, -0.5: the first and the second of two at its side that push across; 0
+    shares: tuple[float, float]  # its force, full ahead and full astern, over that of its side ahead, as the file has them
+
+    @property
+    def weight(self) -> float:
+        """Its part of the push ahead of its side."""
+        return self.ahead * self.shares[0]
+
+
 class Windows(NamedTuple):
     """Pieces of a record of one length, on an even grid. The second motor is the port one; of a boat that steers the second
-    column is the angle of its motor, rad."""
+    column is the angle of its motor, rad. Where there are `rows`, each has a column."""
 
     step_s: float
-    commands: Array  # (windows, back + steps, 2): mean part of each motor over each step, and over those before the first
+    commands: Array  # (windows, back + steps, columns): mean part of each motor over each step, and over those before the first
     measured: Array  # (steps, windows, 4): velocity north and east, heading, rate of turn; NaN: not measured
     from_s: Array  # (windows,), of the record's clock
     back: int
     gear: SteeringGear | None = None
+    rows: tuple[MotorPush, ...] = ()
 
     @property
     def steps(self) -> int:
         return len(self.measured)
+
+    @property
+    def sides(self) -> Array:
+        """The commands of starboard and of port, of each the mean of its motors by their pushes ahead; else the two columns."""
+        if not self.rows:
+            return self.commands
+        weights = np.array([[row.weight * (row.side == side) for side in (1, -1)] for row in self.rows])
+        return np.asarray(self.commands @ (weights / weights.sum(0)))
 
 
 class ModelMotion(NamedTuple):
@@ -161,7 +192,9 @@ def simulate(p: Values, windows: Windows, start: Array) -> ModelMotion:
     u, v, r, psi = (start[..., index].copy() for index in range(LOCAL))
     h, half = windows.step_s, 0.5 * windows.step_s
     motion = ModelMotion(*(np.empty((steps, lanes, count)) for _ in ModelMotion._fields))
-    pushed = _by_sides(p) if windows.gear is None else _by_steering(p, windows.gear)
+    pushed = _by_rows(p, windows.rows) if windows.rows else _by_sides(p)
+    if windows.gear is not None:
+        pushed = _by_steering(p, windows.gear)
     for step in range(steps):
         surge, sway, turn = pushed([each[step] for each in pushes], u)
         c, s = np.cos(psi), np.sin(psi)
@@ -192,6 +225,20 @@ def _by_sides(p: Values) -> Pushed:
         starboard = np.maximum(starboard - starboard_loss * u, np.minimum(starboard, 0.0))
         port = np.maximum(port - port_loss * u, np.minimum(port, 0.0))
         return starboard + port, np.zeros(()), arm_port * port - arm_starboard * starboard
+
+    return pushed
+
+
+def _by_rows(p: Values, rows: Sequence[MotorPush]) -> Pushed:
+    """The same by three or four fixed motors, each commanded by itself."""
+    arms = [row.arm * p["arm"] * np.exp(0.5 * row.side * p["arm_uneven"]) for row in rows]
+
+    def pushed(motors: Sequence[Array], u: Array) -> tuple[Array, Array, Array]:
+        ahead = aside = turn = np.zeros(())
+        for row, arm, push, loss in zip(rows, arms, motors[::2], motors[1::2], strict=True):
+            its = np.maximum(push - loss * u, np.minimum(push, 0.0))
+            ahead, aside, turn = ahead + row.ahead * its, aside + row.aside * its, turn + arm * its
+        return ahead, p["sway_turning"] * aside, turn
 
     return pushed
 
@@ -228,6 +275,8 @@ def _pushes(p: Values, windows: Windows) -> list[Array]:
     late, of_lane = np.unique(np.hstack([p["delay"], p["lag"]]), axis=0, return_inverse=True)
     turned = [_turned(windows, delay_s, lag_s) for delay_s, lag_s in late]
     each = np.stack(turned)[of_lane.reshape(-1)]  # (lanes, steps, windows, 2)
+    if windows.rows:
+        return _pushes_of_rows(p, windows.rows, each)
     out = list[Array]()
     sides = ((0, 0.5, p["dead_starboard"]), (1, -0.5, p["dead_port"]))
     for side, sign, dead in sides if windows.gear is None else [(0, 0.0, p["dead_starboard"])]:
@@ -241,13 +290,35 @@ def _pushes(p: Values, windows: Windows) -> list[Array]:
     return out if windows.gear is None else [*out, each[..., 1].transpose(1, 0, 2)]
 
 
+def _pushes_of_rows(p: Values, rows: Sequence[MotorPush], each: Array) -> list[Array]:
+    """The same of three or four fixed motors, one after the other, of their parts (lanes, steps, windows, rows). One that
+    pushes aside alone loses nothing by the way ahead."""
+    out = list[Array]()
+    for index, row in enumerate(rows):
+        part, sign = each[..., index].transpose(1, 0, 2), 0.5 * row.side
+        dead = {1: p["dead_starboard"], -1: p["dead_port"], 0: 0.5 * (p["dead_starboard"] + p["dead_port"])}[row.side]
+        among = row.within * p["within_starboard" if row.side > 0 else "within_port"]
+        side = p["ahead"] * np.exp(sign * p["ahead_uneven"] + among)
+        share = np.maximum((np.abs(part) - dead) / (1.0 - dead), 0.0)
+        lawful = np.power(share + 1e-12, p["power"]) * (share > 0.0)
+        if row.side:
+            ahead, loss = side * row.shares[0], p["loss"] / row.ahead
+            back = ahead * p["astern"] * np.exp(sign * p["astern_uneven"])
+        else:
+            ahead, back = (side * p["across"] * its for its in row.shares)
+            loss = np.zeros_like(dead)
+        push = np.where(part > 0.0, ahead * lawful, -back * lawful)
+        out += [push, loss * ahead * np.maximum(part, 0.0) * (push > 0.0)]
+    return out
+
+
 def _turned(windows: Windows, delay_s: float, lag_s: float) -> Array:
-    """The part that each motor gives in the middle of each step, (steps, windows, 2): late, and slow to change. The boat's gate
-    makes an angle as slow as its gear."""
+    """The part that each motor gives in the middle of each step, (steps, windows, columns): late, and slow to change. The
+    boat's gate makes an angle as slow as its gear."""
     later, part = divmod(delay_s / windows.step_s, 1.0)
     shift, last, slow = int(later), windows.commands.shape[1] - 1, math.exp(-windows.step_s / lag_s)
-    keep = np.array([slow, slow if windows.gear is None else 0.0])
-    turned = np.empty((windows.steps, len(windows.commands), 2))
+    keep = np.array([slow, 0.0]) if windows.gear is not None else np.full(windows.commands.shape[2], slow)
+    turned = np.empty((windows.steps, len(windows.commands), windows.commands.shape[2]))
     at = [windows.commands[:, min(max(index, 0), last)] for index in range(-shift - 1, last + 1 - shift)]
     motor = at[0]
     for index, (before, now) in enumerate(pairwise(at)):

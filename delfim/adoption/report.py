@@ -11,7 +11,7 @@ from matplotlib.figure import Figure as Picture
 from delfim.adoption.figures import COAST_S, PUSH_S, RUNS, STEP_S, STOPS
 from delfim.adoption.fitting import CHI2_MOST, Fit
 from delfim.adoption.found import BoatFindings
-from delfim.adoption.model import NAMES, NUMBERS, SIDES, STEERS, Array, ModelMotion, plain, said, values_of
+from delfim.adoption.model import ACROSS, NAMES, NUMBERS, SIDES, STEERS, WITHIN, Array, ModelMotion, plain, said, values_of
 from delfim.adoption.record import BoatRecord
 from delfim.adoption.twin.gains import FIGURES, LEAST_WORDS, ChosenGains, voyage_figures
 from delfim.adoption.twin.twintrack import TwinTrack
@@ -128,7 +128,7 @@ def _curves(fit: Fit) -> Iterator[str]:
             size = {"ms": 2.5} if form == "." else {"lw": 1.4}
             row[0].plot(at_s, np.hypot(its[:, 0], its[:, 1]), form, color=colour, label=words, **size)
             row[1].plot(at_s, np.degrees(its[:, 3] - bias), form, color=colour, **size)
-        commands = fit.windows.commands[window, fit.windows.back :]
+        commands = fit.windows.sides[window, fit.windows.back :]
         row[2].plot(at_s, commands[:, 0], color="#0f7a4d", lw=1.2, label="starboard" if fit.windows.gear is None else "motor")
         row[2].plot(at_s, commands[:, 1], color="#b4232f", lw=1.2, label="port" if fit.windows.gear is None else "angle, rad")
         row[2].set_ylim(-1.05, 1.05)
@@ -229,9 +229,16 @@ def _numbers(fit: Fit) -> Iterator[str]:
             "not seen: as before" if name in missing else "",
         )
         for number, name, spread in zip(NUMBERS, NAMES, fit.spread, strict=True)
-        if number.of in ("", SIDES if fit.windows.gear is None else STEERS)
+        if number.of in _kinds(fit)
     ]
     yield "<h2>The numbers of the model</h2>" + table(("", "unit", "found", "deviation", "before", ""), rows)
+
+
+def _kinds(fit: Fit) -> tuple[str, ...]:
+    """The kinds of numbers that this boat has."""
+    rows = fit.windows.rows
+    there = (ACROSS, any(not row.side for row in rows)), (WITHIN, any(row.within for row in rows))
+    return "", SIDES if fit.windows.gear is None else STEERS, *(kind for kind, is_there in there if is_there)
 
 
 def _finished(figure: Picture, axes: Axes) -> None:

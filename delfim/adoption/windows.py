@@ -1,11 +1,12 @@
 """The pieces of a record that a fit looks at: windows of an even grid in which the motors ran, and why there are too few."""
 
+from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from delfim.adoption.model import Array, SteeringGear, Windows
+from delfim.adoption.model import Array, MotorPush, SteeringGear, Windows
 from delfim.adoption.record import BoatRecord, Series
 from delfim.base.errors import DelfimError
 
@@ -24,13 +25,17 @@ DIFFERENCE: Final = 0.03  # of full command, between the sides, or rad: else not
 
 
 def windows_of(
-    record: BoatRecord, starboard: tuple[int, float], port: tuple[int, float], gear: SteeringGear | None = None
+    record: BoatRecord,
+    columns: Sequence[tuple[int, float]],
+    gear: SteeringGear | None = None,
+    motors: tuple[MotorPush, ...] = (),
 ) -> Windows:
-    """The windows of a record, for two motors: the place of each row, and the sign with which its part pushes ahead; with a
-    gear for one motor and its angle. Raises DelfimError, in words, where the record cannot tell what is asked."""
+    """The windows of a record, for two motors, starboard and port: the place of each row, and the sign with which its part
+    pushes ahead; with a gear for one motor and its angle; with three or four motors for each of them. Raises DelfimError, in
+    words, where the record cannot tell what is asked."""
     if len(record.told.at_s) < 2:
         raise DelfimError("the record has no commands")
-    rows, signs = [starboard[0], port[0]], np.array([starboard[1], port[1]])
+    rows, signs = [row for row, _ in columns], np.array([sign for _, sign in columns])
     zero_s, end_s = float(record.told.at_s[0]), float(record.told.at_s[-1])
     if not end_s - zero_s <= LONGEST_S:
         raise DelfimError(f"the record is {(end_s - zero_s) / 86_400.0:.3g} days long: fit a day of it")
@@ -44,12 +49,14 @@ def windows_of(
     if len(first) < LEAST:
         raise DelfimError(_too_few(len(first), record))
     turns = np.diff(commands, axis=1) if gear is None else commands[:, 1:]
+    if motors:
+        turns = commands @ np.array([each.arm * each.shares[0] for each in motors])
     if max(float(np.std(turns[at : at + steps])) for at in first) < DIFFERENCE:
         alike = "both motors always ran alike" if gear is None else "her motor always pointed one way"
         raise DelfimError(f"{alike}: nothing can be learned of her turning; sail some turns")
     take = first[:, None] + np.arange(steps)
     before = first[:, None] + np.arange(-back, steps)
-    return Windows(STEP_S, commands[before], measured[take].transpose(1, 0, 2), edges[first], back, gear)
+    return Windows(STEP_S, commands[before], measured[take].transpose(1, 0, 2), edges[first], back, gear, motors)
 
 
 def _phase(since_s: Array) -> float:

@@ -6,6 +6,7 @@ from typing import Any
 
 import pytest
 
+from bench.layouts import LAYOUTS
 from delfim import config
 from delfim.adoption.trial.boats import SimulatedTrial
 from delfim.adoption.trial.hiddenhull import Hidden, drawn, rewired
@@ -15,9 +16,11 @@ from delfim.adoption.trial.session import kept
 from delfim.base import geodesy
 from delfim.base.errors import DelfimError
 from delfim.base.modes import Mode
+from delfim.campaign.adopted.truth import is_right
 from delfim.console.gateway import adopting
-from delfim.parts.mavlink.telemetry import TelemetryView, sensed
+from delfim.parts.mavlink.telemetry import TelemetryView, sensed, thrust
 from delfim.vehicle import console
+from tests.adoption.test_several import text_of
 
 ROOT = Path(__file__).parents[2]
 NOISE = "simulation.position_noise_m=1.0", "simulation.speed_noise_mps=0.05", "simulation.heading_noise_deg=2.0"
@@ -36,6 +39,7 @@ class Link(GatewayWire):
         self.said, self.ended, self._refused = list[dict[str, Any]](), "", ""
         self.steers = settings.thrusters[0].steer is not None
         self._ends_at, self._no, self._last = ends_at, no, {}
+        self.is_old = False  # her program is of before thrusters were told one by one
 
     def say(self, **words: Any) -> None:
         self.said.append(words)
@@ -57,9 +61,12 @@ class Link(GatewayWire):
         seen = self.boat.wait()
         at = geodesy.origin(*map(math.radians, self.boat.middle))
         place = geodesy.from_plane(at, seen.north_m, seen.east_m)
+        rows, each = self.boat.run.settings.thrusters, tuple[float, ...]()
         if self.steers:
             port, turned = seen.told
             starboard = port
+        elif len(rows) > 2:
+            port, starboard, turned, each = 0.0, 0.0, -3.0, self.each()
         else:
             port, starboard = seen.told if self.boat.run.settings.thrusters[0].y_m < 0 else seen.told[::-1]
             turned = -3.0  # what the link has where nothing turns
@@ -67,14 +74,21 @@ class Link(GatewayWire):
         moves = heading_deg, turn_dps, round(seen.north_mps, 2), round(seen.east_mps, 2)
         mode = self.boat.run.state.mode.name.lower()
         told = seen.at_s, *map(math.degrees, place), *moves, port, starboard, turned, mode, seen.reason
-        return BoatHeard(*told, self.sensed(), self.digest)
+        return BoatHeard(*told, self.sensed(), self.digest, each)
+
+    def each(self) -> tuple[float, ...]:
+        """What each of more than two thrusters was told, by the message that the link has of it."""
+        return () if self.is_old else tuple(adopting._each(next(iter(thrust(self.view())))))
+
+    def view(self) -> TelemetryView:
+        vehicle, now_s = self.boat.run.vehicle, self.boat.run.vehicle.clock.monotonic_s()
+        return TelemetryView(vehicle, vehicle.helm.settings.mavlink, 0, lambda leg: 0, lambda kind: None, now_s)
 
     def sensed(self) -> dict[str, tuple[float, ...]] | None:
         """What the sensors said, by the message that the link has of it."""
-        vehicle, now_s = self.boat.run.vehicle, self.boat.run.vehicle.clock.monotonic_s()
-        view = TelemetryView(vehicle, vehicle.helm.settings.mavlink, 0, lambda leg: 0, lambda kind: None, now_s)
+        view = self.view()
         said = next(iter(sensed(view)), None)
-        heard = adopting._sensed(said, now_s, now_s)
+        heard = adopting._sensed(said, view.now_s, view.now_s)
         return None if heard is None else {kind: tuple(value) for kind, value in heard.items()}
 
     def forget(self) -> None:
@@ -89,6 +103,15 @@ class Link(GatewayWire):
 
     def of(self, kind: str) -> list[Any]:
         return [each[kind] for each in self.said if kind in each]
+
+
+def several(name: str, folder: Path) -> tuple[Path, Hidden]:
+    """The file of a layout, and a boat drawn of it whose motors are exchanged."""
+    file = folder / "boat.toml"
+    file.write_text(text_of(LAYOUTS[name]), encoding="utf-8")
+    settings = config.load(file, NOISE)
+    every = (drawn(settings, seed) for seed in range(1, 50))
+    return file, next(each for each in every if each.places != tuple(range(len(settings.thrusters))) and any(each.reversed))
 
 
 @pytest.fixture
@@ -138,10 +161,34 @@ def test_a_motor_that_steers_is_found_over_the_link_too(tmp_path: Path) -> None:
     assert (known.is_proven, known.wiring) == (True, (False, link.hidden.reversed, link.hidden.turned, ()))
 
 
-def test_a_boat_with_four_thrusters_is_refused_before_anything_turns(tmp_path: Path) -> None:
-    nobody: Any = None
-    with pytest.raises(DelfimError, match="this boat has 4 thrusters, and over the link she tells what two sides are told"):
-        tried(nobody, ROOT / "etc/boats/float.toml", 60.0, tmp_path)
+@pytest.mark.parametrize("name", ["float", "bow-thruster"])
+def test_the_motors_of_a_boat_with_three_or_four_are_found_and_written_over_the_link(name: str, tmp_path: Path) -> None:
+    file, hidden = several(name, tmp_path)
+    link = Link(config.load(file, NOISE), SEED, ends_at="gain", hidden=hidden)
+    code = tried(link, file, 60.0, tmp_path)
+    known = kept(tmp_path / "boat.trial", link.boat.run.settings)
+    assert known.is_proven, link.of("tell")
+    assert known.wiring is not None
+    assert is_right(known.wiring, hidden, link.boat.run.settings.thrusters)
+    if name != "float":  # whose hull is kept, and then the trial is whole
+        assert code == 1
+        return
+    assert code == 0
+    written, was = config.load(file), link.boat.run.settings
+    assert written.adopted.proven
+    assert {row.name: row.address for row in written.thrusters} != {row.name: row.address for row in was.thrusters}
+    assert "Hull, compass and gains stay as they are" in link.of("tell")[-1]
+
+
+def test_a_boat_that_does_not_tell_what_each_thruster_is_told_is_refused_before_anything_turns(tmp_path: Path) -> None:
+    file, hidden = several("float", tmp_path)
+    link = Link(config.load(file), SEED, hidden=hidden)
+    link.is_old = True
+    with pytest.raises(DelfimError, match="tells of no thrusters what each is told, and her file has 4: her program is older"):
+        tried(link, file, 60.0, tmp_path)
+    assert not link.said
+    assert tried(link, file, 60.0, tmp_path, "berth") == 0
+    assert len(link.of("order")) == 4
 
 
 def test_at_the_berth_each_motor_turns_by_itself_for_a_second(file: Path, tmp_path: Path) -> None:

@@ -199,7 +199,7 @@ def test_a_boat_whose_thrusters_push_across_has_her_motors_found_and_keeps_her_h
     assert kept(tried.place, tried.settings).is_whole
     file = tmp_path / "boat.toml"
     layout = LAYOUTS[name]
-    file.write_text(_text(layout), encoding="utf-8")
+    file.write_text(text_of(layout), encoding="utf-8")
     said = list[str]()
     assert conclude(tried.progress, file, file.with_suffix(".html"), "2026-11-29", lambda words: True, said.append) == ""
     assert said[-1].startswith("Hull, compass and gains stay as they are: her thrusters push across")
@@ -214,7 +214,7 @@ def test_a_boat_whose_thrusters_push_across_has_her_motors_found_and_keeps_her_h
         )
 
 
-def _text(layout: Any) -> str:
+def text_of(layout: Any) -> str:
     """The file of a layout as text, with rows of their own."""
     tree = config.read_toml(ROOT / f"etc/boats/{layout.boat}.toml", list(layout.told))
     tree["simulation"].pop("mission", None)
@@ -251,13 +251,13 @@ def test_a_boat_with_motors_at_both_sides_is_found_whole(name: str, tmp_path: Pa
     assert ("thrusters", "bow", "thrust_n") not in keys, "who pushes aside alone is not in the fit"
 
 
-def test_a_log_of_ordinary_sailing_tells_nothing_of_sides_that_were_not_commanded_alike() -> None:
-    its = vehicle("pairs")
-    record = BoatRecord(tuple(row.name for row in its.thrusters), *(NOTHING,) * 5, source="state log of Pairs, 1 files")
-    with pytest.raises(DelfimError, match=r"of a boat with 4 thrusters a trial alone can be fitted \(delfim adopt\)"):
+def test_a_trial_of_thrusters_set_across_tells_nothing_of_the_hull() -> None:
+    its = vehicle("float")
+    record = BoatRecord(tuple(row.name for row in its.thrusters), *(NOTHING,) * 5, source=TRIAL)
+    with pytest.raises(DelfimError, match="cannot be found by a trial: her thrusters push across"):
         identify.identified(record, its, "2026-11-29")
     with pytest.raises(DelfimError, match="the record has no commands"):
-        identify.identified(record._replace(source=TRIAL), its, "2026-11-29")
+        identify.identified(record._replace(source="state log of Float, 1 files"), its, "2026-11-29")
 
 
 def test_a_kept_trial_whose_places_are_none_is_begun_afresh(tmp_path: Path) -> None:

@@ -3,10 +3,13 @@
 import math
 from pathlib import Path
 
+import msgspec
+
 from delfim import config
 from delfim.base.geodesy import from_plane
 from delfim.base.modes import Mode
 from delfim.simulator.lockstep import Lockstep
+from delfim.simulator.model import Model
 from delfim.simulator.tables import Sea
 from delfim.vehicle import console
 from delfim.vehicle.log.logbook import Logbook
@@ -65,10 +68,7 @@ def sail(hidden: Hidden | None, file: Path, log: Path, seed: int = 1) -> None:
     run = Lockstep(told, seed, lambda clock: Logbook(told, clock), hidden.model(SEA, seed) if hidden else None)
     for _ in run.cycles(4.0):
         pass
-    for heading_deg, speed_mps in LEGS:
-        assert run.command(console.Heading(float(heading_deg), speed_mps)) is None
-        for _ in run.cycles(20.0):
-            pass
+    _legs(run, 1.0)
     assert run.order(console.LoadMission(_square(run)), "test") is None
     assert run.order(console.Play(), "test") is None
     for state in run.cycles(200.0):
@@ -78,6 +78,28 @@ def sail(hidden: Hidden | None, file: Path, log: Path, seed: int = 1) -> None:
     for _ in run.cycles(10.0):
         pass
     run.close()
+
+
+def sail_legs(told: config.Vehicle, model: Model, log: Path, seed: int = 1) -> None:
+    """Sail the legs by this model, as quickly as the file lets this boat, and log them."""
+    logs = msgspec.structs.replace(told.log, directory=str(log), state_method="zwrite", free_bytes_min=0)
+    told = msgspec.structs.replace(told, log=logs)
+    run = Lockstep(told, seed, lambda clock: Logbook(told, clock), model)
+    for _ in run.cycles(6.0):
+        pass
+    _legs(run, told.control.speed.max_mps / max(speed_mps for _, speed_mps in LEGS))
+    assert run.command(console.Stop()) is None
+    for _ in run.cycles(10.0):
+        pass
+    run.close()
+
+
+def _legs(run: Lockstep, share: float) -> None:
+    """Courses and speeds, each so much of what stands in LEGS."""
+    for heading_deg, speed_mps in LEGS:
+        assert run.command(console.Heading(float(heading_deg), share * speed_mps)) is None
+        for _ in run.cycles(20.0):
+            pass
 
 
 def _square(run: Lockstep) -> str:

@@ -16,9 +16,11 @@ from typing import Any
 
 import pytest
 
+from bench.layouts import LAYOUTS
 from delfim import config
 from delfim.adoption.writing import Key, changed
 from delfim.simulator.tables import Simulation
+from tests.adoption.test_several import text_of
 from tests.console.test_adopt_page import BOX, Picture, begun, button, nothing
 from tests.console.test_first_voyage import DESK, Visit, stop
 from tests.kit.pictures import keeper
@@ -55,12 +57,25 @@ STEERED: dict[Key, Any] = {
     ("boat", "mass_kg"): 340.0,
 }
 BENT: dict[Key, Any] = {("compass", "hard_ahead"): HARD, ("compass", "offset_deg"): OFFSET_DEG}
-BOATS = {"heron": TWIN | BENT, "skiff": STEERED | BENT}
+PAIRS: dict[Key, Any] = {  # a motor of starboard and one of port are exchanged
+    ("thrusters", "bow_starboard", "address"): 1,
+    ("thrusters", "bow_port", "address"): 0,
+    ("thrusters", "bow_port", "reversed"): True,
+    ("thrusters", "stern_port", "reversed"): True,
+}
+CORNERS: dict[Key, Any] = {  # all but one stand elsewhere
+    ("thrusters", "bow_starboard", "address"): 2,
+    ("thrusters", "bow_port", "address"): 0,
+    ("thrusters", "stern_starboard", "address"): 1,
+    ("thrusters", "stern_starboard", "reversed"): True,
+}
+BOATS = {"heron": TWIN | BENT, "skiff": STEERED | BENT, "pairs": PAIRS | BENT, "float": CORNERS}
 
 
 def files(folder: Path, boat: str) -> tuple[Path, Path]:
     """The boat's file, and that of the boat in the water."""
-    text, mission = (ROOT / f"etc/boats/{boat}.toml").read_text(), str(ROOT / "etc/missions/doca.toml")
+    text = text_of(LAYOUTS[boat]) if boat in LAYOUTS else (ROOT / f"etc/boats/{boat}.toml").read_text()
+    mission = str(ROOT / "etc/missions/doca.toml")
     told: dict[Key, Any] = {("simulation", key): value for key, value in NOISE.items()} | {("simulation", "mission"): mission}
     told |= {("adopted", "proven"): False}
     mine, truth = folder / f"{boat}.toml", folder / "truth.toml"
@@ -140,6 +155,22 @@ async def whole(you: Visit) -> str:
     raise AssertionError(f"it was never whole: {told}")
 
 
+async def motors_found(folder: Path, boat: str) -> None:
+    """The whole way of a boat whose hull is kept as its file has it."""
+    file, truth = files(folder, boat)
+    its = folder / "sim/console" / file.name
+    async with simulation(folder, file, truth) as url, visit(url, config.load(file).boat.name, nothing) as you:
+        for _ in range(AGAIN):
+            await begun(you)
+            if GOES_ON not in (told := await answered(you)):
+                break
+            await closed(you)
+        assert "The motor that bow_port reaches is that of stern_starboard." in told
+        assert "Hull, compass and gains stay as they are: her thrusters push across" in told
+        _wired(config.load(its), config.load(truth))
+        await you.page.nothing_amiss()
+
+
 async def closed(you: Visit) -> None:
     await button(you.page, "Close")
     await you.page.until(f"{BOX}.hidden")
@@ -208,6 +239,18 @@ def _bent(found: config.Vehicle) -> None:
 @pytest.mark.timeout(3600)
 def test_a_boat_is_adopted_by_the_page_alone_interrupted_and_gone_on_with(tmp_path: Path) -> None:
     asyncio.run(adopted(tmp_path, "heron", nothing))  # the skiff takes half as long again, and is for the pictures
+
+
+@pytest.mark.long
+@pytest.mark.timeout(3600)
+def test_the_motors_of_a_boat_with_four_thrusters_are_found_by_the_page_alone(tmp_path: Path) -> None:
+    asyncio.run(motors_found(tmp_path, "float"))
+
+
+@pytest.mark.long
+@pytest.mark.timeout(3600)
+def test_a_boat_with_a_pair_at_each_side_is_adopted_by_the_page_alone(tmp_path: Path) -> None:
+    asyncio.run(adopted(tmp_path, "pairs", nothing))
 
 
 def main(folder: Path) -> None:

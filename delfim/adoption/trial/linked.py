@@ -32,8 +32,9 @@ ENTERS_S: Final = 3.0  # from the answer to an order until the boat says that it
 TELLS_S: Final = 3.0  # until a boat has told by which file she sails
 BERTH_M: Final = 15.0  # of the circle in which she lies at her lines
 ENDS: Final = "STOP, and any other order to her, ends it"
-SEVERAL: Final = (
-    "this boat has {count} thrusters, and over the link she tells what two sides are told: adopt her on her own computer"
+UNTOLD: Final = (
+    "over the link she tells of {told} thrusters what each is told, and her file has {count}: her program is older than this "
+    "console, or it has another file; bring it up to date, or adopt her on her own computer"
 )
 FOLDER: Final = "adopt"  # where trials are kept, as `delfim adopt` has it
 
@@ -55,6 +56,7 @@ class BoatHeard(msgspec.Struct, tag=True):
     reason: str
     measured: dict[str, tuple[float, ...]] | None = None  # behind an estimator: what each sensor said, its time first
     sails_by: str = ""  # the digest of the file with which it was started; empty: it has not told it
+    each: tuple[float, ...] = ()  # of more than two thrusters: the part of each row, positive along its angle
 
 
 class OrderAnswered(msgspec.Struct, tag=True):
@@ -150,12 +152,15 @@ class LinkedTrial:
         rows: tuple[config.ThrusterTable, ...],
         radius_m: float,
         middle: tuple[float, float] | None = None,
+        *,
+        is_berth: bool = False,
     ) -> None:
-        """`middle`: of the circle of a trial that goes on, degrees."""
+        """`middle`: of the circle of a trial that goes on, degrees. `is_berth`: nothing is learned of what was told."""
         self._wire, (self._port, _) = wire, sides(rows)
-        self._rows, self._mode = rows, MODE
+        self._rows, self._mode, self._is_berth = rows, MODE, is_berth
         self._turning = [row for row in rows if row.steer is not None]  # one, at most: of more the link does not tell
         heard = wire.newest()
+        self._told(heard)
         latitude_deg, longitude_deg = middle or (heard.latitude_deg, heard.longitude_deg)
         self.circle = TrialCircle(latitude_deg, longitude_deg, radius_m)
 
@@ -170,10 +175,17 @@ class LinkedTrial:
         self._mode = heard.mode
         at = self.circle.place(heard.latitude_deg, heard.longitude_deg)
         moves = math.radians(heard.heading_deg), math.radians(heard.turn_dps), heard.north_mps, heard.east_mps
+        return MotionSeen(heard.at_s, *at, *moves, self._told(heard), heard.mode == MODE, heard.reason, heard.measured)
+
+    def _told(self, heard: BoatHeard) -> Parts:
+        """What the rows were told, and what turns one. Raises DelfimError where the boat does not tell it."""
+        if is_several(self._rows) and not self._is_berth:
+            if len(heard.each) != len(self._rows):
+                raise DelfimError(UNTOLD.format(told=len(heard.each) or "no", count=len(self._rows)))
+            return heard.each
         parts = (heard.port if row in self._port else heard.starboard for row in range(len(self._rows)))
         signs = (1.0 if abs(row.angle_deg) < 90.0 else -1.0 for row in self._rows)  # what is told is positive ahead
-        told = (*(part * sign for part, sign in zip(parts, signs, strict=True)), *(heard.turned for _ in self._turning))
-        return MotionSeen(heard.at_s, *at, *moves, told, heard.mode == MODE, heard.reason, heard.measured)
+        return (*(part * sign for part, sign in zip(parts, signs, strict=True)), *(heard.turned for _ in self._turning))
 
     def play(self, parts: Parts, for_s: float, name: str, *, begin: bool, comes_back: bool) -> None:
         if self._wire.ended:
@@ -261,10 +273,8 @@ def tried(wire: GatewayWire, file: Path, radius_m: float, folder: Path, what: st
     place = folder / f"{file.stem}.trial"
     progress = session.TrialProgress(settings.thrusters) if what == "afresh" else session.kept(place, settings)
     if what == "berth":
-        dialogue.at_the_berth(LinkedTrial(wire, settings.thrusters, BERTH_M), settings, person)
+        dialogue.at_the_berth(LinkedTrial(wire, settings.thrusters, BERTH_M, is_berth=True), settings, person)
         return 0
-    if is_several(settings.thrusters):
-        raise DelfimError(SEVERAL.format(count=len(settings.thrusters)))
     if progress.written is not None and progress.written.proof:
         person.tell(f"Adopted already, on {progress.written.on}: {progress.written.proof}.")
         return 0

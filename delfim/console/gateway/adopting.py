@@ -12,6 +12,7 @@ import subprocess
 import sys
 from collections.abc import Callable
 from contextlib import suppress
+from itertools import takewhile
 from pathlib import Path
 from threading import Thread
 from typing import Any, Final
@@ -222,6 +223,7 @@ class Adoption:
             port=(servos.servo1_raw - 1500) / 500.0,
             starboard=(servos.servo3_raw - 1500) / 500.0,
             turned=(servos.servo2_raw - 1500) / 500.0,
+            each=_each(servos),
             mode=boat.mode,
             reason=boat.reason.partition(": ")[2] if boat.reason.startswith(f"{boat.mode}: ") else boat.reason,
             measured=_sensed(*self._last.get(ARRAY, (None, -math.inf)), now_s),
@@ -260,6 +262,12 @@ class Adoption:
             raise web.HTTPNotFound(text="the console has no file of a boat: --vehicle FILE\n")
         named = {"Content-Disposition": f'attachment; filename="{self._file.name}"'}
         return web.FileResponse(self._file, headers=named)
+
+
+def _each(servos: Any) -> list[float]:
+    """Parts of full command of each thruster of a boat with more than two; nothing of another, and of an older program."""
+    pulses = (servos.servo5_raw, servos.servo6_raw, servos.servo7_raw, servos.servo8_raw)
+    return [(pulse - 1500) / 500.0 for pulse in takewhile(bool, pulses)]
 
 
 def _sensed(array: Any, heard_s: float, now_s: float) -> dict[str, list[float]] | None:

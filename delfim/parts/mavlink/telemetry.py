@@ -34,6 +34,7 @@ GUIDED: Final = frozenset({Mode.HEADING, Mode.COURSE, Mode.GOTO, Mode.GREX})
 BY_HAND: Final = frozenset({Mode.MANUAL, Mode.TRIAL, Mode.IDLE})
 NEVER_S: Final = 0.0  # an interval: not at all
 _U16, _I16, _I8 = 0xFFFF, 0x7FFF, -1
+EACH: Final = 4  # thrusters whose thrust is told one by one
 _AHEAD: Final = 500.0  # of pulses between stop and full, us
 _STILL: Final = 1500
 _FLOAT_MAX: Final = 3.4e38
@@ -122,11 +123,16 @@ def rpm(view: TelemetryView) -> Iterator[Message]:
 
 def thrust(view: TelemetryView) -> Iterator[Message]:
     """Thrust in force as servo pulses, 1 port and 3 starboard as ArduRover's skid-steered boats have them: 1000 is full astern,
-    1500 stop, 2000 full ahead. 2 is the angle of the first that turns: 1500 in the middle, 2000 the most clockwise."""
-    port, starboard = (_STILL + round(_AHEAD * part) for part in _thrust(view))
-    rows = zip(view.boat.helm.settings.thrusters, view.boat.state.actuation.angle_rad, strict=False)
-    turned = (_STILL + round(_AHEAD * angle_rad / row.steer.as_told[2]) for row, angle_rad in rows if row.steer is not None)
-    yield dialect.MAVLink_servo_output_raw_message(_boot_us(view), 0, port, next(turned, 0), starboard, 0, 0, 0, 0, 0)
+    1500 stop, 2000 full ahead. 2 is the angle of the first that turns: 1500 in the middle, 2000 the most clockwise. 5 to 8 are
+    the thrusters of a boat that has more than two, in the order of its file: 2000 is full along the angle of each."""
+    rows, sent = view.boat.helm.settings.thrusters, view.boat.state.actuation
+    port, starboard = (_pulse(part) for part in _thrust(view))
+    angles = zip(rows, sent.angle_rad, strict=False)
+    turned = (_pulse(angle_rad / row.steer.as_told[2]) for row, angle_rad in angles if row.steer is not None)
+    parts = sent.thrust if sent.run else (0.0,) * len(rows)
+    each = [_pulse(part) for part in parts[:EACH]] if len(rows) > 2 else []
+    every = port, next(turned, 0), starboard, 0, *each, *(0,) * (EACH - len(each))
+    yield dialect.MAVLink_servo_output_raw_message(_boot_us(view), 0, *every)
 
 
 def status(view: TelemetryView) -> Iterator[Message]:
@@ -402,6 +408,10 @@ ROWS: Final = (
     TelemetryRow(dialect.MAVLINK_MSG_ID_BATTERY_STATUS, NEVER_S, 5.0, 1.0, batteries),
     TelemetryRow(dialect.MAVLINK_MSG_ID_DEBUG_FLOAT_ARRAY, NEVER_S, 15.0, 3.0, arrays),
 )
+
+
+def _pulse(part: float) -> int:
+    return _STILL + round(_AHEAD * part)
 
 
 def _thrust(view: TelemetryView) -> tuple[float, float]:
