@@ -66,7 +66,7 @@ def identified(record: BoatRecord, vehicle: config.Vehicle, on: str) -> Identifi
     """Fit a record of the boat of this file, whose thrusters are those of the record. Raises DelfimError, in words."""
     motors, names = motors_of(vehicle), tuple(row.name for row in vehicle.thrusters)
     if record.source == TRIAL and (why := hull_unfit(vehicle.thrusters)):
-        raise DelfimError(f"the hull of this boat cannot be found by a trial: {why}")
+        raise DelfimError(f"the hull of this boat cannot be identified: {why}")
     if record.thrusters != names:
         raise DelfimError(f"the record is of thrusters {', '.join(record.thrusters)}, the file has {', '.join(names)}")
     columns = [(motor.row, motor.sign) for motor in motors] if (gear := gear_of(vehicle)) is None else [(0, 1.0), (1, 1.0)]

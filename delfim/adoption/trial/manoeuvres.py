@@ -21,8 +21,12 @@ from delfim.config import ThrusterTable
 AGAIN_S: Final = 0.2  # an order is renewed so often ...
 PIECE_S: Final = 1.0  # ... and lasts so long without
 TURN_MOST_RADPS: Final = math.radians(50.0)  # asked for by no manoeuvre: a faster spin is a compass that jumps
-BRINGS_BACK: Final = ("trial ended: edge of the circle", "trial ended: turns at ", "trial done")  # ends that the trial survives
+TOO_QUICK: Final = "trial ended: turns at "
+BRINGS_BACK: Final = ("trial ended: edge of the circle", TOO_QUICK, "trial done")  # ends that the trial survives
 NEAR: Final = 0.2  # of the radius: this near the middle a manoeuvre may begin
+FAR: Final = 0.5  # of the radius: from beyond it she comes back before her motors are proven ...
+OUT: Final = 1.1  # ... and may go so far for it
+STILL_S: Final = 5.0  # until the doublets that prove them
 GYRO_LOOKS: Final = 20  # at the boat, ten a second, whose turn by heading and by gyro are compared ...
 GYRO_RAD2: Final = 0.02  # ... and this sum of squares is beyond noise
 PROOF_RAD, PROOF_S, NEAR_RAD = math.radians(60.0), 60.0, math.radians(25.0)  # of a boat that steers: wind, and a rudder askew
@@ -292,8 +296,9 @@ class SeaTrial:
 
         return push
 
-    def back(self, limit_s: float = 80.0) -> None:
-        """Bring the boat near the middle, harder where it comes no nearer."""
+    def back(self, limit_s: float = 80.0, *, is_proven: bool = True) -> None:
+        """Bring the boat near the middle, harder where it comes no nearer. By motors that are not proven she may hardly go
+        beyond the edge for it. Raises TrialEnded where she does."""
         near_m, least_m, since_s, more = max(4.0, NEAR * self.radius_m), self.seen.far_m, self.seen.at_s, 0.0
         until_s = self.seen.at_s + limit_s
 
@@ -305,10 +310,14 @@ class SeaTrial:
                 since_s, more = seen.at_s, min(more + 0.15, 0.5)
             return min(0.45, 0.15 + 0.03 * seen.far_m) + more
 
-        push = self.towards(lambda seen: seen.inwards_rad, surge)
+        push, most_m = self.towards(lambda seen: seen.inwards_rad, surge), math.inf if is_proven else OUT * self.radius_m
         while self.seen.far_m > near_m and self.seen.at_s < until_s:
-            self.drive(push, until_s - self.seen.at_s, lambda seen: seen.far_m <= near_m, comes_back=True)
-        self.rest(1.0)
+            ended = self.drive(push, until_s - self.seen.at_s, lambda seen: not near_m < seen.far_m < most_m, comes_back=True)
+            if self.rows and ended.startswith(TOO_QUICK):
+                self.gain = max(0.08, 0.5 * self.gain)
+            if self.seen.far_m >= most_m:
+                raise TrialEnded(f"{self.seen.far_m:.0f} m from the middle, and she does not come back by what was found")
+        self.rest(1.0 if is_proven else STILL_S)
 
     def learn_gain(self) -> None:
         """A first gain from the rate of turn of a small differential."""

@@ -14,7 +14,7 @@ import msgspec
 
 from delfim import config
 from delfim.adoption.suited import hull_unfit, is_several, parts_told
-from delfim.adoption.trial.manoeuvres import BoatOnTrial, MotionSeen, Played, SeaTrial, TrialEnded
+from delfim.adoption.trial.manoeuvres import FAR, BoatOnTrial, MotionSeen, Played, SeaTrial, TrialEnded
 from delfim.adoption.trial.motors import DriftNoise, MotorsFound, Wiring, wiring
 from delfim.base.errors import DelfimError
 from delfim.base.input.untrusted import read_file
@@ -176,6 +176,8 @@ class TrialSession:
         if not self._ask("Did she move bow first?"):
             progress.motors = None
             raise TrialEnded("she goes astern when she is to go ahead, by the compass: is it turned by 180 degrees?")
+        if trial.rows and trial.seen.far_m > FAR * trial.radius_m:
+            trial.play("back", "Back to the middle, by what was found.", lambda: trial.back(is_proven=False))
         trial.play("proof", proof, trial.prove_motors)
         progress.is_proven = True
         self._tell("The motors are proven.")
