@@ -6,16 +6,16 @@ from itertools import pairwise
 from typing import Any, Final, NamedTuple
 
 import msgspec
-from shapely.geometry import LineString
 from shapely.geometry.base import BaseGeometry
 
 from delfim import config
 from delfim.base.cooperative import Sliced
 from delfim.base.errors import DelfimError
+from delfim.base.geodesy import wrap
 from delfim.survey.ground import Ground, Place, Segment, in_degrees, polygons, simplified, swaths, water
 from delfim.survey.lines import Cut, Strip, headings, rings, rough_s, strips
 from delfim.survey.order import ordered
-from delfim.survey.turns import Bend, along, places_of, towards, turn
+from delfim.survey.turns import Bend, along, heading, long_m, places_of, towards, turned
 from delfim.survey.ways import OpenWater
 from delfim.vehicle.helm.planning import laid
 from delfim.vehicle.plans.fence import stopping_m
@@ -31,7 +31,7 @@ ACCEPTED_M: Final = 5.0  # a run-in is longer than the radius within which a way
 TURN_M: Final = 6.0  # lines keep so far from what missions keep off, for the turn at their ends
 TRIED: Final = 3  # headings, whose lines are laid and put in order ...
 LOOKED_AT: Final = 120  # ... until there were so many lines
-LENGTHS: Final = 2.5  # of a boat that steers by a rudder or an outboard: its smallest turn
+LENGTHS: Final = 1.875  # of a boat that steers by a rudder or an outboard: its smallest turn
 CROSS: Final = 3.0  # spacings: a cross line is no shorter
 STEPS: Final = 16  # places of an arc, where its chords are no water
 LONGER: Final = 2.0  # times a run-in, before a line that is shorter than one
@@ -40,11 +40,13 @@ SLOWLY: Final = 0.5  # of the speed, on the way to a line that begins at a hole 
 SLOW_MOST_M: Final = 30.0  # ... where this way is no longer
 TURNED_M: Final = 8.0  # ... and so far on a longer way from it
 STUB_M: Final = 4.0  # of the room for turns, that run-ins and ways may take
-PASSED_M: Final = 3.0  # so far a boat that steers passes the end of a line before it turns ...
+PASSED_M: Final = 3.0  # so far a boat passes the end of a line before it turns ...
+STEERED_PASSED_M: Final = 5.0  # ... and one that steers ...
 STEERED_FASTER: Final = 1.5  # ... with so much of its speed: the skiff's 1.5 m/s became 2.3
 FASTER: Final = 1.15  # of its speed, a boat that turns on the spot makes with wind and current behind
+STRAIGHT_RAD: Final = 0.01  # a corner that is less is none
+LATE_M: Final = 2.0  # so much later than it should a boat is slow
 BESIDE_M: Final = 2.0  # beyond what missions keep off, they keep off by so much
-PARTS: Final = 1.0, 0.75, 0.5, 1.0 / 3.0, 0.25, 0.0  # of a run-in, the longest for which there is water
 SIDES: Final = {"": 0, "port": -1, "starboard": 1}
 CORNERS: Final = {"sw": (0, 1), "se": (2, 1), "nw": (0, 3), "ne": (2, 3)}  # of the area's box: where in its bounds they stand
 
@@ -59,8 +61,8 @@ class LinesWanted(NamedTuple):
     edges: bool = True  # the area is covered up to its edges; False: lines end where they leave it
     run_in_m: float = RUN_IN_M  # straight, before and behind each line
     room_m: float = config.FenceTable().mission_margin_m + TURN_M  # from holes and the fence
-    brake_m: float = 0.0  # where a line ends at a hole, so much of it is sailed slowly, by a boat that turns on the spot
-    stub_m: float = 0.0  # of the room, that run-ins and ways may take: where a line ends at a hole, the boat turns beyond it
+    brake_m: float = 0.0  # where a line ends at a hole, so much of it is sailed slowly; ahead of an arc so much water is free
+    stub_m: float = 0.0  # of the room, that run-ins and ways may take, or arcs: where a line ends at a hole, it turns beyond
     radius_m: float = 0.0  # of the boat's smallest turn; 0: it turns on the spot
     turn_s: float = 0.0  # what a turn takes beyond its length
     cross_m: float = 0.0  # spacing of the cross lines; 0: none
@@ -84,7 +86,7 @@ def wanted_of(settings: config.Vehicle, **asked: Any) -> LinesWanted:
         "run_in_m": max(its.run_in_m or RUN_IN_M, control.path.acceptance_m + ACCEPTED_M),
         "room_m": _room_m(settings.fence, asked.get("speed_mps") or control.speed.cruise_mps, is_steered),
         "turn_s": guess_s if its.turn_s is None else its.turn_s,
-        "radius_m": LENGTHS * settings.boat.length_m if is_steered else 0.0,
+        "radius_m": max(LENGTHS * settings.boat.length_m, RADIUS_MIN_M) if is_steered else 0.0,
     }
     wanted = LinesWanted(**suits | {key: value for key, value in asked.items() if value is not None})
     least_m = control.path.acceptance_m + ACCEPTED_M
@@ -98,12 +100,13 @@ def wanted_of(settings: config.Vehicle, **asked: Any) -> LinesWanted:
         raise DelfimError("the swath is narrower than the spacing: water between lines stays uncovered")
     if wanted.speed_mps > control.speed.max_mps:
         raise DelfimError(f"faster than this boat goes: up to {control.speed.max_mps} m/s")
-    if wanted.radius_m:
-        return wanted  # arcs need all of the room
     fastest_mps = FASTER * wanted.speed_mps
-    least_m = max(settings.fence.mission_margin_m + BESIDE_M, _stopped_m(settings.fence, wanted.speed_mps))
-    stub_m = min(max(wanted.room_m - least_m, 0.0), STUB_M)
-    brake_m = stopping_m(settings.fence, fastest_mps) - stopping_m(settings.fence, SLOWLY * fastest_mps)
+    beside_m = settings.fence.mission_margin_m + BESIDE_M
+    if wanted.radius_m:
+        brake_m = stopping_m(settings.fence, fastest_mps) + settings.fence.margin_m - settings.fence.mission_margin_m
+        return wanted._replace(stub_m=max(wanted.room_m - beside_m, 0.0), brake_m=max(brake_m, 0.0))
+    stub_m = min(max(wanted.room_m - max(beside_m, _stopped_m(settings.fence, wanted.speed_mps)), 0.0), STUB_M)
+    brake_m = stopping_m(settings.fence, fastest_mps) - stopping_m(settings.fence, SLOWLY * fastest_mps) + LATE_M
     return wanted._replace(stub_m=stub_m, brake_m=brake_m)
 
 
@@ -111,7 +114,7 @@ def _room_m(limits: config.FenceTable, speed_mps: float, is_steered: bool) -> fl
     """From holes and the fence: what missions keep and the room for a turn, and what the boat needs to stop before them. One
     that steers passes the end of a line before it has turned, and the thrust that turns it makes it faster; another one comes
     slowly (`slow_ways`)."""
-    stopped_m = _stopped_m(limits, STEERED_FASTER * speed_mps) + PASSED_M
+    stopped_m = _stopped_m(limits, STEERED_FASTER * speed_mps) + STEERED_PASSED_M
     slowly_m = _stopped_m(limits, FASTER * SLOWLY * speed_mps) + PASSED_M
     return max(limits.mission_margin_m + TURN_M, stopped_m if is_steered else slowly_m)
 
@@ -147,8 +150,7 @@ class SurveyPlan(NamedTuple):
     @property
     def way_m(self) -> float:
         """Of everything."""
-        places = [self.begin, *(each.bend.to for each in self.way)]
-        return sum(each.bend.long_m or math.dist(a, b) for (a, b), each in zip(pairwise(places), self.way, strict=True))
+        return long_m(self.begin, [each.bend for each in self.way])
 
     @property
     def time_s(self) -> float:
@@ -196,13 +198,16 @@ def planned(ground: Ground, wanted: LinesWanted, fence: config.Zones, come: Plac
         across = ordered(found, max(1, math.ceil(2.0 * wanted.radius_m / wanted.cross_m)), lines[-1][1] if lines else None)
     if not lines:
         raise DelfimError("the area is smaller than a line")
-    turning = water(ground, fence, wanted.room_m - wanted.stub_m, around_m)
-    ways = OpenWater(turning)
+    ways = _ways(open_water, water(ground, fence, wanted.room_m - wanted.stub_m, around_m), wanted)
     lines, across = _settled(lines, ways, wanted), _settled(across, ways, wanted)
-    begin, way = _sailed([*lines, *across], ways, wanted, turning, come)
+    begin, way = _sailed([*lines, *across], ways, wanted, come)
     if len(way) + 1 > ROWS:
         raise DelfimError(f"{len(lines)} lines make {len(way) + 1} places, and a mission has {ROWS}: take the area in parts")
     return SurveyPlan(ground, wanted, free, ways, heading_deg, [*lines, *across], len(across), begin, way)
+
+
+def _ways(open_water: BaseGeometry, nearer: BaseGeometry, wanted: LinesWanted) -> OpenWater:
+    return OpenWater(open_water, nearer) if wanted.radius_m else OpenWater(nearer)
 
 
 def plan_of(
@@ -224,10 +229,9 @@ def plan_of(
     crossed = _again(across, heading_deg + 90.0, cross_m, wanted.radius_m, there)
     if not lines and not crossed:
         raise DelfimError("no line is left")
-    turning = water(ground, fence, wanted.room_m - wanted.stub_m, around_m)
-    ways = OpenWater(turning)
+    ways = _ways(open_water, water(ground, fence, wanted.room_m - wanted.stub_m, around_m), wanted)
     lines, crossed = _settled(lines, ways, wanted), _settled(crossed, ways, wanted)
-    begin, way = _sailed([*lines, *crossed], ways, wanted, turning, start)
+    begin, way = _sailed([*lines, *crossed], ways, wanted, start)
     free = ground.area.intersection(open_water)
     return SurveyPlan(ground, wanted, free, ways, heading_deg, [*lines, *crossed], len(crossed), begin, way)
 
@@ -296,79 +300,36 @@ def _settled(lines: list[Segment], ways: OpenWater, wanted: LinesWanted) -> list
         return lines
     found = list[Segment]()
     for begin, end in lines:
-        before, behind = (_beyond(ways, a, b, wanted.run_in_m) for a, b in ((end, begin), (begin, end)))
+        before, behind = (ways.beyond(a, b, wanted.run_in_m) for a, b in ((end, begin), (begin, end)))
         is_turned = math.dist(begin, end) < wanted.run_in_m and math.dist(before, begin) < math.dist(behind, end)
         found.append((end, begin) if is_turned else (begin, end))
     return found
 
 
-def _sailed(
-    lines: list[Segment], ways: OpenWater, wanted: LinesWanted, open_water: BaseGeometry, come: Place | None
-) -> tuple[Place, list[PlannedPiece]]:
+def _sailed(lines: list[Segment], ways: OpenWater, wanted: LinesWanted, come: Place | None) -> tuple[Place, list[PlannedPiece]]:
     """Where the boat begins, and its way: run-in, line, run-out, turn. Where holes lie between the boat and the first line, it
     begins with the way round them."""
     here = _before(ways, lines[0], wanted)
-    begin, *places = [*_round(ways, come, here, wanted.room_m), here]
+    begin, *places = [*ways.out_to(come, here, wanted.room_m), here]
     way = [PlannedPiece(Bend(place), None) for place in places]
     for number, line in enumerate(lines):
         ahead = _before(ways, line, wanted)
         if number:
-            before = lines[number - 1]
-            way += [PlannedPiece(each, None) for each in _turned(ways, before, here, ahead, line, wanted.radius_m, open_water)]
+            bends = turned(ways, here, heading(lines[number - 1]), ahead, heading(line), wanted.radius_m, wanted.brake_m)
+            way += [PlannedPiece(each, None) for each in bends]
         if math.dist(way[-1].bend.to if way else begin, line[0]) >= LEG_MIN_M:
             way.append(PlannedPiece(Bend(line[0]), None))
         way.append(PlannedPiece(Bend(line[1]), number))
-        here = _beyond(ways, line[0], line[1], wanted.run_in_m)
+        here = ways.beyond(line[0], line[1], wanted.run_in_m)
         if math.dist(line[1], here) >= LEG_MIN_M:
             way.append(PlannedPiece(Bend(here), None))
     return begin, way
 
 
-def _round(ways: OpenWater, come: Place | None, begin: Place, room_m: float) -> list[Place]:
-    """The places where the way from the boat turns; none where it is not known, or where there is no way: the boat says so. A
-    boat that lies nearer to a hole than lines are goes straight away from it first."""
-    if come is None or ways.free(come, begin):
-        return []
-    out = ways.nearest(come)
-    if math.dist(come, out) > room_m:
-        return []
-    try:
-        places = [out, *ways.between(out, begin)]
-    except DelfimError:
-        return []
-    turns = places if math.dist(come, out) >= LEG_MIN_M else places[1:]
-    return [here for here, after in pairwise([*turns, begin]) if math.dist(here, after) >= LEG_MIN_M]
-
-
 def _before(ways: OpenWater, line: Segment, wanted: LinesWanted) -> Place:
     """Where the run-in of a line begins. On a short line the boat has no time to come nearer: it gets a longer one."""
     longer = LONGER if math.dist(*line) < wanted.run_in_m else 1.0
-    return _beyond(ways, line[1], line[0], longer * wanted.run_in_m)
-
-
-def _beyond(ways: OpenWater, begin: Place, end: Place, far_m: float) -> Place:
-    """The place so far beyond the end of a line, or as far as there is water."""
-    part = far_m / math.dist(begin, end)
-    places = ((end[0] + each * part * (end[0] - begin[0]), end[1] + each * part * (end[1] - begin[1])) for each in PARTS)
-    return next((place for place in places if ways.free(end, place)), end)
-
-
-def _turned(
-    ways: OpenWater, before: Segment, here: Place, ahead: Place, line: Segment, radius_m: float, open_water: BaseGeometry
-) -> list[Bend]:
-    """From the run-out of a line to the run-in of the next one."""
-    if radius_m:
-        bends = turn(here, _heading(before), ahead, _heading(line), radius_m)
-        if bends and open_water.covers(LineString(places_of(here, bends))):
-            return bends
-    places = [*ways.between(here, ahead), ahead]
-    kept = [there for before_it, there in pairwise([here, *places]) if math.dist(before_it, there) >= LEG_MIN_M]
-    return [Bend(place) for place in kept]
-
-
-def _heading(line: Segment) -> float:
-    (x, y), (to_x, to_y) = line
-    return math.atan2(to_x - x, to_y - y)
+    return ways.beyond(line[1], line[0], longer * wanted.run_in_m)
 
 
 def drawn(plan: SurveyPlan) -> list[Place]:
@@ -382,16 +343,21 @@ def stops(plan: SurveyPlan) -> list[tuple[Place, int]]:
     kept = [(plan.begin, 0)]
     for bend, line in plan.way:
         begin, found, steps = kept[-1][0], [bend.to], 1
-        while steps < STEPS and not all(plan.ways.free(a, b) for a, b in pairwise([begin, *found])):
+        while steps < STEPS and not all(plan.ways.turning.free(a, b) for a, b in pairwise([begin, *found])):
             steps *= 2
             found = along(begin, bend, steps)
         for place in found:
             if math.dist(kept[-1][0], place) >= LEG_MIN_M:
                 kept.append((place, _number(line)))
-    for number in sorted(_inwards(plan, kept), reverse=True):  # from behind: places are put in
-        if number + 1 < len(kept) and not kept[number + 1][1] and math.dist(kept[number][0], kept[number + 1][0]) > SLOW_MOST_M:
+    inwards, brakes_m = _inwards(plan, kept), dict[int, float]()
+    for number in inwards:
+        last, brake_m = _braking(plan, kept, number)
+        brakes_m[last] = max(brake_m, brakes_m.get(last, 0.0))
+    for number in sorted(inwards | brakes_m.keys(), reverse=True):  # from behind: places are put in
+        is_way = number in inwards and number + 1 < len(kept) and not kept[number + 1][1]
+        if is_way and math.dist(kept[number][0], kept[number + 1][0]) > SLOW_MOST_M:
             kept.insert(number + 1, (towards(kept[number][0], kept[number + 1][0], TURNED_M), 0))
-        line, brake_m = kept[number][1], plan.wanted.brake_m
+        line, brake_m = kept[number][1], brakes_m.get(number, math.inf)
         if line and math.dist(kept[number - 1][0], kept[number][0]) > brake_m + LEG_MIN_M:
             kept.insert(number, (towards(kept[number][0], kept[number - 1][0], brake_m), line))
     return kept
@@ -404,6 +370,16 @@ def _inwards(plan: SurveyPlan, places: Sequence[tuple[Place, int]]) -> set[int]:
     near_m = plan.wanted.stub_m + LEG_MIN_M
     shores_m = [min(shore_m, near_m) for shore_m in plan.ways.shores_m([place for place, _ in places])]
     return {number for number, (before, here) in enumerate(pairwise(shores_m), 1) if here < before}
+
+
+def _braking(plan: SurveyPlan, places: Sequence[tuple[Place, int]], number: int) -> tuple[int, float]:
+    """At the end of which piece a boat has to be slow that comes to a stop near a hole, and how far before: where the run-out
+    is too short for it, at the end of the line."""
+    (before, line), (here, its) = places[number - 1], places[number]
+    left_m = plan.wanted.brake_m - math.dist(before, here)
+    if its or not line or left_m <= 0.0 or _corner_rad(places[number - 2][0], before, here) > STRAIGHT_RAD:
+        return number, plan.wanted.brake_m
+    return number - 1, left_m
 
 
 def slow_ways(plan: SurveyPlan, places: Sequence[tuple[Place, int]]) -> set[int]:
@@ -419,8 +395,13 @@ def slow_ways(plan: SurveyPlan, places: Sequence[tuple[Place, int]]) -> set[int]
     lengths_m = [0.0, *(math.dist(a, b) for (a, _), (b, _) in pairwise(places))]
     beside = before | inwards | {each + 1 for each in inwards if each + 1 < len(places)}
     between = {each for each in beside if not places[each][1] and lengths_m[each] <= SLOW_MOST_M}
-    ends = {each for each in inwards if places[each][1] and lengths_m[each] <= plan.wanted.brake_m + LEG_MIN_M}
+    brakes = (_braking(plan, places, each) for each in inwards)
+    ends = {last for last, brake_m in brakes if places[last][1] and lengths_m[last] <= brake_m + LEG_MIN_M}
     return between | ends
+
+
+def _corner_rad(before: Place, here: Place, after: Place) -> float:
+    return abs(wrap(heading((here, after)) - heading((before, here))))
 
 
 def _number(line: int | None) -> int:

@@ -98,21 +98,20 @@ class SailedLines(NamedTuple):
     ahead_m: float  # no piece is left earlier, at a corner
     power_w: float  # on lines, from the batteries
     ends: Taken = NOTHING  # beginning from rest, and stopping at the end
-    turn: Taken = NOTHING  # from line to line
+    turn: Taken = NOTHING  # from line to line; of a boat that steers, an arc
     sharp: SharpTurns | None = None  # None: not asked for
 
     def summed(self, pieces: Sequence[SurveyLeg]) -> Taken:
         """Of a whole way. The boat leaves a piece early for the next one (`wheel_over_m`), a short one before she has come to
         it."""
-        total, here, before, has_turned = self.ends, pieces[0].begin, pieces[0], False
+        total, here, before = self.ends, pieces[0].begin, pieces[0]
         for leg, after in zip_longest(pieces, pieces[1:]):
             left_m, early_m = leg.left_m(here), self._early_m(leg, after) if after is not None else 0.0
             if after is not None and left_m <= early_m:
                 continue
             total += self.along(left_m - early_m, leg.is_slow) + (self._corner(before, leg) if before is not leg else NOTHING)
-            if leg.is_arc and not has_turned:
+            if leg.is_arc:
                 total += self.turn
-            has_turned = not leg.line and (has_turned or leg.is_arc)
             before, here = leg, towards(leg.to, leg.begin, early_m) if early_m else leg.to
         return total
 
@@ -246,7 +245,8 @@ def _measured(run: Lockstep, plan: SurveyPlan, ahead_m: float, is_sharp: bool) -
     begin = middles[first] - told.along(sum(lengths_m[:first]) + 0.5 * lengths_m[first])
     rest = len(lengths_m) - 1 if back_m else last
     stop = ends[-1] - middles[rest] - told.along(0.5 * lengths_m[rest] + sum(lengths_m[rest + 1 :]))
-    told = told._replace(ends=begin + stop, turn=beyond(first, last) * (1.0 / (LINES - 1)))
+    turns = sum(leg.is_arc for leg in legs(plan)[first:last]) or LINES - 1
+    told = told._replace(ends=begin + stop, turn=beyond(first, last) * (1.0 / turns))
     if not back_m:
         return told
     back = beyond(last, behind)

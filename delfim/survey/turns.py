@@ -2,12 +2,17 @@
 smallest radius or straight (Dubins 1957). Angles as the compass has them: from north, clockwise, rad."""
 
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
+from itertools import pairwise
 from typing import Final, NamedTuple
 
-from delfim.survey.ground import Place
+from delfim.survey.ground import Place, Segment
+from delfim.survey.ways import OpenWater
+from delfim.vehicle.plans.mission import LEG_MIN_M
 
 SHORT_M: Final = 0.6  # a piece that is no longer is left out: its neighbours bend by as little
+FARTHER: Final = 2.0  # than a boat stops there is water ahead of a turn, where one has so much: it turns late, and faster
+LATE_RAD: Final = 0.6  # of an arc that a boat leaves out before it turns to the other side
 DRAWN_RAD: Final = 0.2  # of an arc, from place to place
 
 
@@ -27,19 +32,59 @@ class Bend(NamedTuple):
 
 def turn(begin: Place, heading_rad: float, end: Place, end_rad: float, radius_m: float) -> list[Bend]:
     """The pieces from one place and heading to another."""
+    return next(turns(begin, heading_rad, end, end_rad, radius_m))
+
+
+def turns(begin: Place, heading_rad: float, end: Place, end_rad: float, radius_m: float) -> Iterator[list[Bend]]:
+    """The same by each kind of path, the shortest first."""
     east, north = end[0] - begin[0], end[1] - begin[1]
     line_rad = math.atan2(north, east)
     a, b = (_mod(math.pi / 2.0 - each - line_rad) for each in (heading_rad, end_rad))  # counter-clockwise, from the line
-    word, parts = min(_words(math.hypot(east, north) / radius_m, a, b), key=lambda found: sum(found[1]))
-    here, now_rad, pieces = begin, heading_rad, list[Bend]()
-    for letter, part in zip(word, parts, strict=True):
-        if part * radius_m < SHORT_M:
-            here, now_rad = _ahead(here, now_rad, letter, part, radius_m)[:2]
-            continue
-        there, after_rad, centre = _ahead(here, now_rad, letter, part, radius_m)
-        pieces.append(Bend(there) if centre is None else Bend(there, centre, after_rad - now_rad, radius_m))
-        here, now_rad = there, after_rad
-    return pieces
+    for word, parts in sorted(_words(math.hypot(east, north) / radius_m, a, b), key=lambda found: sum(found[1])):
+        here, now_rad, pieces = begin, heading_rad, list[Bend]()
+        for letter, part in zip(word, parts, strict=True):
+            if part * radius_m < SHORT_M:
+                here, now_rad = _ahead(here, now_rad, letter, part, radius_m)[:2]
+                continue
+            there, after_rad, centre = _ahead(here, now_rad, letter, part, radius_m)
+            pieces.append(Bend(there) if centre is None else Bend(there, centre, after_rad - now_rad, radius_m))
+            here, now_rad = there, after_rad
+        yield pieces
+
+
+def turned(
+    ways: OpenWater, here: Place, heading_rad: float, ahead: Place, ahead_rad: float, radius_m: float, brake_m: float
+) -> list[Bend]:
+    """From the run-out of a line to the run-in of the next one: by arcs, where the boat may turn so, if need be not by the
+    shortest."""
+    for ahead_m in (FARTHER * brake_m, brake_m) if radius_m else ():
+        for bends in turns(here, heading_rad, ahead, ahead_rad, radius_m):
+            if _can_turn(ways.turning, here, bends, ahead_m):
+                return bends
+    places = [*ways.between(here, ahead), ahead]
+    kept = [there for before_it, there in pairwise([here, *places]) if math.dist(before_it, there) >= LEG_MIN_M]
+    return [Bend(place) for place in kept]
+
+
+def long_m(begin: Place, bends: Iterable[Bend]) -> float:
+    bends = tuple(bends)
+    places = [begin, *(bend.to for bend in bends)]
+    return sum(bend.long_m or math.dist(a, b) for (a, b), bend in zip(pairwise(places), bends, strict=True))
+
+
+def _can_turn(water: OpenWater, here: Place, bends: Sequence[Bend], ahead_m: float) -> bool:
+    """Whether there is water on a turn, and everywhere so far straight ahead of it; and no arc that the boat, which is late,
+    would leave out before it turns to the other side."""
+    if not bends or any(a.centre and b.centre and abs(a.turn_rad) < LATE_RAD for a, b in pairwise(bends)):
+        return False
+    places = places_of(here, bends)
+    ahead = [(b, towards(b, a, -ahead_m)) for a, b in pairwise(places)] if ahead_m else []
+    return water.covers([places, *ahead])
+
+
+def heading(line: Segment) -> float:
+    (x, y), (to_x, to_y) = line
+    return math.atan2(to_x - x, to_y - y)
 
 
 def _ahead(here: Place, heading_rad: float, letter: str, part: float, radius_m: float) -> tuple[Place, float, Place | None]:

@@ -3,29 +3,63 @@
 
 import math
 from collections.abc import Sequence
+from functools import cached_property
 from heapq import heappop, heappush
+from itertools import pairwise
 from typing import Final
 
 import shapely
-from shapely.geometry import LineString, Point
+from shapely.geometry import LineString, MultiLineString, Point
 from shapely.geometry.base import BaseGeometry
 from shapely.ops import nearest_points
 
 from delfim.base.errors import DelfimError
 from delfim.survey.ground import Place, polygons
+from delfim.vehicle.plans.mission import LEG_MIN_M
 
 OFF_M: Final = 0.5  # a way turns so far from what it goes round
 CORNERS: Final = 300  # of all that ways go round
+PARTS: Final = 1.0, 0.75, 0.5, 1.0 / 3.0, 0.25, 0.0  # of a run-in, the longest for which there is water
 SAME_M: Final = 0.005  # of the water: a line ends where it ends
 
 
 class OpenWater:
     """Ways through one water."""
 
-    def __init__(self, water: BaseGeometry) -> None:
+    def __init__(self, water: BaseGeometry, turning: BaseGeometry | None = None) -> None:
+        """`turning`: where arcs may lie, if that is more."""
         self._inner, self._water = water, water.buffer(SAME_M)
         shapely.prepare(self._water)
-        self._corners, self._seen = _corners(water), dict[tuple[Place, Place], bool]()
+        self._seen = dict[tuple[Place, Place], bool]()
+        self.turning = self if turning is None else OpenWater(turning)
+
+    @cached_property
+    def _corners(self) -> list[Place]:
+        return _corners(self._inner)
+
+    def covers(self, ways: Sequence[Sequence[Place]]) -> bool:
+        return bool(self._water.covers(MultiLineString(ways)))
+
+    def beyond(self, begin: Place, end: Place, far_m: float) -> Place:
+        """The place so far beyond the end of a line, or as far as there is water."""
+        part = far_m / math.dist(begin, end)
+        places = ((end[0] + each * part * (end[0] - begin[0]), end[1] + each * part * (end[1] - begin[1])) for each in PARTS)
+        return next((place for place in places if self.free(end, place)), end)
+
+    def out_to(self, come: Place | None, begin: Place, room_m: float) -> list[Place]:
+        """The places where the way from the boat turns; none where it is not known, or where there is no way: the boat says so.
+        A boat that lies nearer to a hole than lines are goes straight away from it first."""
+        if come is None or self.free(come, begin):
+            return []
+        out = self.nearest(come)
+        if math.dist(come, out) > room_m:
+            return []
+        try:
+            places = [out, *self.between(out, begin)]
+        except DelfimError:
+            return []
+        turns = places if math.dist(come, out) >= LEG_MIN_M else places[1:]
+        return [here for here, after in pairwise([*turns, begin]) if math.dist(here, after) >= LEG_MIN_M]
 
     def free(self, a: Place, b: Place) -> bool:
         """Whether the straight way is water."""

@@ -18,9 +18,11 @@ from delfim.survey.areafile import read_area
 from delfim.survey.ground import Ground, laid, simplified, swaths, union, water
 from delfim.survey.lines import Cut, strips
 from delfim.survey.order import alternating, ordered
-from delfim.survey.planning import LinesWanted, SurveyPlan, check, mission, plan_of, planned, stops, wanted_of
-from delfim.survey.turns import turn
+from delfim.survey.planning import LinesWanted, SurveyPlan, check, mission, plan_of, planned, slow_ways, stops, wanted_of
+from delfim.survey.trialsail import legs
+from delfim.survey.turns import places_of, turn
 from delfim.survey.ways import OpenWater
+from delfim.vehicle.plans.fence import stopping_m
 from tests.survey.drawn import AT, drawn
 
 NEARLY_TOUCHING = Path(__file__).parents[1] / "data/nearly-touching.json"
@@ -272,10 +274,11 @@ def test_lines_are_taken_so_many_away_where_there_are_such(count: int, apart: in
 def test_a_boat_that_does_not_turn_on_the_spot_gets_arcs_of_its_radius() -> None:
     skiff = config.load("etc/boats/skiff.toml")
     wanted = wanted_of(skiff, spacing_m=10.0)
-    assert (wanted.radius_m, wanted_of(config.load("etc/boats/otter.toml"), spacing_m=10.0).radius_m) == (10.0, 0.0)
+    assert (wanted.radius_m, wanted_of(config.load("etc/boats/otter.toml"), spacing_m=10.0).radius_m) == (7.5, 0.0)
+    assert wanted_of(config.load("etc/boats/bait-boat.toml"), spacing_m=10.0).radius_m == 2.0, "no mission has less"
     plan = planned(SQUARE, wanted, skiff.fence)
     its = mission(plan, "arcs")
-    assert {row.radius_m for row in its.path if row.turn_deg} == {10.0}
+    assert {row.radius_m for row in its.path if row.turn_deg} == {7.5}
     assert plan.way_m < planned(SQUARE, wanted._replace(spacing_m=10.0, radius_m=10.0), skiff.fence).way_m + 1e-6
     by_neighbours = sum(turned_m(10.0 * number) for number in (1, 1, 1, 1, 1, 1, 1, 1, 1))
     assert plan.way_m - plan.line_m - 20 * wanted.run_in_m < 0.75 * by_neighbours
@@ -287,8 +290,46 @@ def test_the_waypoints_of_arcs_lead_round_holes_as_the_arcs_do() -> None:
     its = mission(plan, "arcs")
     assert len(its.waypoint) > len({place.to for place, _ in plan.way}) / 2
     ways = [LineString(pair) for pair in pairwise(place for place, _ in stops(plan))]
-    assert not any(ISLAND.buffer(plan.wanted.room_m - 0.1).intersects(way) for way in ways)
+    nearest_m = plan.wanted.room_m - plan.wanted.stub_m
+    assert nearest_m == skiff.fence.mission_margin_m + 2.0
+    assert not any(ISLAND.buffer(nearest_m - 0.1).intersects(way) for way in ways)
     check(its, plan, skiff)
+
+
+def test_a_boat_that_steers_turns_by_arcs_where_lines_end_at_a_hole_and_could_stop_anywhere_on_them() -> None:
+    skiff = config.load("etc/boats/skiff.toml")
+    plan = planned(ROUND_AN_ISLAND, wanted_of(skiff, spacing_m=20.0, heading_deg=0.0), skiff.fence)
+    here, arcs = plan.begin, 0
+    stopped_m = stopping_m(skiff.fence, 1.15 * plan.wanted.speed_mps)
+    for bend, _ in plan.way:
+        places = places_of(here, [bend])
+        here = bend.to
+        if bend.centre is None:
+            continue
+        arcs += LineString(places).distance(ISLAND) < plan.wanted.room_m - 1.0
+        for a, b in pairwise(places):
+            there = b[0] + stopped_m * (b[0] - a[0]) / math.dist(a, b), b[1] + stopped_m * (b[1] - a[1]) / math.dist(a, b)
+            assert LineString([b, there]).distance(ISLAND) > skiff.fence.margin_m + 1.0
+    assert arcs >= 4, "at the island"
+    pieces = legs(plan)
+    sharp = [a for a, b in pairwise(pieces) if a.corner_rad(b) > 1.0]
+    assert len(sharp) <= 1, "corners of a boat that needs arcs"
+
+
+def test_a_boat_that_turns_on_the_spot_is_slow_before_it_turns_at_a_hole_however_short_the_run_out_is() -> None:
+    """A run-out of three metres was sailed slowly, and the line before it at full speed: the boat was stopped by its fence."""
+    wam_v = config.load("etc/boats/wam-v.toml")
+    hole = box(-40.0, 81.0, 60.0, 90.0)  # 12.5 m behind the lines: they end there, not at the hole
+    ground = Ground(AT, MultiPolygon([box(0.0, 0.0, 20.0, 68.5)]), MultiPolygon([hole]))
+    plan = planned(ground, wanted_of(wam_v, spacing_m=5.0, heading_deg=0.0), wam_v.fence)
+    places = stops(plan)
+    slow, ends = slow_ways(plan, places), [number for number, (place, _) in enumerate(places) if place[1] > 70.0]
+    run_outs = [number for number in ends if places[number - 1][1]]
+    assert run_outs
+    for number in run_outs:
+        assert math.dist(places[number][0], places[number - 1][0]) < plan.wanted.brake_m, "short"
+        assert {number - 1, number} <= slow
+        assert math.dist(places[number][0], places[number - 2][0]) == pytest.approx(plan.wanted.brake_m)
 
 
 def turned_m(far_m: float) -> float:
@@ -334,7 +375,7 @@ def test_an_area_of_a_file_is_laid_into_the_plane_about_its_first_corner() -> No
 
 def test_a_boat_that_steers_keeps_more_room_from_a_hole_for_it_is_faster_in_a_turn_and_passes_the_end_of_a_line() -> None:
     skiff = config.load(Path(__file__).parents[2] / "etc/boats/skiff.toml")
-    assert wanted_of(skiff, spacing_m=10.0).room_m == 17.0
+    assert wanted_of(skiff, spacing_m=10.0).room_m == 19.0
     assert wanted_of(skiff, spacing_m=10.0, room_m=20.0).room_m == 20.0
 
 

@@ -17,11 +17,13 @@ from delfim.simulator.seabed import bed_of
 from delfim.simulator.tables import Simulation
 from delfim.survey.areafile import read_area
 from delfim.survey.ground import Ground, in_degrees, laid, swaths
+from delfim.survey.linefigures import figures
 from delfim.survey.planning import SurveyPlan, check, mission, planned, wanted_of
 from delfim.vehicle import console
 from delfim.vehicle.plans.mission import canonical, load_mission
 from delfim.vehicle.state import NoLog
 from tests.logging.sailing import Day
+from tests.survey.drawn import drawn
 
 ROOT = Path(__file__).parents[2]
 BASIN = ROOT / "etc/areas/basin.geojson"
@@ -179,6 +181,38 @@ def test_no_fence_stops_a_boat_whose_lines_end_at_an_island_with_wind_and_curren
     assert sailed(run, plan, begun_s) == pytest.approx(plan.time_s, rel=0.05)
 
 
+@pytest.mark.parametrize(
+    ("boat", "area", "wind_mps", "wind_from_deg", "current_mps", "current_to_deg"),
+    [
+        ("wam-v", 307, 3.62, 267.5, 0.25, 176.1),
+        pytest.param("wam-v", 7, 2.17, 57.9, 0.249, 187.5, marks=pytest.mark.long),
+        pytest.param("skiff", 303, 2.4, 254.5, 0.206, 359.7, marks=pytest.mark.long),
+    ],
+)
+def test_no_fence_stops_a_boat_among_holes(
+    boat: str, area: int, wind_mps: float, wind_from_deg: float, current_mps: float, current_to_deg: float
+) -> None:
+    """Areas whose voyages a fence had ended: short run-outs at full speed, and sharp corners of a boat that steers."""
+    wind, current = f"wind_mps={wind_mps}, wind_from_deg={wind_from_deg}", f"current_to_deg={current_to_deg}"
+    sea = f"simulation.sea={{current_mps={current_mps}, {current}, {wind}}}"
+    ground, spacing_m = drawn(area, (90.0, 150.0), 1.0)
+    settings = config.load(ROOT / f"etc/boats/{boat}.toml")
+    plan = planned(ground, wanted_of(settings, spacing_m=spacing_m), settings.fence)
+    run, track = at_begin(plan, f"boats/{boat}", sea), list[tuple[int, tuple[float, float]]]()
+    assert run.command(console.LoadMission(canonical(mission(plan, "holes")))) is None
+    for _ in run.cycles(5.0):
+        pass
+    assert run.command(console.SetMode("path")) is None
+    begun_s = run.elapsed_s
+    for state in run.cycles(UNTIL_S):
+        track.append((state.reference.line, true_place(run, plan)))
+        if state.mode.name != "PATH":
+            break
+    sailed(run, plan, begun_s)
+    each = figures(dict(enumerate(plan.lines, 1)), track)
+    assert sum(line.sailed * line.length_m for line in each) > 0.98 * plan.line_m
+
+
 def test_a_survey_whose_power_is_cut_on_a_line_goes_on_by_its_log_from_where_the_boat_is(tmp_path, capsys, monkeypatch) -> None:
     monkeypatch.chdir(tmp_path)
     assert main(["survey", "lines", str(BASIN), "--spacing", str(SPACING_M)]) == 0
@@ -191,7 +225,7 @@ def test_a_survey_whose_power_is_cut_on_a_line_goes_on_by_its_log_from_where_the
         while day.sailing.state.mode.name == "PATH" and day.sailing.elapsed_s < UNTIL_S:
             day.sail(5.0)
             if number == 0 and day.sailing.state.reference.line == 6:
-                day.sail(25.0)
+                day.sail(15.0)
                 break
         model = day.sailing.nodes.model
         place = math.degrees(model.latitude_rad), math.degrees(model.longitude_rad)

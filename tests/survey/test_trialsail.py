@@ -66,8 +66,8 @@ def voyage(settings: config.Vehicle, plan: SurveyPlan) -> tuple[float, float]:
     return took_s, joules / 3600.0
 
 
-@pytest.mark.parametrize("boat", ["wam-v", "otter", "skiff"])
-def test_time_and_energy_of_lines_that_end_at_an_island_are_foretold(boat: str) -> None:
+@pytest.mark.parametrize(("boat", "by"), [("wam-v", 0.02), ("otter", 0.02), ("skiff", 0.05)])
+def test_time_and_energy_of_lines_that_end_at_an_island_are_foretold(boat: str, by: float) -> None:
     island, file = Point(20.0, 35.0).buffer(6.0), ROOT / f"etc/boats/{boat}.toml"
     ground = Ground(AT, MultiPolygon([box(0.0, 0.0, 44.0, 70.0).difference(island)]), MultiPolygon([island]))
     settings = config.load(file)
@@ -76,9 +76,9 @@ def test_time_and_energy_of_lines_that_end_at_an_island_are_foretold(boat: str) 
     here = config.load(file, [CALM, *(f"simulation.{name}_deg={deg:.9f}" for name, deg in places)])
     took_s, took_wh = voyage(here, plan)
     time_s, energy_wh = foretold(settings, plan)
-    assert took_s == pytest.approx(time_s, rel=0.02)
+    assert took_s == pytest.approx(time_s, rel=by)
     assert energy_wh is not None
-    assert took_wh == pytest.approx(energy_wh / WEATHER, rel=0.05)
+    assert took_wh == pytest.approx(energy_wh / WEATHER, rel=max(2.0 * by, 0.05))
 
 
 def test_a_boat_says_what_its_turns_and_lines_take() -> None:
@@ -118,14 +118,15 @@ def test_a_boat_goes_straight_on_where_a_piece_back_is_left_as_it_begins() -> No
     assert zigzag == pytest.approx(ahead)
 
 
-def test_a_boat_that_steers_takes_a_turn_for_the_arcs_from_line_to_line() -> None:
+def test_a_boat_that_steers_takes_a_turn_for_each_arc_from_line_to_line() -> None:
     settings = config.load(ROOT / "etc/boats/skiff.toml")
     ground = Ground(AT, MultiPolygon([box(0.0, 0.0, 20.0, 60.0)]), MultiPolygon())
     plan = planned(ground, wanted_of(settings, spacing_m=10.0, heading_deg=0.0), config.Zones())
     pieces = legs(plan)
     assert len(plan.lines) == 2
-    assert any(leg.is_arc for leg in pieces)
+    arcs = sum(leg.is_arc for leg in pieces)
+    assert arcs == 3, "the lines are nearer to each other than a half circle"
     assert all(a.corner_rad(b) < 0.02 for a, b in pairwise(pieces)), "arcs lead from line to line"
     assert sum(leg.long_m for leg in pieces) == pytest.approx(plan.way_m)
     known = KNOWN._replace(wanted=plan.wanted)
-    assert taken(known, pieces)[0] == pytest.approx(5.0 + plan.way_m / plan.wanted.speed_mps + 4.0)
+    assert taken(known, pieces)[0] == pytest.approx(5.0 + plan.way_m / plan.wanted.speed_mps + 4.0 * arcs)
