@@ -293,10 +293,10 @@ async def test_a_number_that_is_used_twice_is_a_red_alarm_with_both_addresses(pa
     await shown(page, gateway, f"{text_of(1, '.trouble.bad')} === 'number 1 is used twice: 10.0.0.3:14550 and 10.0.0.4:14550'")
 
 
-@pytest.mark.parametrize(("commander", "words"), [(1, "the hand-set is in control"), (250, "console 250 is in control")])
-async def test_the_strip_says_who_else_commands(page: Page, gateway: Standin, commander: int, words: str) -> None:
-    gateway.boat(1).update(owner=False, commander=commander)
-    await shown(page, gateway, f"{text_of(1, '.trouble')} === '{words}'")
+async def test_the_strip_says_who_else_commands(page: Page, gateway: Standin) -> None:
+    for commander, words in ((1, "the hand-set is in control"), (250, "console 250 is in control")):
+        gateway.boat(1).update(owner=False, commander=commander)
+        await shown(page, gateway, f"{text_of(1, '.trouble')} === '{words}'")
 
 
 async def test_a_message_that_cannot_be_taken_costs_itself_alone(page: Page, gateway: Standin) -> None:

@@ -276,21 +276,21 @@ def test_what_a_boat_does_not_have_does_not_break_and_is_not_blamed_on_it(boat, 
 
 
 @pytest.mark.parametrize(
-    ("trigger", "failure"),
+    ("trigger", "failure", "first"),
     [
-        (Trigger.FENCE, "outside the fence in mode"),
-        (Trigger.NAVIGATION_SILENT, "sailing blind in mode"),
-        (Trigger.THRUSTER, "adrift under power"),
+        (Trigger.FENCE, "outside the fence in mode", 36),
+        (Trigger.NAVIGATION_SILENT, "sailing blind in mode", 10),
+        (Trigger.THRUSTER, "adrift under power", 13),
     ],
     ids=lambda each: getattr(each, "name", ""),
 )
-def test_without_a_row_of_the_table_the_campaign_finds_it(monkeypatch, trigger, failure):
-    """The watch is not blind: a vehicle that has lost one of its failsafes fails."""
+def test_without_a_row_of_the_table_the_campaign_finds_it(monkeypatch, trigger, failure, first):
+    """The watch is not blind: a vehicle that has lost one of its failsafes fails. `first`: the seed that finds it today."""
     module = sys.modules["delfim.vehicle.failsafe.failsafe"]
     whole = module.troubles
     monkeypatch.setattr(module, "troubles", lambda *given: [each for each in whole(*given) if each[0] is not trigger])
     found: list[str] = []
-    for seed in range(100):
+    for seed in range(first, first + 100):
         found += random_faults.sail_mixed(VEHICLE, seed).failures
         if any(failure in words for words in found):
             return
