@@ -119,6 +119,7 @@ class Scene(NamedTuple):
     seen: Sequence[Seen]
     shore: Shoreline | None
     weary: float  # a deviation is dearer the longer the boat is away: nobody runs along with a ship for ever
+    has_vessels: bool  # among those seen, not things alone: the route leads past these already
 
 
 def decide(
@@ -151,16 +152,16 @@ def deciding(
     shore = Shoreline(around, own, max(route.speed_mps, own.speed_mps) * STATIC_S) if around is not None else None
     # Who has to give way is left time to do so, unless the boat is under way for another vessel already.
     mine = seen if is_away else [each for each in seen if not _waits(limits, each, on)]
-    judged = Scene(mine, shore if route.has_end or mine or is_away else None, 1.0)
+    judged = Scene(mine, shore if route.has_end or mine or is_away else None, 1.0, bool(mine))
     is_under_way = own.speed_mps >= SLOWEST_MPS  # otherwise the boat may turn to anywhere yet
     duties = tuple((each.target.key, each.duty) for each in seen if each.duty is not None and is_under_way)
     # The route is left for what is near, and taken again when it is clear for twice as long.
     if _cost(judged, on, 0.0, 1.0, 2.0 if is_away else 1.0, math.inf, is_route=True) <= (0.0 if is_away else LEAVE):
         return Decision(Memory(duties=duties), None, _passes(seen, on, on))
-    left_s = memory.left_s or now_s
+    left_s, has_vessels = memory.left_s or now_s, bool(seen)
     if things:
         seen = [*seen, *_standing(limits, own, max(route.speed_mps, own.speed_mps), things)]
-    scene = Scene(seen, shore, 1.0 + max(now_s - left_s, 0.0) / limits.look_s)
+    scene = Scene(seen, shore, 1.0 + max(now_s - left_s, 0.0) / limits.look_s, has_vessels)
     best = was if now_s - memory.since_s < HELD_S else None
     if best is None or _leads_in(scene, _tried(limits, own, best, route)):
         best = yield from _cheapest(limits, scene, own, ahead_rad, route, on, was)
@@ -283,7 +284,7 @@ def _cheapest(
                 best, lowest, chosen = each, cost, legs
         if not extra:  # the first was the course that is steered
             extra = CHANGE + STEADY * lowest
-    if lowest >= ASHORE and (best is not None or any(each.without is not BEHIND for each in scene.seen)):  # nor is the route
+    if lowest >= ASHORE and (best is not None or scene.has_vessels):  # nor is the route
         return _new(Choice, (wrap(ahead_rad), 0.0, False, True))
     return None if best is None else best._replace(course_rad=wrap(best.course_rad))
 

@@ -202,13 +202,14 @@ def test_the_route_is_left_for_what_costs_and_taken_again_where_nothing_does(mon
     assert decided.asked[0][:3] == (LIMITS, Memory(order, None, 900.0, 900.0), OWN)
     assert decided.asked[0][3:] == (pytest.approx(math.pi / 4.0), 2.0, [vessel()], on)
     mine = list(seen) if order else list(seen[:2])
-    assert decided.asked[1] == ((mine, None, 1.0), on, 0.0, 1.0, far, INF, True)
+    assert decided.asked[1] == ((mine, None, 1.0, True), on, 0.0, 1.0, far, INF, True)
     if stays:
         assert found[:2] == (Memory(duties=duties), None)
         assert found.passes == tuple(PassedBy(each.target.key, each.without, each.without.nearness) for each in seen)
         assert len(decided.asked) == 2
         return
-    assert decided.asked[2] == (LIMITS, (list(seen), None, 1.0 + 100.0 / 180.0), OWN, decided.asked[0][3], ROUTE, on, None)
+    judged = list(seen), None, 1.0 + 100.0 / 180.0, True
+    assert decided.asked[2] == (LIMITS, judged, OWN, decided.asked[0][3], ROUTE, on, None)
     assert found.memory == Memory(found.order, WAS, 1000.0, 900.0, duties)
     assert found.order is not None
     assert found.order[:3] == (1.0, 1.0, 2.0)
@@ -249,7 +250,7 @@ def test_a_course_is_ended_by_the_fence_and_bent_by_vessels_alone(monkeypatch, h
 def test_a_deviation_is_dearer_the_longer_it_lasts(monkeypatch: pytest.MonkeyPatch, left_s: float, weary: float) -> None:
     decided = Decided(monkeypatch, best=WAS)
     assert decided.decide(left_s=left_s).memory.left_s == (left_s or 1000.0)
-    assert decided.asked[-1][1] == ([], None, weary)
+    assert decided.asked[-1][1] == ([], None, weary, False)
     decided.best = None
     seen = lies(0.0, 0.0, duty="give-way")
     decided.seen = [seen]

@@ -47,7 +47,7 @@ class Shore:
 
 
 def scene(*seen: Seen, shore: Any = None, weary: float = 1.0) -> Scene:
-    return Scene(seen, shore, weary)
+    return Scene(seen, shore, weary, bool(seen))
 
 
 def cost(of: Scene, legs: Sequence[Leg] = NORTH, turn_rad: float = 0.0, part: float = 1.0, **more: Any) -> float:
