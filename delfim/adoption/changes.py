@@ -35,14 +35,13 @@ def changes(fit: Fit) -> Iterator[str]:
         yield from _told("drag at 0.5 m/s", drag, "a fouled hull, or more draught?", "a cleaner hull, or less draught?")
         weak = "damaged propellers, weed, a low battery, or a heavier boat?"
         yield from _told("push of the motors", thrust, "stronger motors, or a lighter boat?", weak)
-    uneven, rows = now["ahead_uneven"] - was["ahead_uneven"], fit.windows.rows
+    uneven = now["ahead_uneven"] - was["ahead_uneven"]
     if abs(uneven) > max(WEAKER, SURE * fit.relative("ahead_uneven")):
         weaker, other = ("starboard", "port") if uneven < 0.0 else ("port", "starboard")
         by = 1.0 - math.exp(-abs(uneven))
-        several = any(sum(row.side == side for row in rows) > 1 for side in (1, -1))
-        push, one = ("motors push", "ones") if several else ("motor pushes", "one")
+        push, one = ("motors push", "ones") if fit.windows.has_pairs else ("motor pushes", "one")
         yield f"the {weaker} {push} {by:.0%} less against the {other} {one} than by the file: weed, or a damaged propeller?"
-    if any(not row.side for row in rows):
+    if fit.windows.pushes_aside:
         across = _differs(now["across"], was["across"], fit.relative("across"))
         yield from _told("push of what pushes aside, against the other motors", across, "weed on the others?", "weed?")
     turning = _differs(was["arm"], now["arm"], fit.relative("arm"))
@@ -77,12 +76,11 @@ def unseen(fit: Fit, told: dict[str, Figure]) -> Iterator[str]:
         yield f"thrust astern: the motors {'never' if never else 'hardly'} ran astern"
     if {"surge", "surge2", "loss", "power"} & missing:
         yield "drag and thrust apart: the speed changed too little; sail slow, half and full, and let her coast"
-    rows = fit.windows.rows
-    if any(sum(row.side == side for row in rows) > 1 for side in (1, -1)):
+    if fit.windows.has_pairs:
         yield "unequal thrust of the motors at one side: they are seen together, and each keeps its share by the file"
-    if any(not row.side for row in rows) and "across" in missing:
+    if fit.windows.pushes_aside and "across" in missing:
         yield "what pushes aside alone: it hardly ran"
-    if any(row.side and abs(row.aside) > ASIDE_MOST for row in rows):
+    if any(row.side and abs(row.aside) > ASIDE_MOST for row in fit.windows.rows):
         yield "compass: her thrusters push across, and unequal ones make leeway, which looks like a compass that is off"
     if {"sway", "sway2", "sway_ahead", "surge_turning", "sway_turning", "munk"} & missing:
         yield "leeway: she turned too little at speed"

@@ -150,6 +150,16 @@ class Windows(NamedTuple):
         return len(self.measured)
 
     @property
+    def has_pairs(self) -> bool:
+        """Whether two motors stand at a side."""
+        return any(sum(row.side == side for row in self.rows) > 1 for side in (1, -1))
+
+    @property
+    def pushes_aside(self) -> bool:
+        """Whether a motor pushes aside alone."""
+        return any(not row.side for row in self.rows)
+
+    @property
     def sides(self) -> Array:
         """The commands of starboard and of port, of each the mean of its motors by their pushes ahead; else the two columns."""
         if not self.rows:

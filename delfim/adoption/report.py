@@ -236,8 +236,7 @@ def _numbers(fit: Fit) -> Iterator[str]:
 
 def _kinds(fit: Fit) -> tuple[str, ...]:
     """The kinds of numbers that this boat has."""
-    rows = fit.windows.rows
-    there = (ACROSS, any(not row.side for row in rows)), (WITHIN, any(row.within for row in rows))
+    there = (ACROSS, fit.windows.pushes_aside), (WITHIN, any(row.within for row in fit.windows.rows))
     return "", SIDES if fit.windows.gear is None else STEERS, *(kind for kind, is_there in there if is_there)
 
 

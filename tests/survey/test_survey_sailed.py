@@ -20,7 +20,7 @@ from delfim.survey.ground import Ground, in_degrees, laid, swaths
 from delfim.survey.linefigures import figures
 from delfim.survey.planning import SurveyPlan, check, mission, planned, wanted_of
 from delfim.vehicle import console
-from delfim.vehicle.plans.mission import canonical, load_mission
+from delfim.vehicle.plans.mission import Mission, canonical, load_mission
 from delfim.vehicle.state import NoLog
 from tests.logging.sailing import Day
 from tests.survey.drawn import drawn
@@ -42,6 +42,14 @@ def at_begin(plan: SurveyPlan, boat: str, *overrides: str) -> Lockstep:
     places = zip(("latitude", "longitude"), in_degrees(plan.ground.at, *plan.begin), strict=True)
     here = (f"simulation.{name}_deg={deg}" for name, deg in places)
     return Lockstep(config.load(ROOT / f"etc/{boat}.toml", [*overrides, *here]), 1, lambda clock: NoLog())
+
+
+def on_its_path(run: Lockstep, its: Mission) -> None:
+    """The boat has had time to find out where she is, and begins."""
+    assert run.command(console.LoadMission(canonical(its))) is None
+    for _ in run.cycles(5.0):
+        pass
+    assert run.command(console.SetMode("path")) is None
 
 
 def sailed(sailing: Lockstep, plan: SurveyPlan, begun_s: float) -> float:
@@ -123,10 +131,7 @@ def test_a_boat_that_starts_on_one_of_its_lines_sails_them_all_from_the_first(tm
     plan = planned(laid(read_area(tmp_path / "here.geojson")), wanted_of(settings, spacing_m=SPACING_M), settings.fence)
     run, track = Lockstep(settings, 1, lambda clock: NoLog()), list[tuple[float, float]]()
     assert LineString([place for line in plan.lines for place in line]).distance(Point(true_place(run, plan))) < 5.0
-    assert run.command(console.LoadMission(canonical(mission(plan, "here")))) is None
-    for _ in run.cycles(5.0):
-        pass
-    assert run.command(console.SetMode("path")) is None
+    on_its_path(run, mission(plan, "here"))
     for state in run.cycles(UNTIL_S):
         track.append(true_place(run, plan))
         if state.mode.name != "PATH":
@@ -144,10 +149,7 @@ def test_boats_of_all_kinds_sail_the_lines_of_their_plan(boat: str) -> None:
     check(its, plan, settings)
     assert bool(its.path) == (boat == "boats/skiff"), "arcs for a boat that does not turn on the spot"
     run, begun_s, track = at_begin(plan, boat, *overrides), math.inf, list[tuple[float, float]]()
-    assert run.command(console.LoadMission(canonical(its))) is None
-    for _ in run.cycles(5.0):
-        pass
-    assert run.command(console.SetMode("path")) is None
+    on_its_path(run, its)
     for state in run.cycles(UNTIL_S):
         track.append(true_place(run, plan))
         if math.isinf(begun_s) and math.dist(track[-1], plan.begin) < 3.0:
@@ -170,10 +172,7 @@ def test_no_fence_stops_a_boat_whose_lines_end_at_an_island_with_wind_and_curren
     settings = config.load(ROOT / "etc/boats/otter.toml", [sea])
     plan = planned(ground, wanted_of(settings, spacing_m=8.0, heading_deg=0.0), settings.fence)
     run = at_begin(plan, "boats/otter", sea)
-    assert run.command(console.LoadMission(canonical(mission(plan, "island")))) is None
-    for _ in run.cycles(5.0):
-        pass
-    assert run.command(console.SetMode("path")) is None
+    on_its_path(run, mission(plan, "island"))
     begun_s = run.elapsed_s
     for state in run.cycles(UNTIL_S):
         if state.mode.name != "PATH":
@@ -199,10 +198,7 @@ def test_no_fence_stops_a_boat_among_holes(
     settings = config.load(ROOT / f"etc/boats/{boat}.toml")
     plan = planned(ground, wanted_of(settings, spacing_m=spacing_m), settings.fence)
     run, track = at_begin(plan, f"boats/{boat}", sea), list[tuple[int, tuple[float, float]]]()
-    assert run.command(console.LoadMission(canonical(mission(plan, "holes")))) is None
-    for _ in run.cycles(5.0):
-        pass
-    assert run.command(console.SetMode("path")) is None
+    on_its_path(run, mission(plan, "holes"))
     begun_s = run.elapsed_s
     for state in run.cycles(UNTIL_S):
         track.append((state.reference.line, true_place(run, plan)))

@@ -220,9 +220,9 @@ class Adoption:
             turn_dps=math.degrees(message.yawspeed),
             north_mps=place.vx / 100.0,
             east_mps=place.vy / 100.0,
-            port=(servos.servo1_raw - 1500) / 500.0,
-            starboard=(servos.servo3_raw - 1500) / 500.0,
-            turned=(servos.servo2_raw - 1500) / 500.0,
+            port=_part(servos.servo1_raw),
+            starboard=_part(servos.servo3_raw),
+            turned=_part(servos.servo2_raw),
             each=_each(servos),
             mode=boat.mode,
             reason=boat.reason.partition(": ")[2] if boat.reason.startswith(f"{boat.mode}: ") else boat.reason,
@@ -267,7 +267,12 @@ class Adoption:
 def _each(servos: Any) -> list[float]:
     """Parts of full command of each thruster of a boat with more than two; nothing of another, and of an older program."""
     pulses = (servos.servo5_raw, servos.servo6_raw, servos.servo7_raw, servos.servo8_raw)
-    return [(pulse - 1500) / 500.0 for pulse in takewhile(bool, pulses)]
+    return [_part(pulse) for pulse in takewhile(bool, pulses)]
+
+
+def _part(pulse: int) -> float:
+    """Of full command, as SERVO_OUTPUT_RAW has it."""
+    return (pulse - 1500) / 500.0
 
 
 def _sensed(array: Any, heard_s: float, now_s: float) -> dict[str, list[float]] | None:
