@@ -160,15 +160,21 @@ async def motors_found(folder: Path, boat: str) -> None:
     file, truth = files(folder, boat)
     its = folder / "sim/console" / file.name
     async with simulation(folder, file, truth) as url, visit(url, config.load(file).boat.name, nothing) as you:
-        for _ in range(AGAIN):
-            await begun(you)
-            if GOES_ON not in (told := await answered(you)):
-                break
-            await closed(you)
+        told = await gone_through(you, GOES_ON)
         assert "The motor that bow_port reaches is that of stern_starboard." in told
         assert "Hull, compass and gains stay as they are: her thrusters push across" in told
         _wired(config.load(its), config.load(truth))
         await you.page.nothing_amiss()
+
+
+async def gone_through(you: Visit, again: str) -> str:
+    """Begin, and begin again where it says so; what is told at the end."""
+    for _ in range(AGAIN):
+        await begun(you)
+        if again not in (told := await answered(you)):
+            break
+        await closed(you)
+    return told
 
 
 async def closed(you: Visit) -> None:
@@ -209,11 +215,7 @@ async def adopted(folder: Path, boat: str, picture: Picture) -> None:
 async def proven(folder: Path, its: Path, truth: Path, picture: Picture) -> None:
     """The boat is started again with what was found, and sails the proof."""
     async with simulation(folder, its, truth) as url, visit(url, config.load(its).boat.name, picture) as you:
-        for _ in range(AGAIN):
-            await begun(you)
-            if TRIES_AGAIN not in (told := await answered(you)):
-                break
-            await closed(you)
+        told = await gone_through(you, TRIES_AGAIN)
         gains = config.load(its).control.heading.p_nm_per_rad
         if "Not proven: she" in told:  # in real time on a busy machine she obeys later than her twin
             assert "The gains before are in" in told
