@@ -17,7 +17,7 @@ from typing import Final
 from delfim.base.errors import FormatError
 from delfim.base.input.untrusted import parse_json
 from delfim.base.wholefile import sync_directory
-from delfim.logging.reading import in_order
+from delfim.logging.liblog import in_order
 
 SUFFIX: Final = ".chain"
 LAST_BYTES: Final = 1 << 16  # of a chain, in which its last link is looked for

@@ -14,6 +14,8 @@ and counts its records, says why, retries about once a second, and recovers when
 """
 
 import json
+from collections.abc import Iterable
+from pathlib import Path
 from typing import Literal, NamedTuple, Protocol
 
 from delfim.base.clock import Clock
@@ -72,3 +74,13 @@ class LogSettings(NamedTuple):
     when_full: WhenFull
     upload_folder: str = ""  # in `directory`
     upload_bytes_max: int = 0
+
+
+def in_order(paths: Iterable[Path]) -> list[Path]:
+    """Sort log files by the time when they were made; plain sorting puts hhmmss-1 before hhmmss."""
+
+    def key(path: Path) -> tuple[str, str, int]:
+        time_, _, number = path.name.partition(".")[0].partition("-")
+        return path.parts[-3] if len(path.parts) > 2 else "", time_, int(number) if number.isdecimal() else 0
+
+    return sorted(paths, key=key)

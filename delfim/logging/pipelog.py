@@ -4,7 +4,6 @@ import contextlib
 import json
 import os
 import select
-import struct
 import subprocess
 import sys
 from typing import Final
@@ -14,11 +13,10 @@ with contextlib.suppress(ImportError):  # Windows has none, and no log with a wr
 
 from delfim.base.clock import Clock
 from delfim.logging.liblog import LogSettings, LogStatus
+from delfim.logging.writer import LENGTH, NOTE
 
 PIPE_BYTES: Final = (4 << 20, 1 << 20)  # asked for in this order: the privileged may exceed pipe-max-size, 1 MiB
 SILENT_S: Final = 5.0  # a writer without a report for this long hangs on its disk
-LENGTH: Final = struct.Struct("=I")  # before each message in the pipe; the highest bit marks a line for the sidecar
-NOTE: Final = 1 << 31
 
 
 class PipeLog:

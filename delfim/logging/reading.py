@@ -2,7 +2,7 @@
 
 import struct
 import zlib
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Annotated, Any, Final, NamedTuple
 
@@ -207,13 +207,3 @@ def _is_of(kind: Any, value: object) -> bool:
     except msgspec.ValidationError:
         return False
     return True
-
-
-def in_order(paths: Iterable[Path]) -> list[Path]:
-    """Sort log files by the time when they were made; plain sorting puts hhmmss-1 before hhmmss."""
-
-    def key(path: Path) -> tuple[str, str, int]:
-        time_, _, number = path.name.partition(".")[0].partition("-")
-        return path.parts[-3] if len(path.parts) > 2 else "", time_, int(number) if number.isdecimal() else 0
-
-    return sorted(paths, key=key)

@@ -17,7 +17,8 @@ from typing import Any, Final, NamedTuple
 
 from delfim.base.errors import FormatError
 from delfim.base.input.untrusted import parse_json
-from delfim.logging.reading import in_order, read_log
+from delfim.logging.liblog import in_order
+from delfim.logging.reading import read_log
 
 MAGIC: Final = b"DELFIM STATE 1\n"
 CODES: Final = "?bBhHiIqQfd"

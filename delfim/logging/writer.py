@@ -11,6 +11,7 @@ import contextlib
 import json
 import os
 import signal
+import struct
 import sys
 import time
 from collections.abc import Iterator
@@ -19,8 +20,9 @@ from typing import Final
 from delfim.base.clock import SystemClock
 from delfim.logging.filelog import FLUSH_S, FileLog
 from delfim.logging.liblog import LogSettings, LogStatus
-from delfim.logging.pipelog import LENGTH, NOTE
 
+LENGTH: Final = struct.Struct("=I")  # before each message in the pipe; the highest bit marks a line for the sidecar
+NOTE: Final = 1 << 31
 TICK_S: Final = 0.05  # between two looks into the pipe
 READ_BYTES: Final = 1 << 16
 REPORT_S: Final = 1.0  # reports come at least so often

@@ -14,7 +14,7 @@ import msgspec
 
 from delfim.base import geodesy
 from delfim.base.errors import FormatError
-from delfim.base.input.untrusted import UNREADABLE
+from delfim.base.input.unreadable import UNREADABLE
 from delfim.vehicle.grex import proof
 
 _log = logging.getLogger(__name__)

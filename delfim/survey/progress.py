@@ -19,7 +19,8 @@ from shapely.geometry import LineString, MultiPolygon
 
 from delfim.base.errors import DelfimError, FormatError
 from delfim.base.geodesy import origin
-from delfim.base.input.untrusted import UNREADABLE, read_file
+from delfim.base.input.unreadable import UNREADABLE
+from delfim.base.input.untrusted import read_file
 from delfim.base.wholefile import replace_file
 from delfim.survey.areafile import Corner, Shape
 from delfim.survey.ground import Ground, Place, Segment, in_degrees, in_plane, polygons, union

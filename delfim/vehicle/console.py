@@ -15,7 +15,7 @@ from delfim import config
 from delfim.base import tables
 from delfim.base.cooperative import Work
 from delfim.base.errors import FormatError
-from delfim.base.input.untrusted import UNREADABLE
+from delfim.base.input.unreadable import UNREADABLE
 from delfim.vehicle.grex import SeenVessel
 from delfim.vehicle.plans.mission import Mission as MissionTables
 from delfim.vehicle.voyagestate import VoyageState

@@ -14,7 +14,7 @@ from typing import Annotated, Literal, cast
 import msgspec
 
 from delfim.base.clock import Clock
-from delfim.base.input.untrusted import UNREADABLE
+from delfim.base.input.unreadable import UNREADABLE
 from delfim.base.vessels import ThingSeen, VesselFacts, VesselPosition
 from delfim.vehicle.state import Setpoint, State
 

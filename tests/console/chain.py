@@ -17,7 +17,8 @@ from typing import Any, NamedTuple, cast
 from delfim.base.errors import DelfimError
 from delfim.canproxy.dsor import messages
 from delfim.logging.candump import parse_line
-from delfim.logging.reading import in_order, read_log
+from delfim.logging.liblog import in_order
+from delfim.logging.reading import read_log
 from delfim.parts.mavlink.codec import wire
 from delfim.vehicle.operator.link import Link
 from tests.services.browser import Page, tab

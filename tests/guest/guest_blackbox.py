@@ -13,7 +13,8 @@ import time
 from pathlib import Path
 from typing import Any
 
-from delfim.logging.reading import in_order, read_log
+from delfim.logging.liblog import in_order
+from delfim.logging.reading import read_log
 
 FOLDER = Path(os.environ["FOLDER"])
 LOG = Path("/dev/shm/log")  # memory: it is the programs that are measured

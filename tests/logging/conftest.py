@@ -9,9 +9,9 @@ import pytest
 
 from delfim.base.clock import ManualClock
 from delfim.logging.filelog import FileLog
-from delfim.logging.liblog import LogSettings
+from delfim.logging.liblog import LogSettings, in_order
 from delfim.logging.pipelog import PipeLog
-from delfim.logging.reading import in_order, read_log
+from delfim.logging.reading import read_log
 
 RECORDINGS = Path(__file__).parents[1] / "data" / "nmea2000"
 

@@ -13,9 +13,9 @@ from delfim.base import wholefile
 from delfim.base.clock import ManualClock
 from delfim.logging import chain, filelog, free_space, liblog
 from delfim.logging.ashore import chaincheck
-from delfim.logging.liblog import LogStatus
+from delfim.logging.liblog import LogStatus, in_order
 from delfim.logging.openlog import open_log
-from delfim.logging.reading import in_order, read_log
+from delfim.logging.reading import read_log
 from tests.logging.conftest import content, files, numbers, remount
 
 NEW_YEAR_2010 = 1_262_304_000_000_000_000

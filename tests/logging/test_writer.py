@@ -17,9 +17,9 @@ from hypothesis import strategies as st
 from delfim import config
 from delfim.logging import pipelog
 from delfim.logging.openlog import open_log
-from delfim.logging.pipelog import LENGTH, NOTE, PipeLog
+from delfim.logging.pipelog import PipeLog
 from delfim.logging.reading import read_log
-from delfim.logging.writer import PipeMessages
+from delfim.logging.writer import LENGTH, NOTE, PipeMessages
 from tests.logging.conftest import content, files, numbers, until
 
 

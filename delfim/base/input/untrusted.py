@@ -4,15 +4,11 @@ import json
 import os
 import re
 import stat
-import tomllib
 from pathlib import Path
 from typing import Any, Final
 
-import msgspec
-
 from delfim.base.errors import ConfigError, FormatError
 
-UNREADABLE: Final = (msgspec.DecodeError, UnicodeDecodeError, RecursionError)  # raised by msgspec for invalid JSON
 TEXT_BYTES: Final = 1 << 20  # of a file that people write: settings, a mission, a scenario
 _DEEP: Final = re.compile(  # a dotted key, which takes the square of its length to be read as TOML
     r"""(?<![.\w"'-])(?:(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){64}"""
@@ -44,6 +40,8 @@ def read_text(path: str | Path) -> str:
 
 def parse_toml(text: str) -> dict[str, Any]:
     """Parse TOML of bounded depth. Raises FormatError."""
+    import tomllib  # here: a log's writer reads none, and saves 1 MB
+
     if _DEEP.search(text):
         raise FormatError("not TOML: nested too deep")
     try:

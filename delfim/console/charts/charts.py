@@ -19,7 +19,8 @@ import msgspec
 from aiohttp import web
 
 from delfim.base.errors import ConfigError, FormatError
-from delfim.base.input.untrusted import UNREADABLE, read_file
+from delfim.base.input.unreadable import UNREADABLE
+from delfim.base.input.untrusted import read_file
 
 WARP_S: Final = 60.0
 ZOOM_MAX: Final = 24

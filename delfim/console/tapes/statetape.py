@@ -18,7 +18,8 @@ from delfim.console.link.mavlink import boatsize, mavlink
 from delfim.console.plans.plan import item_of
 from delfim.console.tapes.loggedmissions import logged_missions
 from delfim.console.tapes.tape import GRAPHED, LAST_S, Graphs, Missions, Text, Track, between, sample
-from delfim.logging.reading import in_order, read_events
+from delfim.logging.liblog import in_order
+from delfim.logging.reading import read_events
 from delfim.logging.statelog import read_state
 from delfim.parts.nmea0183 import sensor as nmea0183
 from delfim.parts.nmea2000 import sensor as nmea2000

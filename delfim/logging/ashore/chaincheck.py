@@ -16,7 +16,8 @@ from delfim.logging.ashore import tree
 from delfim.logging.ashore.repair import pieces
 from delfim.logging.ashore.summary import utc
 from delfim.logging.chain import SUFFIX, link_of
-from delfim.logging.reading import in_order, raw
+from delfim.logging.liblog import in_order
+from delfim.logging.reading import raw
 
 META: Final = ".meta.jsonl"
 BEHIND: Final = 2  # gzip members that may be whole behind the last link: a link follows each, unless the disk took none

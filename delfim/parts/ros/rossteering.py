@@ -14,7 +14,7 @@ import msgspec
 from delfim.base import geodesy
 from delfim.base.errors import FormatError, in_words
 from delfim.base.input.keys import read_key
-from delfim.base.input.untrusted import UNREADABLE
+from delfim.base.input.unreadable import UNREADABLE
 from delfim.base.ranges import address
 from delfim.services.tables import GuestTable
 from delfim.vehicle.grex import proof

@@ -15,7 +15,7 @@ import msgspec
 
 from delfim.base.clock import Clock
 from delfim.base.input.keys import read_key
-from delfim.base.input.untrusted import UNREADABLE
+from delfim.base.input.unreadable import UNREADABLE
 from delfim.canproxy.cantcp.access import Networks
 from delfim.services.access.connection_limits import ConnectionLimits
 from delfim.services.tables import GuestTable

@@ -17,7 +17,7 @@ from typing import IO, Annotated, Final, Literal
 import msgspec
 
 from delfim.base.errors import FormatError, Refused
-from delfim.base.input.untrusted import UNREADABLE
+from delfim.base.input.unreadable import UNREADABLE
 
 FORMAT: Final = 1
 NAMESPACE: Final = "delfim-image"  # of the signature: one made for anything else is worth nothing here

@@ -6,7 +6,7 @@ from typing import Final, NamedTuple
 import msgspec
 
 from delfim.base.errors import one_line
-from delfim.base.input.untrusted import UNREADABLE
+from delfim.base.input.unreadable import UNREADABLE
 from delfim.logging.ashore.systemlines import LEVELS
 from delfim.logging.systemlog import recent
 from delfim.services.page.api import LogLine

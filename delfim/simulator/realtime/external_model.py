@@ -18,7 +18,7 @@ import msgspec
 from delfim import config
 from delfim.base.errors import DelfimError
 from delfim.base.geodesy import origin
-from delfim.base.input.untrusted import UNREADABLE
+from delfim.base.input.unreadable import UNREADABLE
 from delfim.base.ranges import address
 from delfim.simulator.model import Hull, Model, hull_of
 from delfim.simulator.tables import Sea, Simulation

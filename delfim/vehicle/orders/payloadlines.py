@@ -8,7 +8,7 @@ from typing import Final
 import msgspec
 
 from delfim.base.errors import FormatError
-from delfim.base.input.untrusted import UNREADABLE
+from delfim.base.input.unreadable import UNREADABLE
 from delfim.vehicle import console
 from delfim.vehicle.orders.entrusting import RIGHTS
 from delfim.vehicle.report import BoatReport

@@ -14,7 +14,7 @@ from delfim import __version__, config
 from delfim.base import tables
 from delfim.base.clock import MADE_NS
 from delfim.base.errors import FormatError
-from delfim.base.input.untrusted import UNREADABLE
+from delfim.base.input.unreadable import UNREADABLE
 from delfim.vehicle import console
 from delfim.vehicle.helm.helm import Helm
 from delfim.vehicle.state import State

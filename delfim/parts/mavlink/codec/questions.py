@@ -14,7 +14,7 @@ import msgspec
 from delfim import config
 from delfim.base import tables
 from delfim.base.errors import FormatError
-from delfim.base.input.untrusted import UNREADABLE
+from delfim.base.input.unreadable import UNREADABLE
 from delfim.base.modes import Mode
 from delfim.parts.mavlink.codec import ownorders
 from delfim.parts.mavlink.codec.wire import Message

@@ -17,7 +17,8 @@ from typing import Annotated, Final, NamedTuple
 import msgspec
 
 from delfim.base.clock import MADE_NS, Clock
-from delfim.base.input.untrusted import UNREADABLE, read_file
+from delfim.base.input.unreadable import UNREADABLE
+from delfim.base.input.untrusted import read_file
 from delfim.parts.mavlink.codec.wire import stamp_of
 
 EPOCH_NS: Final = 1_420_070_400_000_000_000  # time stamps count 10 us since 2015

@@ -5,7 +5,7 @@ from typing import Final
 
 import msgspec
 
-from delfim.base.input.untrusted import UNREADABLE
+from delfim.base.input.unreadable import UNREADABLE
 from delfim.parts.mavlink.codec import ownorders, questions
 from delfim.parts.mavlink.codec.questions import BoatQuestion, ToldRow
 from delfim.parts.mavlink.codec.wire import Message, Speaker
