@@ -80,6 +80,9 @@ class Server(Listener):
             self._target.read_text(),
         )
         functions = [each for each in gc.get_objects() if isinstance(each, FunctionType) and each.__code__.co_filename == path]
+        if refused := _none_found(functions, _codes(ast.parse(source), path), path):
+            _say(self._answers, {"refused": refused})
+            return True
         _put(functions, _codes(ast.parse(source), path))  # they need not say any more that they are called
         _say(self._answers, {"modules": _from_elsewhere()})
         gc.collect()
@@ -110,6 +113,12 @@ def _from_elsewhere() -> list[str]:
     here, modules = f"{Path.cwd()}/", list(sys.modules.items())
     files = {name: getattr(module, "__file__", None) or "" for name, module in modules}
     return [name for name, file in files.items() if not file.startswith(here) and name != "__main__"]
+
+
+def _none_found(functions: list[FunctionType], codes: Codes, path: str) -> str:
+    """Why no change of this file can be tried: it was imported, and who keeps functions out of sight makes each a survivor."""
+    imported = any(getattr(module, "__file__", None) == path for module in list(sys.modules.values()))
+    return f"none of the functions of {path} were found, though it is imported" if imported and codes and not functions else ""
 
 
 def _codes(tree: ast.Module, path: str) -> Codes:
@@ -202,7 +211,11 @@ def main(target: Path, files: list[str]) -> int:
     os.dup2(silence, 1)
     os.dup2(silence, 2)
     asking, answering = _served(target, files)
-    for name in json.loads(answering.readline() or '{"modules": []}')["modules"]:
+    told = json.loads(answering.readline() or '{"modules": []}')
+    if "refused" in told:
+        _say(said, told)
+        return 1
+    for name in told["modules"]:
         with contextlib.suppress(Exception):
             importlib.import_module(name)
     gc.freeze()

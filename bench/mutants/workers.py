@@ -63,7 +63,8 @@ class Worker:
         )
 
     def ask(self, number: int | None, tests: list[str], fresh: list[str], cpu_s: float) -> dict[str, str]:
-        """Tries one change, or, without a number, that the tests pass as the file is. Raises TimeIsOver."""
+        """Tries one change, or, without a number, that the tests pass as the file is. Raises TimeIsOver; RuntimeError where
+        nothing can be tried."""
         assert self._program.stdin is not None
         assert self._program.stdout is not None
         print(
@@ -73,6 +74,8 @@ class Worker:
         if not select.select([self._program.stdout], [], [], left_s)[0]:
             raise TimeIsOver("the time is over")
         answer: dict[str, str] = json.loads(self._program.stdout.readline())
+        if "refused" in answer:
+            raise RuntimeError(answer["refused"])
         return answer
 
     def __enter__(self) -> Self:

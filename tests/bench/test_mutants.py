@@ -338,6 +338,18 @@ def test_nobody_waits_for_an_answer_longer_than_there_is_time(tmp_path: Path) ->
         worker.ask(None, [], [], 9.0)
 
 
+def test_tests_that_hide_the_functions_of_a_file_are_refused(tmp_path: Path) -> None:
+    for name in ("bench", "delfim"):
+        (tmp_path / name).symlink_to(ROOT / name)
+    (tmp_path / "sample.py").write_text(PROGRAM)
+    (tmp_path / "test_sample.py").write_text(f"{TESTS}\nimport gc\ngc.freeze()\n")
+    with (
+        Worker(tmp_path, "sample.py", ["test_sample.py"]) as worker,
+        pytest.raises(RuntimeError, match=r"none of the functions of .*/sample\.py were found, though it is imported"),
+    ):
+        worker.ask(None, [], [], 9.0)
+
+
 def test_calls_are_seen(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "seen.py"
     path.write_text('def f():\n    """Words."""\n    return f.__doc__\n')
