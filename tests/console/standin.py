@@ -22,6 +22,7 @@ MODES = {mode: mode.name.lower() for mode in Mode}
 DOCA = (38.6902, -9.2150)
 M_PER_DEG = 111_111.0
 RPM_MOST = 1500.0
+_PORTS: list[int] = []  # where the last gateway was: a browser compiles the page's script once for each address
 
 Message: TypeAlias = dict[str, Any]
 
@@ -143,9 +144,12 @@ class Standin:
         runner = web.AppRunner(app, shutdown_timeout=1.0)
         await runner.setup()
         try:
-            site = web.TCPSite(runner, "127.0.0.1", 0)
-            await site.start()
-            self.address = f"http://127.0.0.1:{runner.addresses[0][1]}/"
+            try:
+                await web.TCPSite(runner, "127.0.0.1", next(iter(_PORTS), 0)).start()
+            except OSError:  # somebody else has it
+                await web.TCPSite(runner, "127.0.0.1", 0).start()
+            _PORTS[:] = [runner.addresses[0][1]]
+            self.address = f"http://127.0.0.1:{_PORTS[0]}/"
             yield self
         finally:
             await runner.cleanup()

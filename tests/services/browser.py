@@ -22,6 +22,7 @@ from PIL import Image
 PROGRAM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 START_S = 60.0
 WORDS = ("--headless=new", "--no-sandbox", "--disable-gpu", "--hide-scrollbars", "--remote-debugging-port=0", "--no-first-run")
+FORGETS = "--disable-back-forward-cache"  # a page that was left is gone, and with it its process's work
 NOWHERE = "--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1"  # no network but this machine's
 MODIFIERS = {"Alt": 1, "Control": 2, "Meta": 4, "Shift": 8}
 VIRTUAL_KEYS = {
@@ -214,28 +215,54 @@ async def browser(folder: Path, *more: str) -> AsyncIterator[Page]:
 @contextlib.asynccontextmanager
 async def tab() -> AsyncIterator[Page]:
     """A tab of a browser that all tests of this process share: its start takes a processor for two seconds. It has no
-    network but this machine's, and keeps nothing for the next test. Who kills it gets another one the next time."""
+    network but this machine's, and keeps nothing for the next test, which gets it again: a tab's own process takes half as
+    long as the page in it. Who fails leaves none, and who kills the browser gets another one the next time."""
     child, folder = _shared()
     if child.poll() is not None:
         _shared.cache_clear()
         child, folder = _shared()
-    port = await _port(folder / "DevToolsActivePort")
     async with aiohttp.ClientSession() as session:
-        async with session.put(f"http://127.0.0.1:{port}/json/new?about:blank") as answer:
-            address = (await answer.json())["webSocketDebuggerUrl"]
+        address = await _address(session, child, await _port(folder / "DevToolsActivePort"))
         async with session.ws_connect(address, max_msg_size=0) as socket:
             page = Page(socket, child.pid)
+            passed = False
             try:
+                await page.call("Page.bringToFront")
                 yield page
                 if child.poll() is None:
                     await page.nothing_amiss()
+                    passed = True
             finally:
                 if child.poll() is None:
-                    await page.call("Page.navigate", url="about:blank")  # a page that lives on keeps what it likes anew
-                    await page.call("Network.clearBrowserCookies")
-                    for origin in page.origins:
-                        await page.call("Storage.clearDataForOrigin", origin=origin, storageTypes="all")
-                    await page.call("Target.closeTarget", targetId=address.rpartition("/")[2])
+                    await _left(page)
+                    if passed:
+                        _IDLE.append((child, address))
+                    else:
+                        await page.call("Target.closeTarget", targetId=address.rpartition("/")[2])
+
+
+_IDLE: list[tuple[subprocess.Popen[bytes], str]] = []  # tabs, each of a browser that may be gone since
+
+
+async def _address(session: aiohttp.ClientSession, child: subprocess.Popen[bytes], port: int) -> str:
+    """Of a tab that nobody has."""
+    while _IDLE:
+        whose, address = _IDLE.pop()
+        if whose is child:
+            return address
+    async with session.put(f"http://127.0.0.1:{port}/json/new?about:blank") as answer:
+        return str((await answer.json())["webSocketDebuggerUrl"])
+
+
+async def _left(page: Page) -> None:
+    """The tab, and what the browser keeps, as if nothing had been opened."""
+    await page.value("window.name = ''")
+    await page.call("Page.navigate", url="about:blank")  # a page that lives on keeps what it likes anew
+    await page.until("location.href === 'about:blank' && document.readyState === 'complete'")
+    await page.call("Page.resetNavigationHistory")
+    await page.call("Network.clearBrowserCookies")
+    for origin in page.origins:
+        await page.call("Storage.clearDataForOrigin", origin=origin, storageTypes="all")
 
 
 @functools.cache
@@ -243,7 +270,7 @@ def _shared() -> tuple[subprocess.Popen[bytes], Path]:
     """The browser, and the folder of its files; it ends with this process."""
     assert PROGRAM is not None
     folder = tempfile.TemporaryDirectory(prefix="browser-", ignore_cleanup_errors=True)
-    words = [PROGRAM, *WORDS, NOWHERE, f"--user-data-dir={folder.name}", "about:blank"]
+    words = [PROGRAM, *WORDS, NOWHERE, FORGETS, f"--user-data-dir={folder.name}", "about:blank"]
     child = subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True)
 
     def end() -> None:
