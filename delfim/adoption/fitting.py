@@ -4,6 +4,8 @@ Each window of the record starts at a state of its own, which is an unknown of i
 does not bend the numbers. Each number has a prior; what the record does not show stays where the prior has it, and says so.
 """
 
+from collections.abc import Iterator
+from itertools import product
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -28,6 +30,8 @@ SIGMAS: Final = 0.06, np.radians(2.2), np.radians(0.5)  # m/s, rad, rad/s: of us
 HUBER: Final = 3.0  # sigmas from which on a residual counts by its size instead of its square
 CHI2_MOST: Final = 2.0  # per measurement; beyond, the model is not this boat
 AGAIN: Final = 1.8  # begin once more from other numbers: there may be another minimum
+UNLIKE: Final = 0.5  # logarithm of the first of two motors over the second, at another beginning
+UNLIKE_MOST: Final = 0.8  # of a boat that is believed: beyond, other boats move as well like this one
 NUDGES: Final = np.where(FACTORS, 1e-3, 1e-4)  # of each number, for its derivative
 STEP_MOST: Final = 0.7  # of a number at a time
 UNSEEN: Final = 0.8  # of its prior's spread, or more, is left of the spread of a number that the record does not show
@@ -79,10 +83,17 @@ class Fit(NamedTuple):
     @property
     def refusal(self) -> str:
         """Why this fit is not to be used, in words; empty: it may."""
-        if self.chi2 <= CHI2_MOST:
-            return ""
-        away = ", ".join(self._worst())
-        return f"the motion does not follow from the commands: chi2 is {self.chi2:.1f}, {CHI2_MOST:.0f} at most; worst: {away}"
+        if self.chi2 > CHI2_MOST:
+            away = ", ".join(self._worst())
+            return (
+                f"the motion does not follow from the commands: chi2 is {self.chi2:.1f}, {CHI2_MOST:.0f} at most; worst: {away}"
+            )
+        for side in ("starboard", "port"):
+            unlike = abs(self.values[f"within_{side}"])
+            if unlike > UNLIKE_MOST:
+                than = f"{np.exp(unlike):.1f} times as strong as the other"
+                return f"one of the two motors at {side} would be {than}, which no log of a voyage tells surely"
+        return ""
 
     def _worst(self) -> list[str]:
         """The kinds of measurements that are farthest from the model, in words, the worst first."""
@@ -104,7 +115,8 @@ class Normal(NamedTuple):
 def fitted(windows: Windows, prior: Prior) -> Fit:
     """Fit, once more from other numbers where the first fit is poor, and once more with the weights that its own residuals ask
     for: gusts are no noise of a sensor."""
-    best = _descended(windows, prior, prior.centre, SIGMAS, 16, 1e-3)
+    every = (_descended(windows, prior, begun, SIGMAS, 16, 1e-3) for begun in _beginnings(windows, prior))
+    best = min(every, key=lambda each: each[2])
     if best[2] > AGAIN:
         other = prior.centre.copy()
         for name, factor in ELSEWHERE.items():
@@ -119,6 +131,18 @@ def fitted(windows: Windows, prior: Prior) -> Fit:
     for name in OF_THE_DAY:
         first[PLACE[name]] = theta[PLACE[name]]  # the same sea and sensors: what is compared is the boat
     return Fit(theta, covariance, prior, chi2, windows, predicted, _predicted(first, windows, starts), sigmas)
+
+
+def _beginnings(windows: Windows, prior: Prior) -> Iterator[Array]:
+    """The numbers to begin from. Where two motors at a side push across, also from the first and from the second being the
+    stronger one, at each side: from both being alike the way to the wrong one may be downhill, and ends there."""
+    yield prior.centre
+    if any(row.within for row in windows.rows):
+        for starboard, port in product((-UNLIKE, UNLIKE), repeat=2):
+            other = prior.centre.copy()
+            other[PLACE["within_starboard"]] += starboard
+            other[PLACE["within_port"]] += port
+            yield other
 
 
 def _descended(
