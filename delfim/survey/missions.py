@@ -99,7 +99,7 @@ def _item(told: Announced) -> PayloadItem:
 
 
 def _foretold(boat: SurveyBoat, plan: SurveyPlan) -> str:
-    """The time and the energy of a plan, as the simulated boat takes them for four lines."""
+    """The time and the energy of a plan, as the simulated boat takes them for a few lines."""
     from delfim.survey.trialsail import foretold  # the simulator, which nobody waits for who asks only for what is left
 
     time_s, energy_wh = foretold(boat.settings, plan)

@@ -46,7 +46,7 @@ class PreviewAsked(msgspec.Struct, forbid_unknown_fields=True):
     at: Corner | None = None  # where the boat is
     others: list[Corner | None] = []  # where other boats are, among whom and this one what is left is divided
     heard: list[str] = []  # files of soundings, by which it is known what is left
-    sailed: bool = False  # time and energy by four lines that the simulated boat sails: they take half a second
+    sailed: bool = False  # time and energy by a few lines that the simulated boat sails: they take half a second to two
 
 
 class PreviewTold(NamedTuple):

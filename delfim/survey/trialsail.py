@@ -29,9 +29,10 @@ from delfim.vehicle.state import NoLog
 
 WEATHER: Final = 1.04  # what boats drew in 4 m/s of wind and 0.2 m/s of current, by a calm (`bench/survey.py`)
 LINES: Final = 4
+STEERED_LINES: Final = 9  # of a boat that steers: with four, close together, half of the arcs are loops, as in no whole area
 LONG_M: Final = 40.0  # of each
 LEAST_M, MOST_M = 2.0, 60.0  # of their spacing: beyond, a turn takes what it takes with that
-UNTIL_S: Final = 1200.0
+UNTIL_S: Final = 2700.0
 PLACE: Final = 38.6907, -9.2153  # anywhere; degrees
 CORNER_RAD: Final = 0.1  # a corner that is less is none
 SHARP_RAD: Final = math.radians(110.0)  # and one that is more has to be sailed to be known
@@ -194,7 +195,7 @@ def foretold(settings: config.Vehicle, plan: SurveyPlan) -> tuple[float, float |
 
 def sailed(settings: config.Vehicle, wanted: LinesWanted, is_sharp: bool) -> SailedLines:
     """The boat on lines of its own, without fence, wind and current; `is_sharp`: and on sharp corners, too. It takes half a
-    second of a processor. Raises DelfimError where it does not come to their end."""
+    second of a processor, of a boat that steers two. Raises DelfimError where it does not come to their end."""
     plan = _plan(wanted)
     calm = {"sea": Sea(), "sea_bed": SimulatedBed(), "position_noise_m": 0.02, "heading_noise_deg": 0.1}
     latitude_deg, longitude_deg = in_degrees(plan.ground.at, *plan.begin)
@@ -208,8 +209,8 @@ def sailed(settings: config.Vehicle, wanted: LinesWanted, is_sharp: bool) -> Sai
 
 
 def _plan(wanted: LinesWanted) -> SurveyPlan:
-    spacing_m = min(max(wanted.spacing_m, LEAST_M), MOST_M)
-    area = MultiPolygon([box(0.0, 0.0, LINES * spacing_m, LONG_M)])
+    spacing_m, lines = min(max(wanted.spacing_m, LEAST_M), MOST_M), STEERED_LINES if wanted.radius_m else LINES
+    area = MultiPolygon([box(0.0, 0.0, lines * spacing_m, LONG_M)])
     ground = Ground(origin(*map(math.radians, PLACE)), area, MultiPolygon())
     alike = LinesWanted(spacing_m, wanted.speed_mps, heading_deg=0.0, run_in_m=wanted.run_in_m, radius_m=wanted.radius_m)
     return planned(ground, alike, config.Zones())
@@ -245,7 +246,7 @@ def _measured(run: Lockstep, plan: SurveyPlan, ahead_m: float, is_sharp: bool) -
     begin = middles[first] - told.along(sum(lengths_m[:first]) + 0.5 * lengths_m[first])
     rest = len(lengths_m) - 1 if back_m else last
     stop = ends[-1] - middles[rest] - told.along(0.5 * lengths_m[rest] + sum(lengths_m[rest + 1 :]))
-    turns = sum(leg.is_arc for leg in legs(plan)[first:last]) or LINES - 1
+    turns = sum(leg.is_arc for leg in legs(plan)[first:last]) or len(lines) - 1
     told = told._replace(ends=begin + stop, turn=beyond(first, last) * (1.0 / turns))
     if not back_m:
         return told
@@ -282,5 +283,5 @@ def _passed(run: Lockstep, its: str, lengths_m: Sequence[float]) -> tuple[list[T
         if middles[piece] is never and left_m is not None and left_m <= 0.5 * lengths_m[piece]:
             middles[piece] = here
     if not state.reason.startswith("path done"):
-        raise DelfimError(f"the simulated boat did not sail {LINES} lines to their end: {state.reason}")
+        raise DelfimError(f"the simulated boat did not sail a few lines to their end: {state.reason}")
     return middles, [*ends[:-1], here]

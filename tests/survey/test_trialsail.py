@@ -81,6 +81,20 @@ def test_time_and_energy_of_lines_that_end_at_an_island_are_foretold(boat: str, 
     assert took_wh == pytest.approx(energy_wh / WEATHER, rel=max(2.0 * by, 0.05))
 
 
+def test_what_a_boat_that_steers_takes_for_many_close_lines_is_foretold() -> None:
+    """Taken by two and three; among four lines alone half of the arcs are loops, which take her longer."""
+    ground = Ground(AT, MultiPolygon([box(0.0, 0.0, 100.0, 20.0)]), MultiPolygon())
+    settings = config.load(ROOT / "etc/boats/skiff.toml")
+    plan = planned(ground, wanted_of(settings, spacing_m=5.0, heading_deg=0.0), settings.fence)
+    places = zip(("latitude", "longitude"), in_degrees(AT, *plan.begin), strict=True)
+    here = config.load(ROOT / "etc/boats/skiff.toml", [CALM, *(f"simulation.{name}_deg={deg:.9f}" for name, deg in places)])
+    took_s, took_wh = voyage(here, plan)
+    time_s, energy_wh = foretold(settings, plan)
+    assert took_s == pytest.approx(time_s, rel=0.03)
+    assert energy_wh is not None
+    assert took_wh == pytest.approx(energy_wh / WEATHER, rel=0.05)
+
+
 def test_a_boat_says_what_its_turns_and_lines_take() -> None:
     short, long = (
         sailed(vehicle, wanted_of(vehicle, spacing_m=10.0), is_sharp=False)

@@ -191,7 +191,7 @@ class Allocation:
             f = (to_a - mixed * g_end) / aa
             f = a_low if f < a_low else a_high if f > a_high else f
         short = surge_n - ax * f - bx * g_end, sway_n - ay * f - by * g_end, yaw_nm - an * f - bn * g_end
-        return (f, g_end), angles_rad, short
+        return (f, g_end), angles_rad, self._missing(short, surge_n, sway_n, yaw_nm)
 
     def _exactly(
         self, columns: list[Column], surge_n: float, sway_n: float, yaw_nm: float, angles_rad: Sequence[float]
@@ -211,7 +211,19 @@ class Allocation:
             n += column[2] * f
         unit_n = self._unit_n
         short = surge_n - x * unit_n, sway_n - y * unit_n, yaw_nm - n * unit_n * self._arm_m
-        return [f * unit_n for f in forces], angles_rad, short
+        return [f * unit_n for f in forces], angles_rad, self._missing(short, surge_n, sway_n, yaw_nm)
+
+    def _missing(self, short: Force, surge_n: float, sway_n: float, yaw_nm: float) -> Force:
+        """What is short of a request, but for a hundredth: the effort alone keeps a ten-thousandth back where no limit is in
+        the way, and would stop an integral for good. A boat that comes here for limits alone is told exactly."""
+        if self._is_full and not self._turns:
+            return short
+        x, y, n = short
+        return (
+            0.0 if abs(x) <= MET * abs(surge_n) else x,
+            0.0 if abs(y) <= MET * abs(sway_n) else y,
+            0.0 if abs(n) <= MET * abs(yaw_nm) else n,
+        )
 
     def _turned(self, surge_n: float, sway_n: float, yaw_nm: float, angles_rad: Sequence[float], dt_s: float) -> Allotted:
         """Two passes: where to point, then the forces for where everything points after `dt_s`."""
