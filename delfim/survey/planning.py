@@ -17,6 +17,7 @@ from delfim.survey.lines import Cut, Strip, headings, rings, rough_s, strips
 from delfim.survey.order import ordered
 from delfim.survey.turns import Bend, along, heading, long_m, places_of, towards, turned
 from delfim.survey.ways import OpenWater
+from delfim.vehicle.control.hull import craft
 from delfim.vehicle.helm.planning import laid
 from delfim.vehicle.plans.fence import stopping_m
 from delfim.vehicle.plans.mission import LEG_MIN_M, RADIUS_MIN_M, ROWS, Mission, PathPoint, PayloadItem, Waypoint
@@ -44,6 +45,8 @@ PASSED_M: Final = 3.0  # so far a boat passes the end of a line before it turns 
 STEERED_PASSED_M: Final = 5.0  # ... and one that steers ...
 STEERED_FASTER: Final = 1.5  # ... with so much of its speed: the skiff's 1.5 m/s became 2.3
 FASTER: Final = 1.15  # of its speed, a boat that turns on the spot makes with wind and current behind
+CARRIED_MPS: Final = 0.55  # so fast 6 m/s of wind and 0.3 m/s of current carry a boat that turns on the spot, ...
+CARRIED: Final = 1.5  # ... so many times as long as half a turn takes at her fastest: she begins from rest, and turns too far
 STRAIGHT_RAD: Final = 0.01  # a corner that is less is none
 LATE_M: Final = 2.0  # so much later than it should a boat is slow
 BESIDE_M: Final = 2.0  # beyond what missions keep off, they keep off by so much
@@ -80,11 +83,12 @@ def wanted_of(settings: config.Vehicle, **asked: Any) -> LinesWanted:
     """What is asked for, and where it is None, what suits the boat. Raises DelfimError."""
     rows, control, its = settings.thrusters, settings.control, settings.adopted
     is_steered = all(row.steer is not None for row in rows) and len({row.y_m for row in rows}) == 1
+    carried_m = 0 if is_steered else _carried_m(settings)
     guess_s = ARC_S if is_steered else CORNER_S + CORNER_S_PER_M * settings.boat.length_m
     suits = {
         "speed_mps": control.speed.cruise_mps,
         "run_in_m": max(its.run_in_m or RUN_IN_M, control.path.acceptance_m + ACCEPTED_M),
-        "room_m": _room_m(settings.fence, asked.get("speed_mps") or control.speed.cruise_mps, is_steered),
+        "room_m": _room_m(settings.fence, asked.get("speed_mps") or control.speed.cruise_mps, is_steered) + carried_m,
         "turn_s": guess_s if its.turn_s is None else its.turn_s,
         "radius_m": max(LENGTHS * settings.boat.length_m, RADIUS_MIN_M) if is_steered else 0.0,
     }
@@ -105,7 +109,8 @@ def wanted_of(settings: config.Vehicle, **asked: Any) -> LinesWanted:
     if wanted.radius_m:
         brake_m = stopping_m(settings.fence, fastest_mps) + settings.fence.margin_m - settings.fence.mission_margin_m
         return wanted._replace(stub_m=max(wanted.room_m - beside_m, 0.0), brake_m=max(brake_m, 0.0))
-    stub_m = min(max(wanted.room_m - max(beside_m, _stopped_m(settings.fence, wanted.speed_mps)), 0.0), STUB_M)
+    nearest_m = max(beside_m, _stopped_m(settings.fence, wanted.speed_mps)) + carried_m
+    stub_m = min(max(wanted.room_m - nearest_m, 0.0), STUB_M)
     brake_m = stopping_m(settings.fence, fastest_mps) - stopping_m(settings.fence, SLOWLY * fastest_mps) + LATE_M
     return wanted._replace(stub_m=stub_m, brake_m=brake_m)
 
@@ -117,6 +122,15 @@ def _room_m(limits: config.FenceTable, speed_mps: float, is_steered: bool) -> fl
     stopped_m = _stopped_m(limits, STEERED_FASTER * speed_mps) + STEERED_PASSED_M
     slowly_m = _stopped_m(limits, FASTER * SLOWLY * speed_mps) + PASSED_M
     return max(limits.mission_margin_m + TURN_M, stopped_m if is_steered else slowly_m)
+
+
+def _carried_m(settings: config.Vehicle) -> int:
+    """How much more room a boat that turns on the spot needs than others, because wind and current carry it at a hole while it
+    turns: a WAM-V, with 15 degrees a second, by 7 m."""
+    limits, hull = settings.fence, craft(settings)
+    turn_s = math.pi * hull.damping_nm_per_radps / hull.turn_nm if hull.turn_nm else 0.0
+    least_m = limits.margin_m + stopping_m(limits, CARRIED_MPS) + CARRIED_MPS * CARRIED * turn_s + PASSED_M
+    return max(0, math.ceil(least_m - limits.mission_margin_m - TURN_M))
 
 
 def _stopped_m(limits: config.FenceTable, speed_mps: float) -> int:

@@ -316,10 +316,17 @@ def test_a_boat_that_steers_turns_by_arcs_where_lines_end_at_a_hole_and_could_st
     assert len(sharp) <= 1, "corners of a boat that needs arcs"
 
 
+@pytest.mark.parametrize(("boat", "room_m", "stub_m"), [("wam-v", 16.0, 3.0), ("../delfimx", 12.0, 3.0), ("otter", 12.0, 3.0)])
+def test_a_boat_that_turns_slowly_keeps_more_room_from_holes(boat: str, room_m: float, stub_m: float) -> None:
+    """Wind and current carry her while she turns, for 14 s half round."""
+    wanted = wanted_of(config.load(f"etc/boats/{boat}.toml"), spacing_m=10.0)
+    assert (wanted.room_m, wanted.stub_m) == (room_m, stub_m)
+
+
 def test_a_boat_that_turns_on_the_spot_is_slow_before_it_turns_at_a_hole_however_short_the_run_out_is() -> None:
     """A run-out of three metres was sailed slowly, and the line before it at full speed: the boat was stopped by its fence."""
     wam_v = config.load("etc/boats/wam-v.toml")
-    hole = box(-40.0, 81.0, 60.0, 90.0)  # 12.5 m behind the lines: they end there, not at the hole
+    hole = box(-40.0, 85.0, 60.0, 94.0)  # 16.5 m behind the lines: they end there, not at the hole
     ground = Ground(AT, MultiPolygon([box(0.0, 0.0, 20.0, 68.5)]), MultiPolygon([hole]))
     plan = planned(ground, wanted_of(wam_v, spacing_m=5.0, heading_deg=0.0), wam_v.fence)
     places = stops(plan)

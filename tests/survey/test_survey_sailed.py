@@ -185,13 +185,15 @@ def test_no_fence_stops_a_boat_whose_lines_end_at_an_island_with_wind_and_curren
     [
         ("wam-v", 307, 3.62, 267.5, 0.25, 176.1),
         pytest.param("wam-v", 7, 2.17, 57.9, 0.249, 187.5, marks=pytest.mark.long),
+        pytest.param("wam-v", 417, 4.617, 44.0, 0.256, 149.8, marks=pytest.mark.long),
         pytest.param("skiff", 303, 2.4, 254.5, 0.206, 359.7, marks=pytest.mark.long),
     ],
 )
 def test_no_fence_stops_a_boat_among_holes(
     boat: str, area: int, wind_mps: float, wind_from_deg: float, current_mps: float, current_to_deg: float
 ) -> None:
-    """Areas whose voyages a fence had ended: short run-outs at full speed, and sharp corners of a boat that steers."""
+    """Areas whose voyages a fence had ended: short run-outs at full speed, sharp corners of a boat that steers, and a slow turn
+    on the spot, during which wind and current carried the boat by 8 m."""
     wind, current = f"wind_mps={wind_mps}, wind_from_deg={wind_from_deg}", f"current_to_deg={current_to_deg}"
     sea = f"simulation.sea={{current_mps={current_mps}, {current}, {wind}}}"
     ground, spacing_m = drawn(area, (90.0, 150.0), 1.0)
