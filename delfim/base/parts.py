@@ -182,7 +182,7 @@ OWN: Final = {  # in the order in which sources are listed
         ),
         Part(
             "traffic",
-            keys=("traffic.hears", "traffic.mmsi", "payload"),
+            keys=("traffic.hears", "traffic.mmsi", "payload", "dronecan.rangefinders"),
             aboard="delfim.parts.traffic.aboard:opened",
             troubles=(
                 TroubleRow("traffic", 17, OF_FILE, "delfim.parts.traffic.troubles:near"),

@@ -26,6 +26,7 @@ from delfim.canproxy.dronecan.datatypes import (
     MAGNETIC_FIELD_FINE,
     MAGNETIC_FIELD_FIRST,
     NODE_STATUS,
+    RANGE,
     RAW_COMMAND,
     RAW_IMU,
     RELATIVE_HEADING,
@@ -39,6 +40,7 @@ from delfim.canproxy.dronecan.datatypes import (
     MagneticField,
     NodeStatus,
     NumberRequest,
+    RangeMeasured,
     RelativeHeading,
     decode,
 )
@@ -268,6 +270,17 @@ def of_relative_heading():
     return RELATIVE_HEADING, message, (time, *v), ()
 
 
+def of_range():
+    message = EQ.range_sensor.Measurement()
+    message.timestamp.usec = time = rnd.getrandbits(56)
+    message.sensor_id, angles, known = rnd.getrandbits(8), [rnd.randint(-16, 15) for _ in range(3)], rnd.getrandbits(1)
+    beam = message.beam_orientation_in_body_frame
+    beam.fixed_axis_roll_pitch_yaw, beam.orientation_defined = angles, known
+    v = f16(), rnd.getrandbits(5), rnd.getrandbits(3), f16()
+    message.field_of_view, message.sensor_type, message.reading_type, message.range = v
+    return RANGE, message, [time, message.sensor_id, *angles, known, *v], ()
+
+
 def of_magnetic_field():
     field, covariance = [f16(1.0) for _ in range(3)], [f16() for _ in range(rnd.choice((0, 3, 9)))]
     message = EQ.ahrs.MagneticFieldStrength2(sensor_id=3)
@@ -309,7 +322,16 @@ def of_allocation():
     "make",
     [
         *(of_raw_command, of_rpm_command, of_array_command, of_esc_status, of_node_status, of_battery_info, of_fix),
-        *(of_auxiliary, of_relative_heading, of_magnetic_field, of_first_magnetic_field, of_fine_magnetic_field, of_imu),
+        *(
+            of_auxiliary,
+            of_relative_heading,
+            of_range,
+            of_magnetic_field,
+            of_first_magnetic_field,
+            of_fine_magnetic_field,
+            of_imu,
+        ),
+        of_range,
         of_allocation,
     ],
 )
@@ -371,6 +393,10 @@ def test_random_transfers_are_byte_for_byte_those_of_pydronecan(make: Callable[[
         (MAGNETIC_FIELD_FIRST, (0.25, 0.0, -0.5), (), MagneticField(0, pytest.approx((0.25e-4, 0.0, -0.5e-4)))),
         (MAGNETIC_FIELD_FINE, (2, 0.25, 0.0, -0.5), (), MagneticField(2, pytest.approx((0.25e-4, 0.0, -0.5e-4)))),
         (RAW_IMU, (0, 0.1, *(1.0, 2.0, 3.0), *(0.0,) * 3, *(4.0, 5.0, 6.0), *(0.0,) * 3), (), ImuSample((1, 2, 3), (4, 5, 6))),
+        (RANGE, (9, 4, 1, 2, 3, 1, 0.5, 2, 1, 12.5), (), RangeMeasured(4, 2, 12.5, 0.5)),
+        (RANGE, (9, 4, 1, 2, 3, 1, math.nan, 1, 1, 12.5), (), RangeMeasured(4, 1, 12.5, 0.0)),
+        (RANGE, (9, 4, 1, 2, 3, 1, 4.0, 3, 1, 0.0), (), RangeMeasured(4, 3, 0.0, 0.0)),
+        (RANGE, (9, 4, 1, 2, 3, 1, 0.5, 2, 2, math.nan), (), RangeMeasured(4, 2, None, 0.0)),
         (ALLOCATION, (5, 1), (1, 2, 3), NumberRequest(5, True, b"\1\2\3")),
     ],
 )
@@ -386,6 +412,8 @@ def test_messages_are_read_in_si_units_and_what_is_unknown_is_none(kind, values,
         (FIX2, (0, 0, 2, 0, 0, 9_000_000_001, 0, 0, 0.0, 0.0, 0.0, 1, 3, 0, 0, 0), (1.0,), "impossible position"),
         (FIX2, (0, 0, 2, 0, 18_000_000_001, 0, 0, 0, 0.0, 0.0, 0.0, 1, 3, 0, 0, 0), (1.0,), "impossible position"),
         (FIX2, (0, 0, 2, 0, 0, 0, 0, 0, 0.0, 0.0, 0.0, 1, 3, 0, 0, 6), (1.0,), "ends before"),
+        (RANGE, (0, 4, 0, 0, 0, 0, 0.1, 2, 1, math.nan), (), "impossible distance nan m of rangefinder 4"),
+        (RANGE, (0, 4, 0, 0, 0, 0, 0.1, 2, 1, -1.0), (), "impossible distance"),
         (RELATIVE_HEADING, (0, 0, 361.0, 0.0, 0.0, 0.0), (), "impossible heading"),
         (MAGNETIC_FIELD, (1, math.nan, 0.0, 0.0), (), "not finite"),
         (RAW_IMU, (0, 0.1, *(0.0,) * 6, *(math.inf, 0.0, 0.0), *(0.0,) * 3), (), "not finite"),

@@ -35,6 +35,9 @@ FIX2: Final = DataType(  # up to the number of covariances, which are the items,
     (F16,),
     37,
 )
+RANGE: Final = DataType(  # the beam's roll, pitch and yaw, which may be unknown, are not used: the vehicle's file says them
+    "Measurement", 1050, 0x049C, (*map(unsigned, (56, 8)), *(signed(5),) * 3, unsigned(1), F16, *map(unsigned, (5, 3)), F16)
+)
 BATTERY_INFO: Final = DataType(
     "BatteryInfo", 1092, 0xF674, (*(F16,) * 7, *map(unsigned, (11, 7, 7, 7, 8, 32))), (unsigned(8),), 31
 )
@@ -49,6 +52,7 @@ _KELVIN: Final = 273.15
 _TESLA: Final = 1e-4  # in a gauss
 _new = tuple.__new__  # in half the time of EscStatus(...): a motor reports 25 times a second
 _UNKNOWN_PERCENT: Final = 127
+_VALID: Final = 1  # reading of a rangefinder; 2 too close, 3 too far
 _DIAGONALS: Final = {
     6: (0, 1, 3, 4),
     21: (0, 6, 15, 18),
@@ -142,6 +146,15 @@ class ImuSample(NamedTuple):
     force_mps2: tuple[float, float, float]  # specific force: at rest it points up
 
 
+class RangeMeasured(NamedTuple):
+    """What a rangefinder measures, at 5 to 50 Hz."""
+
+    sensor: int  # its number in the device
+    kind: int  # 1 sonar, 2 lidar, 3 radar
+    distance_m: float | None  # of the nearest thing in its beam; None: there is none, or it is too close
+    beam_rad: float  # the width of the beam; 0: unknown
+
+
 class NumberRequest(NamedTuple):
     """Allocation: the request of a device for a number, or the answer to it."""
 
@@ -151,7 +164,16 @@ class NumberRequest(NamedTuple):
 
 
 Message = (
-    NodeStatus | EscStatus | BatteryInfo | GnssFix | Dilution | RelativeHeading | MagneticField | ImuSample | NumberRequest
+    NodeStatus
+    | EscStatus
+    | BatteryInfo
+    | GnssFix
+    | Dilution
+    | RelativeHeading
+    | MagneticField
+    | ImuSample
+    | RangeMeasured
+    | NumberRequest
 )
 
 
@@ -288,6 +310,15 @@ def _read_imu(values: Sequence[Any], items: Sequence[Any]) -> ImuSample:
     return _new(ImuSample, (_vector(values[2:5], "rate of turn"), _vector(values[8:11], "acceleration")))
 
 
+def _read_range(values: Sequence[Any], items: Sequence[Any]) -> RangeMeasured:
+    _bus, sensor, _roll, _pitch, _yaw, _is_defined, beam_rad, kind, reading, distance_m = values
+    if reading != _VALID:
+        return RangeMeasured(sensor, kind, None, 0.0)
+    if not 0.0 <= distance_m < math.inf:
+        raise FormatError(f"impossible distance {distance_m} m of rangefinder {sensor}")
+    return RangeMeasured(sensor, kind, distance_m, beam_rad if 0.0 < beam_rad < math.pi else 0.0)
+
+
 def _read_allocation(values: Sequence[Any], items: Sequence[Any]) -> NumberRequest:
     return NumberRequest(values[0], bool(values[1]), bytes(items))
 
@@ -304,6 +335,7 @@ _READ: Final[dict[int, tuple[DataType, Callable[[Sequence[Any], Sequence[Any]], 
         (ESC_STATUS, _read_esc_status),
         (AUXILIARY, _read_dilution),
         (FIX2, _read_fix),
+        (RANGE, _read_range),
         (BATTERY_INFO, _read_battery),
         (RELATIVE_HEADING, _read_heading),
     )
