@@ -122,42 +122,48 @@ def followed(name: str, noise_m: float, wind_mps: float, current_mps: float, see
     return voyage(load(name, at, sea(seed, wind_mps, current_mps), noise), plan, seed)
 
 
+def rectangle_of(seed: int) -> Area:
+    """In 4 m/s of wind and 0.2 m/s of current."""
+    chance = Random(f"area {seed}")
+    ground = rectangle(chance.uniform(60.0, 200.0), chance.uniform(60.0, 200.0))
+    return Area(seed, ground, chance.choice((8.0, 12.0, 20.0)), 4.0, 0.2)
+
+
+def drawn_of(seed: int) -> Area:
+    """In wind to 6 m/s and current to 0.3 m/s."""
+    chance, (ground, spacing_m) = Random(f"weather {seed}"), drawn(seed, (90.0, 150.0), 1.0)
+    return Area(seed, ground, spacing_m, chance.uniform(0.0, 6.0), chance.uniform(0.0, 0.3))
+
+
+def compared(name: str, area: Area) -> tuple[float, float]:
+    """Time and energy of a voyage by those that the command foretells. Raises DelfimError where the boat does not come to its
+    end."""
+    settings = load(name, PLACE)
+    plan, at = began(settings, area.ground, spacing_m=area.spacing_m)
+    time_s, energy_wh = foretold(settings, plan)
+    seen = voyage(load(name, at, sea(area.seed, area.wind_mps, area.current_mps)), plan, area.seed)
+    return seen.took_s / time_s, seen.energy_wh / (energy_wh or math.nan)
+
+
 def estimate(seeds: range, boats: Sequence[str]) -> None:
-    """Rectangles, 4 m/s of wind and 0.2 m/s of current."""
-    areas = list[Area]()
-    for seed in seeds:
-        chance = Random(f"area {seed}")
-        ground = rectangle(chance.uniform(60.0, 200.0), chance.uniform(60.0, 200.0))
-        areas.append(Area(seed, ground, chance.choice((8.0, 12.0, 20.0)), 4.0, 0.2))
-    _compared(areas, boats)
+    _table([rectangle_of(seed) for seed in seeds], boats)
 
 
 def holes(seeds: range, boats: Sequence[str]) -> None:
-    """Wind to 6 m/s and current to 0.3 m/s."""
-    areas = list[Area]()
-    for seed in seeds:
-        chance, (ground, spacing_m) = Random(f"weather {seed}"), drawn(seed, (90.0, 150.0), 1.0)
-        areas.append(Area(seed, ground, spacing_m, chance.uniform(0.0, 6.0), chance.uniform(0.0, 0.3)))
-    _compared(areas, boats)
+    _table([drawn_of(seed) for seed in seeds], boats)
 
 
-def _compared(areas: Sequence[Area], boats: Sequence[str]) -> None:
-    """Time and energy as the command foretells them, by those of a voyage."""
+def _table(areas: Sequence[Area], boats: Sequence[str]) -> None:
     print("| boat | time, sailed by foretold: least, mean, most | energy, likewise |")
     print("|---|---|---|")
     for name in boats or BOATS:
-        times, energies, settings = list[float](), list[float](), load(name, PLACE)
-        for seed, ground, spacing_m, wind_mps, current_mps in areas:
-            plan, at = began(settings, ground, spacing_m=spacing_m)
-            time_s, energy_wh = foretold(settings, plan)
+        found = list[tuple[float, float]]()
+        for area in areas:
             try:
-                seen = voyage(load(name, at, sea(seed, wind_mps, current_mps)), plan, seed)
+                found.append(compared(name, area))
             except DelfimError as error:
-                print(f"{Path(name).name}, area {seed}: {error}", file=sys.stderr, flush=True)
-                continue
-            times.append(seen.took_s / time_s)
-            energies.append(seen.energy_wh / (energy_wh or math.nan))
-        told_of = [f"{min(each):.3f}, {mean(each):.3f}, {max(each):.3f}" for each in (times, energies)]
+                print(f"{Path(name).name}, area {area.seed}: {error}", file=sys.stderr, flush=True)
+        told_of = [f"{min(each):.3f}, {mean(each):.3f}, {max(each):.3f}" for each in zip(*found, strict=True)]
         print(f"| {Path(name).name} | {' | '.join(told_of)} |", flush=True)
 
 

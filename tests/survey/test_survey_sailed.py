@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 from shapely.geometry import LineString, MultiPolygon, Point, box
 
+from bench.survey import BOATS, FOLLOWED, compared, followed, rectangle_of
 from delfim import config
 from delfim.__main__ import main
 from delfim.base.geodesy import origin, to_plane
@@ -247,3 +248,23 @@ def test_a_boat_that_comes_to_its_lines_in_a_bow_leaves_nothing_where_all_is_cov
     capsys.readouterr()
     assert main(["survey", "rest", "basin.survey.json", "log"]) == 0
     assert capsys.readouterr().out.endswith("the survey is done\n")
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("boat", FOLLOWED)
+@pytest.mark.parametrize(("noise_m", "off_m"), [(0.3, 1.3), (0.02, 0.7)], ids=["receiver", "RTK"])
+def test_lines_are_kept_in_wind_and_current(boat: str, noise_m: float, off_m: float) -> None:
+    """By true places: 6 m/s of wind and 0.3 m/s of current. 95 % of all places on ten lines, and how much of each is sailed."""
+    its = followed(boat, noise_m, 6.0, 0.3, seed=11)
+    assert its.p95_m <= off_m
+    assert len(its.lines) == 10
+    assert min(line.sailed for line in its.lines) >= 0.99
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("boat", [*BOATS, "bait-boat"])
+def test_a_survey_in_wind_and_current_takes_the_time_and_the_energy_foretold(boat: str) -> None:
+    """4 m/s of wind and 0.2 m/s of current, of which the sum knows nothing."""
+    time, energy = compared(boat, rectangle_of(331))
+    assert time == pytest.approx(1.0, abs=0.05)
+    assert energy == pytest.approx(1.0, abs=0.10)
