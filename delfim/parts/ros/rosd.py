@@ -18,6 +18,7 @@ from delfim.base.clock import Clock
 from delfim.base.errors import FormatError, PermanentFailure, one_line
 from delfim.parts.ros import rosmessages as messages
 from delfim.parts.ros.roskeys import RosNode, RosType, attachment
+from delfim.parts.ros.rosseeing import Seeing
 from delfim.parts.ros.rossteering import GuestLine, Steering
 from delfim.parts.ros.table import RosTable
 from delfim.services.report_feed import watch
@@ -52,9 +53,12 @@ class RosBoat:
         self._battery = self._publisher(f"{space}/battery", messages.BATTERY)
         self._diagnostics = self._publisher("/diagnostics", messages.DIAGNOSTICS)
         self._steering = Steering(settings.control.speed.cruise_mps)
-        self.guest = GuestLine(settings.of(GuestTable)) if settings.of(RosTable).commands else None
+        self._seeing = Seeing()
+        self.guest = GuestLine(settings.of(GuestTable)) if settings.of(RosTable).is_guest else None
         self._inputs: list[tuple[Any, Callable[[bytes], None]]] = []
-        if self.guest is not None:
+        if settings.of(RosTable).obstacles:
+            self._subscribe(f"{space}/scan", messages.SCAN, self._on_scan)
+        if settings.of(RosTable).commands:
             self._subscribe(f"{space}/cmd_vel", messages.TWIST, self._on_twist)
             self._subscribe(f"{space}/goal", messages.GEO_POSE, self._on_goal)
 
@@ -83,6 +87,9 @@ class RosBoat:
     def _on_goal(self, data: bytes) -> None:
         self._steering.on_goal(*messages.geo_pose(data), self._clock.monotonic_s())
 
+    def _on_scan(self, data: bytes) -> None:
+        self._seeing.on_scan(messages.laser_scan(data), self._clock.monotonic_s())
+
     def heard(self, state: BoatReport) -> None:
         """Take a state that the vehicle just published. Navigation is published once, and not when it is old."""
         self._state, self._heard_s = state, self._clock.monotonic_s()
@@ -106,8 +113,8 @@ class RosBoat:
                 if (sample := subscriber.try_recv()) is None:
                     break
                 self._take(bytes(sample.payload), take)
-        if self.guest is not None and state is not None and (asked := self._steering.step(state, now_s)) is not None:
-            self.guest.say(asked)
+        if self.guest is not None and state is not None:
+            self.guest.say(self._steering.step(state, now_s), self._seeing.step(state, now_s))
         if now_s - self._slow_s >= SLOW_S:
             self._slow_s = now_s
             self._tell_slowly(state)

@@ -5,9 +5,10 @@ of the definitions of common_interfaces and geographic_info, the same from Iron 
 """
 
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Final, NamedTuple
 
+from delfim.base.errors import FormatError
 from delfim.base.geodesy import Origin, to_plane
 from delfim.parts.ros.cdr import CdrReader, CdrWriter
 from delfim.parts.ros.roskeys import RosType
@@ -26,11 +27,23 @@ TWIST: Final = RosType("geometry_msgs/msg/Twist", "RIHS01_9c45bf16fe0983d80e3cfe
 GEO_POSE: Final = RosType(
     "geographic_msgs/msg/GeoPoseStamped", "RIHS01_a8e603c050fa992a74283bb462a96fe9d2b151b7a67b14d77250ed7cb4ed96b7"
 )
+SCAN: Final = RosType("sensor_msgs/msg/LaserScan", "RIHS01_64c191398013af96509d518dac71d5164f9382553fce5c1f8cca5be7924bd828")
+SCAN_MOST: Final = 10_000  # directions of a scan
 BODY, MAP = "base_link", "map"
 OK, WARN, ERROR, STALE = range(4)  # of DiagnosticStatus
 NO_FIX, HAS_FIX, APPROXIMATED = -1, 0, 1
 _UNKNOWN: Final = -1.0  # first element of a covariance: there is no such value
 NAN: Final = math.nan
+
+
+class LaserScan(NamedTuple):
+    """A scan in the boat's axes: angles from the bow to port."""
+
+    first_rad: float
+    step_rad: float
+    least_m: float
+    most_m: float
+    ranges_m: Sequence[float]
 
 
 def fix(state: BoatReport, utc_ns: int) -> bytes | None:
@@ -137,6 +150,19 @@ def geo_pose(data: bytes) -> tuple[float, float]:
     latitude_deg, longitude_deg = reader.get("d", 2)
     reader.get("d", 5)  # height and orientation, which a boat does not choose; they must be there all the same
     return latitude_deg, longitude_deg
+
+
+def laser_scan(data: bytes) -> LaserScan:
+    """Parse a LaserScan. Raises FormatError."""
+    reader = CdrReader(data)
+    reader.get("i")
+    reader.get("I")
+    reader.text()
+    first_rad, _last_rad, step_rad, _step_s, _scan_s, least_m, most_m = reader.get("f", 7)
+    (count,) = reader.get("I")
+    if count > SCAN_MOST:
+        raise FormatError(f"a scan of {count:.0f} directions")
+    return LaserScan(first_rad, step_rad, least_m, most_m, reader.get("f", int(count)))
 
 
 def _stamped(utc_ns: int, frame: str) -> CdrWriter:

@@ -7,6 +7,7 @@ once, then nothing, so that the boat's own time-out (`failsafe.guest_silent`) ma
 
 import asyncio
 import math
+from collections.abc import Sequence
 from typing import Final, NamedTuple
 
 import msgspec
@@ -17,7 +18,7 @@ from delfim.base.input.keys import read_key
 from delfim.base.input.unreadable import UNREADABLE
 from delfim.base.ranges import address
 from delfim.services.tables import GuestTable
-from delfim.vehicle.grex import proof
+from delfim.vehicle.grex import SeenVessel, proof
 from delfim.vehicle.report import BoatReport
 
 TWIST_S: Final = 0.5
@@ -107,10 +108,12 @@ class GuestLine:
         self._writer: asyncio.StreamWriter | None = None
         self.reason = "not connected yet"
 
-    def say(self, asked: AskedCourse) -> None:
-        """Send a set point now or never."""
-        if self._writer is not None and self._writer.transport.get_write_buffer_size() == 0:
-            self._writer.write(msgspec.json.encode(asked._asdict()) + b"\n")
+    def say(self, asked: AskedCourse | None, seen: Sequence[SeenVessel] = ()) -> None:
+        """Send a set point and what is seen, now or never."""
+        lines = [] if asked is None else [msgspec.json.encode(asked._asdict())]
+        lines += [msgspec.json.encode({"target": each}) for each in seen]
+        if lines and self._writer is not None and self._writer.transport.get_write_buffer_size() == 0:
+            self._writer.write(b"".join(line + b"\n" for line in lines))
 
     async def follow(self) -> None:
         """Keep connected until cancelled."""

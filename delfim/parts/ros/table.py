@@ -21,15 +21,25 @@ class RosTable(Table, frozen=True):
     domain: Annotated[int, msgspec.Meta(ge=0, le=232)] = 0  # ROS_DOMAIN_ID of the others
     namespace: Annotated[str, text("([a-z][a-z0-9_]{0,31})?", "small letters, digits or _, or empty")] = ""  # "": boat.name
     commands: bool = False  # Twist and goal of ROS steer in mode grex, as the guest; the router on this computer only
+    obstacles: bool = False  # what /BOAT/scan sees are things to keep clear of, told as the guest; likewise
+
+    @property
+    def is_guest(self) -> bool:
+        """Whether it is the guest computer."""
+        return self.commands or self.obstacles
 
     def __post_init__(self) -> None:
-        if self.commands and not (self.router and is_loopback(self.router.partition("/")[2])):
-            raise ValueError("commands: whoever reaches the router could steer: it must be one of this computer")
+        if self.is_guest and not (self.router and is_loopback(self.router.partition("/")[2])):
+            what = "commands" if self.commands else "obstacles"
+            raise ValueError(f"{what}: whoever reaches the router could steer: it must be one of this computer")
 
     def settled(self, vehicle: Any) -> "RosTable":
         here, networks = (ip_address("127.0.0.1"), ip_address("::1")), list(map(ip_network, vehicle.guest.networks))
-        if self.commands and not vehicle.guest.enabled:
-            raise ValueError("ros.commands: it steers as the guest: guest.enabled must be true")
-        if self.commands and not any(each in network for each in here for network in networks):
-            raise ValueError("ros.commands: it steers as the guest: guest.networks must have 127.0.0.0/8, where it comes from")
+        what = "ros.commands: it steers" if self.commands else "ros.obstacles: it speaks"
+        if self.is_guest and not vehicle.guest.enabled:
+            raise ValueError(f"{what} as the guest: guest.enabled must be true")
+        if self.is_guest and not any(each in network for each in here for network in networks):
+            raise ValueError(f"{what} as the guest: guest.networks must have 127.0.0.0/8, where it comes from")
+        if self.obstacles and "guest" not in vehicle.traffic.hears:
+            raise ValueError('ros.obstacles: nobody hears them: "guest" in traffic.hears')
         return self

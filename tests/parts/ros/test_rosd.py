@@ -10,6 +10,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import msgspec
+import numpy as np
 import pytest
 
 from delfim import config
@@ -20,14 +21,16 @@ from delfim.base.input.keys import new_key
 from delfim.base.ranges import address
 from delfim.parts.ros import rosd, roskeys, rosmessages
 from delfim.parts.ros.cdr import HEAD, CdrReader, CdrWriter
+from delfim.parts.ros.rosseeing import NEAREST, SCAN_S, Seeing
 from delfim.parts.ros.rossteering import GOAL_S, TURN_MAX_RAD, TWIST_S, Steering
 from delfim.parts.ros.table import RosTable
 from delfim.services.access.exposure import doors
 from delfim.services.access.guest_listener import GuestListener
 from delfim.services.suite import services
 from delfim.services.tables import GuestTable
-from delfim.vehicle.grex import Guest, HeadingReference, reference
+from delfim.vehicle.grex import Guest, HeadingReference, SeenVessel, reference, sighted
 from delfim.vehicle.report import BoatReport
+from delfim.vehicle.state import State
 from tests.parts.fleet.test_fleetd import loaded_by_delfimx
 from tests.parts.gnss.caster import free_port
 from tests.services.boat import STATE, served, vehicle, vehicle_file
@@ -49,6 +52,7 @@ TYPES = {
     "diagnostics": rosmessages.DIAGNOSTICS,
     "cmd_vel": rosmessages.TWIST,
     "goal": rosmessages.GEO_POSE,
+    "scan": rosmessages.SCAN,
 }
 
 
@@ -146,6 +150,8 @@ def test_bytes_that_are_no_message_are_refused(data: bytes) -> None:
         rosmessages.twist(data)
     with pytest.raises(FormatError):
         rosmessages.geo_pose(data)
+    with pytest.raises(FormatError):
+        rosmessages.laser_scan(data)
 
 
 def test_a_string_that_is_none_is_refused() -> None:
@@ -192,6 +198,71 @@ def test_a_goal_that_is_no_place_and_a_twist_without_numbers_are_refused(place: 
         Steering(1.5).on_goal(*place, 0.0)
     with pytest.raises(FormatError):
         Steering(1.5).on_twist(math.nan, 0.0, 0.0)
+
+
+def scan(store: Any, ranges_m: dict[int, float], first_deg: float = -90.0, step_deg: float = 1.0, count: int = 181) -> bytes:
+    """A scan of a lidar that looks ahead, as another implementation writes it."""
+    types = store.types
+    ranges = np.full(count, np.inf, np.float32)
+    for index, far_m in ranges_m.items():
+        ranges[index] = far_m
+    first, step = math.radians(first_deg), math.radians(step_deg)
+    header = types["std_msgs/msg/Header"](types["builtin_interfaces/msg/Time"](0, 0), "base_link")
+    said = types["sensor_msgs/msg/LaserScan"](header, first, -first, step, 0.0, 0.1, 0.5, 60.0, ranges, np.zeros(0, np.float32))
+    return bytes(store.serialize_cdr(said, rosmessages.SCAN.name))
+
+
+def places(seen: list[SeenVessel]) -> list[tuple[float, float]]:
+    """Distance of the middle of each from the boat, m, and its bearing, degrees from the bow to starboard."""
+    at, found = geodesy.origin(math.radians(AT.latitude_deg), math.radians(AT.longitude_deg)), []
+    for each in seen:
+        north_m, east_m = geodesy.to_plane(at, math.radians(each.latitude_deg), math.radians(each.longitude_deg))
+        bearing_deg = math.degrees(math.atan2(east_m, north_m)) - AT.heading_deg
+        found.append((math.hypot(north_m, east_m), (bearing_deg + 180.0) % 360.0 - 180.0))
+    return found
+
+
+def test_what_a_scan_sees_stands_where_it_looks(store: Any) -> None:
+    seeing = Seeing()
+    seeing.on_scan(rosmessages.laser_scan(scan(store, {60: 20.0, 61: 20.1, 120: 40.0, 10: 0.2, 170: 61.0, 90: math.nan})), 1.0)
+    seen = seeing.step(AT, 1.0)
+    near, far = places(seen)
+    assert near == (pytest.approx(20.3, abs=0.05), pytest.approx(30.0, abs=0.1)), "30 degrees to starboard, a thing once"
+    assert far == (pytest.approx(40.35, abs=0.05), pytest.approx(-30.0, abs=0.1)), "and one to port"
+    assert {(each.kind, each.confidence) for each in seen} == {("thing", 0.5)}
+
+
+def test_a_scan_is_told_once_four_times_a_second_and_not_when_it_is_old(store: Any) -> None:
+    seeing, said = Seeing(), rosmessages.laser_scan(scan(store, {90: 20.0}))
+    told = list[float]()
+    for tick in range(40):
+        seeing.on_scan(said, tick / 20)
+        told += [tick / 20] * len(seeing.step(AT, tick / 20))
+    assert told == [0.25 * each for each in range(8)]
+    assert seeing.step(AT, 2.3) != []
+    assert seeing.step(AT, 2.6) == [], "once"
+    seeing.on_scan(said, 3.0)
+    assert seeing.step(AT, 3.0 + SCAN_S + 0.01) == []
+    seeing.on_scan(said, 4.0)
+    assert seeing.step(msgspec.structs.replace(AT, heading_deg=None), 4.0) == []
+
+
+def test_of_a_wall_the_nearest_places_are_told(store: Any) -> None:
+    seeing = Seeing()
+    seeing.on_scan(rosmessages.laser_scan(scan(store, {each: 10.0 + 0.1 * each for each in range(181)})), 0.0)
+    seen = places(seeing.step(AT, 0.0))
+    assert len(seen) == NEAREST
+    assert seen[0] == (pytest.approx(10.3, abs=0.05), pytest.approx(90.0, abs=0.1))
+
+
+def test_a_scan_without_directions_and_one_of_too_many_are_refused(store: Any) -> None:
+    for first_deg, step_deg in ((math.nan, 1.0), (0.0, math.inf), (0.0, 400.0)):
+        with pytest.raises(FormatError, match="without directions"):
+            Seeing().on_scan(rosmessages.laser_scan(scan(store, {}, first_deg, step_deg)), 0.0)
+    with pytest.raises(FormatError, match="10001 directions"):
+        rosmessages.laser_scan(scan(store, {}, count=10_001))
+    with pytest.raises(FormatError):
+        rosmessages.laser_scan(scan(store, {})[:-5])
 
 
 @contextlib.contextmanager
@@ -249,7 +320,7 @@ def settings(tmp_path: Path, port: int, guest: int) -> config.Vehicle:
     return vehicle_file(
         tmp_path,
         guest=GuestTable(enabled=True, listen=f"127.0.0.1:{guest}", key=str(tmp_path / "guest.key")),
-        ros=RosTable(router=f"tcp/127.0.0.1:{port}", commands=True),
+        ros=RosTable(router=f"tcp/127.0.0.1:{port}", commands=True, obstacles=True),
     )
 
 
@@ -268,10 +339,19 @@ class Other:
             ROS2Publisher(f"/test/{name}", TYPES[name].name, type_hash=TYPES[name].hash, **place)
             for name in ("cmd_vel", "goal")
         )
+        self._scan = ROS2Publisher("/test/scan", rosmessages.SCAN.name, type_hash=rosmessages.SCAN.hash, **place)
 
     def twist(self, ahead_mps: float) -> None:
         vector = self._types["geometry_msgs/msg/Vector3"]
         self._twist.publish(linear=vector(ahead_mps, 0.0, 0.0), angular=vector(0.0, 0.0, 0.0))
+
+    def scan(self, far_m: float) -> None:
+        header = self._types["std_msgs/msg/Header"](self._types["builtin_interfaces/msg/Time"](0, 0), "base_link")
+        angles = {"angle_min": 0.0, "angle_max": 0.1, "angle_increment": 0.02, "time_increment": 0.0, "scan_time": 0.1}
+        ranges = np.array([far_m, 99.0], np.float32)
+        self._scan.publish(
+            header=header, **angles, range_min=0.5, range_max=60.0, ranges=ranges, intensities=np.zeros(0, np.float32)
+        )
 
     def goal(self, latitude_deg: float, longitude_deg: float) -> None:
         types = self._types
@@ -301,6 +381,11 @@ def test_another_program_of_ros_hears_the_boat_and_steers_it_through_the_guests_
             await until(
                 lambda: steers(lambda: other.goal(38.0, STATE["longitude_deg"]), HeadingReference(pytest.approx(180.0), 1.5))
             )
+            await until(lambda: (sail(), other.scan(12.0), any(b'"target"' in line for line in orders))[2])
+            line = next(line for line in orders if b'"target"' in line)
+            (place,) = places([msgspec.convert(msgspec.json.decode(line)["target"], SeenVessel)])
+            assert place == (pytest.approx(12.3, abs=0.05), pytest.approx(0.0, abs=0.5))
+            assert sighted(line, State(), 0.0), "the boat hears it"
             await until(lambda: (sail(), len(other.heard) == 5)[1])
             assert other.heard["fix"].latitude == STATE["latitude_deg"]
             found = get_topic_names_and_types(router_ip="127.0.0.1", router_port=port)
@@ -350,6 +435,12 @@ def test_nothing_of_it_runs_or_is_loaded_unless_the_file_asks_and_then_it_is_a_p
         (
             'router = "tcp/127.0.0.1:7447"\ncommands = true\n[guest]\nenabled = true\nnetworks = ["10.0.0.0/8"]',
             "guest.networks must have 127.0.0.0/8",
+        ),
+        ('router = "tcp/192.168.1.7:7447"\nobstacles = true', "obstacles: whoever reaches the router"),
+        ('router = "tcp/127.0.0.1:7447"\nobstacles = true\n[guest]\nenabled = false', "obstacles: it speaks as the guest"),
+        (
+            'router = "tcp/127.0.0.1:7447"\nobstacles = true\n[guest]\nenabled = true\n[traffic]\nhears = ["nmea2000"]',
+            '"guest" in traffic.hears',
         ),
         ('router = "tcp/127.0.0.1:7447"\nnamespace = "7-otters"', "small letters"),
     ],
