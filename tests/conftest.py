@@ -4,12 +4,15 @@ import asyncio
 import contextlib
 import ctypes
 import fcntl
+import gc
+import importlib
 import inspect
 import os
 import signal
 import socket
 import struct
 from collections.abc import Generator, Iterator
+from pathlib import Path
 
 import hypothesis
 import pytest
@@ -25,10 +28,14 @@ hypothesis.settings.load_profile("delfim")
 # Matrices of these tests are small: more threads only wait for each other, and take the processor from the tests beside them.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
+# Most of what there is stays, all tests among it: who looks through it as often as by default does so a twelfth of the time.
+gc.set_threshold(10_000, 10, 10)
+
 # A shell's job in the background ignores Ctrl-C, and so would all programs that are started here and ended by it.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
+ROOT = Path(__file__).parents[1]
 CLONE_NEWNET, SIOCSIFFLAGS, IFF_UP = 0x40000000, 0x8914, 1  # linux/sched.h, linux/sockios.h, linux/if.h
 
 
@@ -37,6 +44,18 @@ def pytest_configure(config: pytest.Config) -> None:
     if hasattr(config, "workerinput") and ctypes.CDLL(None).unshare(CLONE_NEWNET) == 0:
         with socket.socket() as any_socket:
             fcntl.ioctl(any_socket, SIOCSIFFLAGS, struct.pack("16sh22x", b"lo", IFF_UP))
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection(session: pytest.Session) -> None:
+    """All workers import all tests, which takes long where nothing is compiled yet: each begins with a share of its own, and
+    finds the others' compiled. What fails here fails again where it is told."""
+    if worker := getattr(session.config, "workerinput", None):
+        asked = [ROOT / each.partition("::")[0] for each in session.config.args]
+        files = [each for each in sorted(ROOT.glob("tests/**/test_*.py")) if any(map(each.is_relative_to, asked))]
+        for file in files[int(worker["workerid"].removeprefix("gw")) :: worker["workercount"]]:
+            with contextlib.suppress(Exception, pytest.skip.Exception):
+                importlib.import_module(".".join(file.relative_to(ROOT).with_suffix("").parts))
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
