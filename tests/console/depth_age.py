@@ -69,7 +69,7 @@ async def measured(folder: Path, profile: str) -> None:
     async with linked(folder) as (radio, port, url), tab() as page:
         await page.open(url, width=DESK[0], height=DESK[1], scale=1.0)
         with afloat(folder / "1", 1, port, settings) as boat:
-            await boat.until(lambda state: state["measured"].get("depth_m"))
+            await boat.until(lambda state: state["measured"].get("depth_m") and state["log"]["writable"])
             await page.until("delfim.depths()[0] > 0", PATIENCE_S)
             await page.call("Page.bringToFront")
             await page.value("document.querySelector('#hint button')?.click()")
