@@ -21,6 +21,7 @@ from delfim.logging.liblog import in_order
 from delfim.logging.reading import read_log
 from delfim.parts.mavlink.codec import wire
 from delfim.vehicle.operator.link import Link
+from tests.kit.processes import ENDS_WITH_US
 from tests.services.browser import Page, tab
 
 ROOT = Path(__file__).parents[2]
@@ -148,7 +149,8 @@ def afloat(
         *more,
     )
     words = [str(VEHICLE), *(word for value in values for word in ("--set", value))]
-    programs = [subprocess.Popen([sys.executable, "-m", "delfim", name, *words], env=env) for name in ("nodes", "supervise")]
+    delfim = *ENDS_WITH_US, sys.executable, "-m", "delfim"
+    programs = [subprocess.Popen([*delfim, name, *words], env=env) for name in ("nodes", "supervise")]
     try:
         yield Boat(place, number)
     finally:
@@ -254,7 +256,7 @@ class Gateway:
         """Where the page is, once it is there. Blocks meanwhile."""
         words = [f"--boats=127.0.0.1:{self.boats[1]}", f"--page=127.0.0.1:{self._page}", "--no-browser", f"--vehicle={VEHICLE}"]
         words += [f"--{each}={self._folder}/{each}" for each in ("missions", "charts", "sessions", "token")]
-        command = [sys.executable, "-u", "-m", "delfim", "console", *words, *self._more]
+        command = [*ENDS_WITH_US, sys.executable, "-u", "-m", "delfim", "console", *words, *self._more]
         self._program = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
         line = cast(Any, self._program.stdout).readline()
         assert "the console is at " in line

@@ -19,6 +19,8 @@ from typing import Any
 import aiohttp
 from PIL import Image
 
+from tests.kit.processes import ENDS_WITH_US
+
 PROGRAM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 START_S = 60.0
 WORDS = ("--headless=new", "--no-sandbox", "--disable-gpu", "--hide-scrollbars", "--remote-debugging-port=0", "--no-first-run")
@@ -270,7 +272,7 @@ def _shared() -> tuple[subprocess.Popen[bytes], Path]:
     """The browser, and the folder of its files; it ends with this process."""
     assert PROGRAM is not None
     folder = tempfile.TemporaryDirectory(prefix="browser-", ignore_cleanup_errors=True)
-    words = [PROGRAM, *WORDS, NOWHERE, FORGETS, f"--user-data-dir={folder.name}", "about:blank"]
+    words = [*ENDS_WITH_US, PROGRAM, *WORDS, NOWHERE, FORGETS, f"--user-data-dir={folder.name}", "about:blank"]
     child = subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True)
 
     def end() -> None:
