@@ -39,8 +39,9 @@ def by_processes(
         waiting = dict[Future[Rows], Batch]()
         try:
             while True:
-                while len(waiting) < AHEAD * count and (batch := left.popleft() if left else next(rest, None)):
-                    waiting[pool.submit(work, plan, batch, VERSION)] = batch
+                while len(waiting) < AHEAD * count and (left := left or deque(islice(rest, 1))):
+                    waiting[pool.submit(work, plan, left[0], VERSION)] = left[0]  # a broken pool refuses it: then it stays
+                    left.popleft()
                 if not waiting:
                     return
                 for each in wait(waiting, return_when=FIRST_COMPLETED).done:

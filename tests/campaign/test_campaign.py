@@ -11,6 +11,8 @@ import subprocess
 import sys
 import tomllib
 from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 from contextlib import ExitStack, suppress
 from importlib import metadata
 from pathlib import Path
@@ -322,6 +324,22 @@ def test_whoever_ends_a_campaign_does_not_wait_for_what_is_being_sailed(tmp_path
     words = (sys.executable, tmp_path / "ended.py", sailed[0])
     end = subprocess.run(words, capture_output=True, text=True, env=os.environ | {"PYTHONPATH": str(ROOT)}, timeout=100)
     assert (end.returncode, end.stderr) == (0, "")
+
+
+def test_a_run_that_a_broken_pool_refuses_is_sailed_by_the_next_one(tmp_path, monkeypatch):
+    """The pool notices a killed process at any time: here just before it is handed a run, which no kill hits surely."""
+    offered = itertools.count()
+
+    class Breaking(ProcessPoolExecutor):
+        def submit(self, *args, **more):
+            if next(offered) == 3:
+                raise BrokenProcessPool("a process died")
+            return super().submit(*args, **more)
+
+    monkeypatch.setattr(workers, "ProcessPoolExecutor", Breaking)
+    path = written(tmp_path, 'scenario = "mixed"', "seeds = {first = 0, count = 6}")
+    runner.sail(read(path)[1], tmp_path / "out", 1, 2, None)
+    assert set(digests(tmp_path / "out")) == {(0, seed) for seed in range(6)}
 
 
 @pytest.mark.long
