@@ -7,17 +7,13 @@ import math
 from typing import Final
 
 from delfim import config
+from delfim.base.echoes import CONFIDENCE, EVERY_S, STALE_S, radius_m
 from delfim.base.geodesy import from_plane
 from delfim.base.vessels import ThingSeen
 from delfim.canproxy.dronecan.datatypes import RangeMeasured
 from delfim.parts.dronecan.table import Dronecan
 from delfim.vehicle.state import State
 
-EVERY_S: Final = 0.25  # a sensor is heard so often; what comes between says the same
-STALE_S: Final = 2.0  # distances are from the boat: an older place of the boat is none
-RADIUS_MIN_M, RADIUS_MAX_M = 0.3, 50.0
-WIDEST_RAD: Final = math.radians(45.0)  # half of a beam
-CONFIDENCE: Final = 0.5  # so that what is seen for a moment turns nobody
 KINDS: Final = {1: "sonar", 2: "lidar", 3: "radar"}
 
 
@@ -41,11 +37,11 @@ class Rangefinders:
             state.count("dronecan_ranges_without_place")
             return
         self._heard_s[node, told.sensor] = now_s
-        radius_m = min(max(far_m * math.tan(min(0.5 * told.beam_rad, WIDEST_RAD)), RADIUS_MIN_M), RADIUS_MAX_M)
+        wide_m = radius_m(far_m, 0.5 * told.beam_rad)
         c, s, angle_rad = math.cos(motion.heading_rad), math.sin(motion.heading_rad), math.radians(row.angle_deg)
-        ahead_m = row.forward_m + (far_m + radius_m) * math.cos(angle_rad)
-        aside_m = row.starboard_m + (far_m + radius_m) * math.sin(angle_rad)
+        ahead_m = row.forward_m + (far_m + wide_m) * math.cos(angle_rad)
+        aside_m = row.starboard_m + (far_m + wide_m) * math.sin(angle_rad)
         north_m, east_m = motion.north_m + c * ahead_m - s * aside_m, motion.east_m + s * ahead_m + c * aside_m
-        seen = ThingSeen(*from_plane(state.origin, north_m, east_m), radius_m, "thing", CONFIDENCE)
+        seen = ThingSeen(*from_plane(state.origin, north_m, east_m), wide_m, "thing", CONFIDENCE)
         name = f"{KINDS.get(told.kind, 'rangefinder')} {node}.{told.sensor}"
         state.hear(seen, "dronecan", now_s, name)

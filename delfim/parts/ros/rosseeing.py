@@ -5,17 +5,14 @@ from collections.abc import Iterator
 from typing import Final
 
 from delfim.base import geodesy
+from delfim.base.echoes import CONFIDENCE, EVERY_S, nearest
 from delfim.base.errors import FormatError
 from delfim.parts.ros.rosmessages import LaserScan
 from delfim.vehicle.grex import SeenVessel
 from delfim.vehicle.report import BoatReport
 
 SCAN_S: Final = 0.5  # a scan counts so long
-EVERY_S: Final = 0.25  # between two reports; what comes between says the same
 NEAREST: Final = 6  # things of a report, the nearest ones: the vehicle reads eight lines at once
-APART_M: Final = 4.0  # so far from each other: what is nearer is taken for the same one
-RADIUS_MIN_M, RADIUS_MAX_M = 0.3, 50.0
-CONFIDENCE: Final = 0.5  # so that what is seen for a moment turns nobody
 
 
 class Seeing:
@@ -44,16 +41,11 @@ class Seeing:
 
 def _things(scan: LaserScan, here: geodesy.Origin, heading_rad: float) -> Iterator[SeenVessel]:
     """The nearest echoes, each as wide as its direction."""
-    half, told = math.tan(min(0.5 * abs(scan.step_rad), math.radians(45.0))), list[tuple[float, float]]()
-    echoes = ((far_m, i) for i, far_m in enumerate(scan.ranges_m) if scan.least_m <= far_m <= scan.most_m)
-    for far_m, i in sorted(echoes):
-        radius_m = min(max(far_m * half, RADIUS_MIN_M), RADIUS_MAX_M)
-        bearing_rad, middle_m = heading_rad - (scan.first_rad + i * scan.step_rad), far_m + radius_m
-        place = middle_m * math.cos(bearing_rad), middle_m * math.sin(bearing_rad)
-        if any(math.dist(place, other) < APART_M for other in told):
-            continue
-        told.append(place)
-        north_deg, east_deg = (math.degrees(each) for each in geodesy.from_plane(here, *place))
+    echoes = (
+        (far_m, heading_rad - (scan.first_rad + i * scan.step_rad))
+        for i, far_m in enumerate(scan.ranges_m)
+        if scan.least_m <= far_m <= scan.most_m
+    )
+    for north_m, east_m, radius_m in nearest(echoes, 0.5 * abs(scan.step_rad), NEAREST):
+        north_deg, east_deg = (math.degrees(each) for each in geodesy.from_plane(here, north_m, east_m))
         yield SeenVessel("scan", north_deg, east_deg, kind="thing", radius_m=radius_m, confidence=CONFIDENCE)
-        if len(told) == NEAREST:
-            return

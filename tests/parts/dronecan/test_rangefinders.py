@@ -9,12 +9,13 @@ from hypothesis import strategies as st
 
 from delfim import config
 from delfim.base.clock import ManualClock
+from delfim.base.echoes import EVERY_S, STALE_S
 from delfim.base.errors import ConfigError
 from delfim.base.geodesy import origin
 from delfim.base.input.untrusted import parse_toml
 from delfim.canproxy.dronecan.datatypes import RangeMeasured
 from delfim.canproxy.socket import ANYTHING
-from delfim.parts.dronecan.rangefinders import EVERY_S, STALE_S, Rangefinders
+from delfim.parts.dronecan.rangefinders import Rangefinders
 from delfim.parts.dronecan.table import Dronecan, Rangefinder
 from delfim.simulator.lockstepbus import LockstepBus
 from delfim.vehicle.build import build

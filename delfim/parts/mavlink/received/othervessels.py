@@ -4,6 +4,7 @@ around the boat (docs/traffic.md)."""
 import math
 from typing import Final
 
+from delfim.base.echoes import CONFIDENCE, EVERY_S, STALE_S, nearest
 from delfim.base.geodesy import from_plane
 from delfim.base.vessels import MMSI_MAX, VesselPosition
 from delfim.parts.mavlink.codec.aisvessel import NUMBERS, facts_of, position_of
@@ -14,12 +15,7 @@ from delfim.parts.mavlink.telemetry import COMPONENT
 from delfim.vehicle.grex import SeenVessel
 
 OLD_S: Final = 600  # a report that was older when it came is none
-EVERY_S: Final = 0.25  # OBSTACLE_DISTANCE is taken so often; what comes between says the same
-NEAREST: Final = 8  # things of one message, the nearest ...
-APART_M: Final = 4.0  # ... that are so far from each other: what is nearer is taken for the same one
-STALE_S: Final = 2.0  # distances are from the boat: an older place of the boat is none
-RADIUS_MIN_M, RADIUS_MAX_M = 0.3, 50.0
-CONFIDENCE: Final = 0.5  # so that what is seen for a moment turns nobody
+NEAREST: Final = 8  # things of one message, the nearest
 FROM_BOW: Final[dict[int, bool]] = {dialect.MAV_FRAME_GLOBAL: False, dialect.MAV_FRAME_BODY_FRD: True}  # the frames it may have
 SENSORS: Final = {0: "lidar", 1: "ultrasound", 2: "infrared", 3: "radar"}
 
@@ -69,19 +65,15 @@ def obstacles(consoles: Consoles, peer: Peer, source: Speaker, message: Message)
         return
     consoles.obstacles_s = now_s
     step_deg = abs(message.increment_f) or float(message.increment)
-    seen = [
-        (cm / 100.0, i) for i, cm in enumerate(message.distances) if message.min_distance <= cm <= message.max_distance and cm
-    ]
     first_rad = math.radians(message.angle_offset) + (motion.heading_rad if is_from_bow else 0.0)
-    half_rad = math.radians(min(0.5 * step_deg, 45.0))
-    told = list[tuple[float, float]]()
-    for far_m, i in sorted(seen):
-        radius_m = min(max(far_m * math.tan(half_rad), RADIUS_MIN_M), RADIUS_MAX_M)
-        bearing_rad, middle_m = first_rad + i * math.copysign(math.radians(step_deg), message.increment_f), far_m + radius_m
-        at = motion.north_m + middle_m * math.cos(bearing_rad), motion.east_m + middle_m * math.sin(bearing_rad)
-        if len(told) == NEAREST or any(math.dist(at, other) < APART_M for other in told):
-            continue
-        told.append(at)
+    step_rad = math.copysign(math.radians(step_deg), message.increment_f)
+    echoes = (
+        (cm / 100.0, first_rad + i * step_rad)
+        for i, cm in enumerate(message.distances)
+        if message.min_distance <= cm <= message.max_distance and cm
+    )
+    for north_m, east_m, radius_m in nearest(echoes, math.radians(0.5 * step_deg), NEAREST):
+        at = motion.north_m + north_m, motion.east_m + east_m
         north, east = (math.degrees(each) for each in from_plane(state.origin, *at))
         target = SeenVessel(str(source.component), north, east, kind="thing", radius_m=radius_m, confidence=CONFIDENCE)
         consoles.see(SENSORS.get(message.sensor_type, "sensor"), target)
