@@ -85,7 +85,9 @@ def test_a_message_reaches_a_node_of_another_bus_and_is_answered(routed: None, t
         thread.start()
         near.sendto(sent, away)
         assert near.recvfrom(100)[0] == b"understood"
-        thread.join()
+        while thread.is_alive():  # on a busy machine the last segment comes again, and wants its acknowledgement
+            near.step()
+            thread.join(0.01)
     assert got == [(sent, 0x30)]
 
 
