@@ -286,6 +286,15 @@ def test_after_a_flood_the_last_lines_are_the_newest_ones(written, monkeypatch):
     written.writer.close()
 
 
+def test_where_nobody_says_anything_no_file_is_opened(written):
+    written.turn()
+    assert not any((written.folder / name).exists() for name in RECENT)
+    written.say("now")
+    written.turn()
+    assert (written.folder / RECENT[0]).exists()
+    written.writer.close()
+
+
 def test_nobody_else_may_write_into_the_pipe(written):
     assert (written.folder / systemlog.PIPE).stat().st_mode & 0o777 == 0o600
 

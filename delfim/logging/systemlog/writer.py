@@ -89,6 +89,8 @@ class SystemWriter:
 
     def _keep(self, lines: list[bytes]) -> None:
         """Append to the files of the last lines. They are in memory on a boat, and lost without regret elsewhere."""
+        if not lines:
+            return
         newest, older = (self._directory / name for name in RECENT)
         with contextlib.suppress(OSError), open(newest, "ab") as file:
             file.write(b"".join(lines)[-RECENT_BYTES:])
