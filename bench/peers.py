@@ -1,9 +1,10 @@
-"""`python -m bench peers`: Delfim and MOOS-IvP, each with its whole suite, its own simulator and log, in turns.
+"""`python -m bench peers`: Delfim, MOOS-IvP and DUNE, each with its whole suite, its own simulator and log, in turns.
 
-MOOS-IvP is found by its `MOOSDB` in PATH, as its users have it; a C++ compiler must be there, too. A turn starts a suite, lets
-it sail for some seconds, and kills its controller; then it looks how long navigation takes to become an order to the motors: of
-Delfim from bus to bus, by the kernel's stamps, of MOOS-IvP from the message that the boat is on the other side of its line to
-the first rudder that way. What is compared, and what is not fair about it: docs/benchmark.md
+MOOS-IvP is found by its `MOOSDB` in PATH, as its users have it; a C++ compiler must be there, too. DUNE is in
+`bench/dune.py`. A turn starts a suite, lets it sail for some seconds, and kills its controller; then it looks how long
+navigation takes to become an order to the motors: of Delfim from bus to bus, by the kernel's stamps, of MOOS-IvP from the
+message that the boat is on the other side of its line to the first rudder that way. What is compared, and what is not fair
+about it: docs/benchmark.md
 """
 
 import argparse
@@ -18,42 +19,27 @@ import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
+from itertools import chain
 from pathlib import Path
-from typing import Final, NamedTuple, Protocol
+from typing import Final
 
-from bench.critical_path import SOURCES, command_line, compiled, cpu_ns, family, free_ports, running, until
+from bench.critical_path import SOURCES, command_line, compiled, family, free_ports, running, until
+from bench.dune import dune
 from bench.onlooker import Onlooker
 from bench.report import percentile
 from bench.soak import Boat
+from bench.turn import START_S, WATCH_S, Peer, Turn, spent
 from delfim.base.errors import DelfimError
 from delfim.canproxy.dsor import messages
 from delfim.canproxy.opening import open_can
 from delfim.canproxy.socket import CanAddress, CanSocket
 from delfim.vehicle.operator.link import Link
 
-START_S: Final = 60.0  # a suite must have ordered thrust within this time
-WATCH_S: Final = 12.0  # for so long an order to stop is waited for after the controller was killed
 SECONDS: Final = 20.0  # of a turn under way
 ROUNDS: Final = 3
 TURNS: Final = 20  # of the boat beside its line, MOOS-IvP
 PROGRAMS: Final = ("pLogger", "uSimMarineV22", "pMarinePIDV22", "pHelmIvP", "uProcessWatch", "pNodeReporter")
 RATES_HZ: Final = {"as its examples have it": (5, 4, 20), "as fast as it goes": (100, 50, 100)}  # navigation, helm, controller
-
-
-class Turn(NamedTuple):
-    """Of one suite."""
-
-    start_s: float  # from its launch to the first order of thrust
-    processor: float  # share of one processor under way
-    memory_bytes: int  # PSS of all its processes
-    stopped_s: float | None  # from the kill of the controller to the first order to stop; None: not within WATCH_S
-    latency_us: list[float]  # ascending; what never came is not in it
-
-
-class Peer(Protocol):
-    label: str
-
-    def turn(self, seconds: float) -> Turn: ...
 
 
 def run(asked: argparse.Namespace) -> int:
@@ -62,9 +48,11 @@ def run(asked: argparse.Namespace) -> int:
     results = dict[str, list[Turn]]()
     with tempfile.TemporaryDirectory(prefix="delfim-bench-") as name:
         place = Path(name)
-        peers: list[Peer] = [Delfim(asked, place), *moos(place)]
-        if len(peers) == 1:
-            print("MOOS-IvP is not built here (no MOOSDB in PATH), so there is nothing beside Delfim")
+        others: dict[str, list[Peer]] = {"MOOS-IvP": [*moos(place)], "DUNE": [*dune(place)]}
+        for name, found in others.items():
+            if not found:
+                print(f"{name} is not built here: its programs are not in PATH")
+        peers: list[Peer] = [Delfim(asked, place), *chain.from_iterable(others.values())]
         for number in range(rounds):
             for peer in peers if number % 2 == 0 else reversed(peers):
                 print(f"round {number + 1} of {rounds}: {peer.label}", flush=True)
@@ -271,23 +259,6 @@ class Orders:
         if at_ns is None:
             raise TimeoutError("no such order was heard")
         return at_ns
-
-
-def spent(pids: Callable[[], list[int]], seconds: float) -> tuple[float, int]:
-    """What processes take of one processor in the next seconds, and how much memory they hold in the end (PSS, bytes)."""
-    before, began_s = {pid: cpu_ns(pid) for pid in pids()}, time.monotonic()
-    time.sleep(seconds)
-    now = pids()
-    share = sum(cpu_ns(pid) - before.get(pid, 0) for pid in now) / 1e9 / (time.monotonic() - began_s)
-    return share, sum(map(_pss_bytes, now))
-
-
-def _pss_bytes(pid: int) -> int:
-    with contextlib.suppress(OSError):
-        for line in Path(f"/proc/{pid}/smaps_rollup").read_text().splitlines():
-            if line.startswith("Pss:"):
-                return 1024 * int(line.split()[1])
-    return 0
 
 
 def table(results: dict[str, list[Turn]]) -> str:
