@@ -11,7 +11,7 @@ from bench.dune import CHECKSUM, HEADER, ORDER, STATE, SYNC, THRUST, Dune, check
 from delfim.base.errors import DelfimError
 
 PLAYED = """#!{python}
-import pathlib, re, socket, sys, time
+import contextlib, pathlib, re, socket, sys, time
 sys.path.insert(0, {root!r})
 from tests.bench.test_dune import line
 settings = pathlib.Path(sys.argv[sys.argv.index("-d") + 1])
@@ -21,10 +21,12 @@ log.parent.mkdir(parents=True)
 with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as link, log.open("wb", buffering=0) as file:
     link.bind(("127.0.0.1", port))
     link.recv(1000)
+    link.settimeout(0.01)
     while True:
         now_s = time.time()
         file.write(line(350, now_s) + line(301, now_s + 1e-4, 0, 0.5) + line(301, now_s + 2e-4, 1, 0.5))
-        time.sleep(0.01)
+        with contextlib.suppress(TimeoutError):
+            link.recv(1000)
 """
 
 
