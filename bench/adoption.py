@@ -1,6 +1,6 @@
 """Whole trials of boats that are drawn: what they find, how far it is from the truth, how they end.
 
-    python -m bench.adoption [--hulls 0:44] [--seeds 1:4] [--motors] [--rows run/adoption.jsonl]
+    python -m bench.adoption [--hulls 0:44] [--seeds 1:4] [--motors] [--drift] [--rows run/adoption.jsonl]
 
 The hulls below 40 are boats of etc/boats drawn anew (delfim/adoption/trial/hiddenhull.py): inertia from a third to three
 times, coefficients up to 40 % off, unequal motors, any wiring, dead bands to 0.15, delays to 0.5 s, wind to 4 m/s, current to
@@ -49,6 +49,7 @@ STEERED: Final = "skiff", "bait-boat"
 STEERED_FROM: Final = 100  # the first hull with one motor that steers
 SEVERAL_FROM: Final = 200  # the first hull with three or four thrusters
 RADIUS_M: Final = 60.0
+CURRENT_MPS, WIND_MPS = 0.3, 4.0  # the strongest
 
 
 def vehicle(boat: str, *more: str) -> config.Vehicle:
@@ -78,7 +79,16 @@ def other_truth(its: otherhulls.Drawn) -> BoatTruth:
     return BoatTruth(wiring, otherhulls.full_mps(its), tuple(its.dead), its.delay_s + its.lag_s)
 
 
-def tried(hull: int, seed: int, place: Path, more: Sequence[str] = (), *, motors_alone: bool) -> dict[str, Any]:
+def drifting(hidden: Hidden) -> Hidden:
+    """The same boat in the strongest current and wind that are drawn, both the same way."""
+    towards_deg = hidden.sea.current_to_deg
+    strong = {"current_mps": CURRENT_MPS, "wind_mps": WIND_MPS, "wind_from_deg": (towards_deg + 180.0) % 360.0}
+    return hidden._replace(sea=msgspec.structs.replace(hidden.sea, **strong))
+
+
+def tried(
+    hull: int, seed: int, place: Path, more: Sequence[str] = (), *, motors_alone: bool, drifts: bool = False
+) -> dict[str, Any]:
     """One trial: a row of figures."""
     its = otherhulls.drawn(hull - OTHERS, seed) if OTHERS <= hull < STEERED_FROM else None
     boats, layouts = BOATS if hull < OTHERS else STEERED, list(LAYOUTS.items())
@@ -88,6 +98,7 @@ def tried(hull: int, seed: int, place: Path, more: Sequence[str] = (), *, motors
     else:
         name, settings = "", vehicle(boats[hull % len(boats)], *more) if its is None else vehicle(its.hull.boat, *its.hull.told)
     hidden, most_m, began_s = drawn(settings, seed, hull), [0.0], time.process_time()
+    hidden = drifting(hidden) if drifts else hidden
 
     def look(boat: SimulatedTrial) -> None:
         north_m, east_m = boat.model.north_m - boat.middle_m[0], boat.model.east_m - boat.middle_m[1]
@@ -219,6 +230,7 @@ def main() -> None:
     parser.add_argument("--hulls", type=span, default=range(44), metavar="FIRST:LAST", help="Without the last.")
     parser.add_argument("--seeds", type=span, default=range(1, 4), metavar="FIRST:LAST", help="Without the last.")
     parser.add_argument("--motors", action="store_true", help="Of each trial the motors alone.")
+    parser.add_argument("--drift", action="store_true", help="In a current of 0.3 and a wind of 4 m/s, both the same way.")
     parser.add_argument("--rows", type=Path, default=Path("run/adoption.jsonl"), metavar="FILE")
     parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="Laid over the boats' files.")
     asked = parser.parse_args()
@@ -227,7 +239,9 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         for hull in asked.hulls:
             for seed in (each for each in asked.seeds if (hull, each) not in had):
-                row = tried(hull, seed, Path(folder) / f"{hull}-{seed}.trial", asked.set, motors_alone=asked.motors)
+                row = tried(
+                    hull, seed, Path(folder) / f"{hull}-{seed}.trial", asked.set, motors_alone=asked.motors, drifts=asked.drift
+                )
                 with asked.rows.open("a") as rows:
                     rows.write(json.dumps(row, default=float) + "\n")
     print("\n".join(table(list(_rows(asked.rows)))))

@@ -9,6 +9,7 @@ import msgspec
 import numpy as np
 import pytest
 
+from bench.adoption import drifting
 from delfim import config
 from delfim.adoption import identify
 from delfim.adoption.magnet import shape_of
@@ -16,7 +17,7 @@ from delfim.adoption.trial import boats, session
 from delfim.adoption.trial.boats import RunningTrial, SimulatedTrial
 from delfim.adoption.trial.hiddenhull import HiddenSensors, LateModel, drawn, rewired
 from delfim.adoption.trial.manoeuvres import SeaTrial, TrialEnded
-from delfim.adoption.trial.motors import corrected
+from delfim.adoption.trial.motors import MotorsFound, corrected
 from delfim.adoption.trial.session import TrialProgress, TrialSession, kept
 from delfim.adoption.trial.taped import record_of
 from delfim.base.errors import Refused
@@ -192,6 +193,57 @@ def test_a_boat_that_is_carried_off_ends_in_words_and_idle(tmp_path: Path) -> No
     assert ended.startswith("trial ended: ")
     assert tried.boat.run.state.mode is Mode.IDLE
     assert not tried.boat.run.state.actuation.run
+
+
+class Drifting:
+    """The trial of the motors alone, in the strongest current and wind that are drawn, both the same way."""
+
+    def __init__(self, name: str, seed: int, hull: int, place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.settings = vehicle(name)
+        self.hidden = drifting(drawn(self.settings, seed, hull))
+        self.boat = SimulatedTrial(self.settings, self.hidden, seed, RADIUS_M)
+        self.progress = TrialProgress(self.settings.thrusters)
+        yes = lambda words: True  # noqa: E731
+        self.session = TrialSession(self.boat, self.settings, self.progress, place, RADIUS_M, yes, lambda words: None)
+        monkeypatch.setattr(SeaTrial, "hull", lambda self, *told: None)
+
+
+@pytest.mark.parametrize(("name", "hull", "seed"), [("wam-v", 2, 1), ("wam-v", 6, 1), ("skiff", 102, 1)])
+def test_a_boat_that_drifts_is_brought_back_before_the_proof(
+    name: str, hull: int, seed: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    tried = Drifting(name, seed, hull, tmp_path / "a.trial", monkeypatch)
+    assert tried.session.run() == ""
+    assert tried.progress.is_proven
+    assert tried.progress.wiring is not None
+    assert is_right(tried.progress.wiring, tried.hidden, tried.settings.thrusters)
+    back, proof = (next(each for each in tried.progress.played if each.name == its) for its in ("back", "proof"))
+    far_m = {each.at_s: each.far_m for each in tried.progress.tape}
+    assert far_m[back.from_s] > 30.0
+    assert far_m[back.to_s] < 0.7 * far_m[back.from_s]
+    assert proof.from_s >= back.to_s
+    assert max(far_m.values()) < 1.25 * RADIUS_M
+
+
+def test_a_boat_that_lies_where_it_began_is_not_brought_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    tried = Drifting("otter", 2, 9, tmp_path / "a.trial", monkeypatch)
+    tried.boat.model.current_north_mps = tried.boat.model.current_east_mps = 0.0
+    assert tried.session.run() == ""
+    assert tried.progress.is_proven
+    assert "back" not in {each.name for each in tried.progress.played}
+
+
+def test_a_boat_that_goes_away_by_what_was_found_is_stopped_a_little_beyond_the_edge(tmp_path: Path) -> None:
+    tried = Tried("otter", 3, tmp_path / "a.trial")
+    trial, its = tried.session.trial, tried.hidden
+    ways = [-1 if is_back else 1 for is_back in its.reversed]
+    sides = [(1 if row.y_m > 0.0 else -1) * (-1 if its.swapped else 1) for row in tried.settings.thrusters]
+    trial.motors = MotorsFound(tuple(-side for side in sides), tuple(-way for way in ways), (0.12, 0.12))
+    trial.drive(trial.mix(0.5, 0.0), 90.0, lambda seen: seen.far_m > 30.0)  # it heads well, and goes astern
+    assert trial.seen.far_m > 30.0
+    with pytest.raises(TrialEnded, match="she does not come back by what was found"):
+        trial.back(is_proven=False)
+    assert trial.seen.far_m < 1.25 * RADIUS_M
 
 
 def test_a_proven_boat_ends_with_hold(tmp_path: Path) -> None:

@@ -24,6 +24,7 @@ TURN_MOST_RADPS: Final = math.radians(50.0)  # asked for by no manoeuvre: a fast
 TOO_QUICK: Final = "trial ended: turns at "
 BRINGS_BACK: Final = ("trial ended: edge of the circle", TOO_QUICK, "trial done")  # ends that the trial survives
 NEAR: Final = 0.2  # of the radius: this near the middle a manoeuvre may begin
+DRIFTS: Final = 0.4  # of the radius: this far before the second motor was tried she is carried off
 FAR: Final = 0.5  # of the radius: from beyond it she comes back before her motors are proven ...
 OUT: Final = 1.1  # ... and may go so far for it
 STILL_S: Final = 5.0  # until the doublets that prove them
@@ -216,7 +217,9 @@ class SeaTrial:
         if self.rows:
             asked = several.finding(self.rows, self.length_m, self.quiet)
         else:
-            asked = steered.finding(self.length_m, self.quiet) if self.steers else motors.finding(self.length_m, self.quiet)
+            drifts = lambda: self.seen.far_m > DRIFTS * self.radius_m  # noqa: E731
+            two = motors.finding(self.length_m, self.quiet, drifts)
+            asked = steered.finding(self.length_m, self.quiet) if self.steers else two
         try:
             doublet = next(asked)
             while True:
@@ -313,7 +316,7 @@ class SeaTrial:
         push, most_m = self.towards(lambda seen: seen.inwards_rad, surge), math.inf if is_proven else OUT * self.radius_m
         while self.seen.far_m > near_m and self.seen.at_s < until_s:
             ended = self.drive(push, until_s - self.seen.at_s, lambda seen: not near_m < seen.far_m < most_m, comes_back=True)
-            if self.rows and ended.startswith(TOO_QUICK):
+            if (self.rows or not is_proven) and ended.startswith(TOO_QUICK):
                 self.gain = max(0.08, 0.5 * self.gain)
             if self.seen.far_m >= most_m:
                 raise TrialEnded(f"{self.seen.far_m:.0f} m from the middle, and she does not come back by what was found")

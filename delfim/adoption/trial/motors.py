@@ -19,6 +19,7 @@ from delfim.config import ThrusterTable
 
 LEVELS: Final = (0.12, 0.2, 0.3, 0.45, 0.65, 0.9)  # of full command: more only where less moved nothing
 SURGE_LEVELS, PROOF_LEVELS = LEVELS[2:], LEVELS[1:]
+BEGIN_MOST: Final = 0.3  # of full command: with no more a motor is tried first
 LATE_S: Final = 0.4  # the boat answers so much later: delay and lag of motors and receivers
 MEAN_S: Final = 0.25  # to either side of a time: its value is the mean
 TURN_RADPS, PROOF_RADPS, AHEAD_MPS = math.radians(4.0), math.radians(5.0), 0.25  # the least answers ...
@@ -113,13 +114,20 @@ def hold_s(length_m: float, bounds_s: tuple[float, float] = HELD_S, s_per_m: flo
     return min(max(s_per_m * length_m, bounds_s[0]), bounds_s[1])
 
 
-def finding(length_m: float, quiet: DriftNoise) -> Finding:
-    """Ask for one doublet after the other, and take its answer; returns what was found."""
+def levels_from(level: float) -> tuple[float, ...]:
+    """The levels from that at which another motor was found, which is no stronger."""
+    return tuple(each for each in LEVELS if each >= min(level, BEGIN_MOST))
+
+
+def finding(length_m: float, quiet: DriftNoise, drifts: Callable[[], bool] = lambda: False) -> Finding:
+    """Ask for one doublet after the other, and take its answer; returns what was found. `drifts`: whether she is carried off:
+    then the second motor is not tried with less than what the first one needed."""
     held_s = hold_s(length_m)
     turn_radps = max(TURN_RADPS, TURN_NOISES * quiet.turn_radps)
     turns = list[SureAnswer]()
     for row in (0, 1):
-        sure = yield from agreeing(_of(float(row == 0), float(row == 1), held_s), 0, turn_radps, LEVELS)
+        levels = levels_from(turns[0].level) if turns and drifts() else LEVELS
+        sure = yield from agreeing(_of(float(row == 0), float(row == 1), held_s), 0, turn_radps, levels)
         if isinstance(sure, str):
             return f"motor {row + 1} of the file: {sure}"
         turns.append(sure)

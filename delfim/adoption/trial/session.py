@@ -176,7 +176,7 @@ class TrialSession:
         if not self._ask("Did she move bow first?"):
             progress.motors = None
             raise TrialEnded("she goes astern when she is to go ahead, by the compass: is it turned by 180 degrees?")
-        if trial.rows and trial.seen.far_m > FAR * trial.radius_m:
+        if trial.seen.far_m > FAR * trial.radius_m:
             trial.play("back", "Back to the middle, by what was found.", lambda: trial.back(is_proven=False))
         trial.play("proof", proof, trial.prove_motors)
         progress.is_proven = True

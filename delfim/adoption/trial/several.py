@@ -33,6 +33,7 @@ from delfim.adoption.trial.motors import (
     agreeing,
     beyond,
     hold_s,
+    levels_from,
 )
 from delfim.config import ThrusterTable
 
@@ -53,7 +54,6 @@ ROUNDS: Final = 3
 NOISE_MPS: Final = 0.04  # of an answer, at least
 ARM_SPREAD: Final = 0.25  # of the boat's length: the antenna may be so far from the point about which she turns
 REST_S: Final = 1.0  # between two doublets
-BEGIN_MOST: Final = 0.3  # of full command: with no more a motor is tried first
 FIT_MOST, MARGIN = 16.0, 12.0  # of the sum of squares: of the best order, and by which the next is worse
 DISAGREE: Final = 0.6  # of the largest answer: two tries that differ by more contradict each other
 
@@ -98,7 +98,7 @@ def finding(rows: Sequence[ThrusterTable], length_m: float, quiet: DriftNoise) -
     turn_radps, turns, levels = max(TURN_RADPS, TURN_NOISES * quiet.turn_radps), list[int](), list[float]()
     for row in range(len(rows)):
         alone = tuple(float(each == row) for each in range(len(rows)))
-        sure = yield from agreeing(_of(alone, held_s), 0, turn_radps, _from(levels[-1] if levels else 0.0))
+        sure = yield from agreeing(_of(alone, held_s), 0, turn_radps, levels_from(levels[-1] if levels else 0.0))
         if isinstance(sure, str):
             return f"motor {row + 1} of the file: {sure}"
         turns.append(sure.sign)
@@ -121,11 +121,6 @@ def finding(rows: Sequence[ThrusterTable], length_m: float, quiet: DriftNoise) -
         return f"all motors together: {places}"
     signs = tuple(sign if every[at].turn_m > 0.0 else -sign for sign, at in zip(turns, places, strict=True))
     return MotorsFound(tuple(every[at].side for at in places), signs, tuple(levels), places)
-
-
-def _from(level: float) -> tuple[float, ...]:
-    """The levels from that at which another motor was found, which is no stronger."""
-    return tuple(each for each in LEVELS if each >= min(level, BEGIN_MOST))
 
 
 def _of(parts: Sequence[float], held_s: float) -> Callable[[float], Doublet]:
@@ -266,7 +261,8 @@ def proving(
     held_s = hold_s(length_m, HELD_S, HELD_S_PER_M)
     every = [place_of(rows[at]) for at in found.places]
     parts = [math.copysign(1.0, its.turn_m) * sign for its, sign in zip(every, found.signs, strict=True)]
-    sure = yield from agreeing(_of(parts, held_s), 0, max(PROOF_RADPS, TURN_NOISES * quiet.turn_radps), _from(max(found.least)))
+    least_radps, levels = max(PROOF_RADPS, TURN_NOISES * quiet.turn_radps), levels_from(max(found.least))
+    sure = yield from agreeing(_of(parts, held_s), 0, least_radps, levels)
     if isinstance(sure, str):
         return sure
     return "" if sure.sign > 0 else "she turns to port where what was found turns her to starboard: nothing of it is sure"
