@@ -135,9 +135,8 @@ def test_the_command_prints_writes_its_report_and_the_file(
     assert "delfim identify" in page
 
 
-@pytest.mark.parametrize(
-    "hull", [pytest.param(hulls.otter, id="otter", marks=pytest.mark.long), pytest.param(hulls.heron, id="heron")]
-)
+@pytest.mark.long
+@pytest.mark.parametrize("hull", [pytest.param(hulls.otter, id="otter"), pytest.param(hulls.heron, id="heron")])
 def test_the_simulators_own_hull_is_found_to_be_the_files(tmp_path: Path, hull: Callable[[], Hidden]) -> None:
     file = voyages.file_of(hull(), tmp_path / "boat.toml")
     voyages.sail(None, file, tmp_path / "log")

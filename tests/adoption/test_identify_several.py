@@ -52,7 +52,10 @@ class Voyage:
         return calm.surge_mps, math.degrees(calm.yaw_rate_radps)
 
 
-@pytest.mark.parametrize(("name", "seed"), [("pairs", 1), ("bow-thruster", 2), ("float", 9), ("pods", 1)])
+@pytest.mark.parametrize(
+    ("name", "seed"),
+    [("pairs", 1), ("pods", 1), *(pytest.param(*each, marks=pytest.mark.long) for each in (("bow-thruster", 2), ("float", 9)))],
+)
 def test_a_log_of_ordinary_sailing_tells_the_hull(name: str, seed: int, tmp_path: Path) -> None:
     voyage = Voyage(name, seed, tmp_path)
     assert voyage.result.fit.refusal == ""
@@ -64,8 +67,13 @@ def test_a_log_of_ordinary_sailing_tells_the_hull(name: str, seed: int, tmp_path
     assert any("unequal thrust of the motors at one side" in line for line in lines) == (name != "bow-thruster")
     assert any("her thrusters push across" in line for line in lines) == (name in ("float", "pods"))
     assert not any(key[0] == "compass" for key in voyage.keys)
+    theta = voyage.result.fit.theta.copy()
+    theta[PLACE["within_port"]] = -1.1
+    refused = voyage.result.fit._replace(theta=theta).refusal
+    assert refused.startswith("one of the two motors at port would be 3.0 times as strong as the other")
 
 
+@pytest.mark.long
 def test_the_stronger_one_of_two_at_a_side_is_looked_for_on_either_side(tmp_path: Path) -> None:
     voyage = Voyage("float", 11, tmp_path)
     figures = voyage.result.found.figures
@@ -74,6 +82,7 @@ def test_the_stronger_one_of_two_at_a_side_is_looked_for_on_either_side(tmp_path
     assert figures["spin_dps"].found == pytest.approx(voyage.after(-0.5, 0.5)[1], rel=0.06)
 
 
+@pytest.mark.long
 def test_two_at_a_side_that_would_be_too_unlike_are_not_believed(tmp_path: Path) -> None:
     refused = Voyage("float", 12, tmp_path).result.fit.refusal
     assert refused.startswith("one of the two motors at port would be 3.1 times as strong as the other")

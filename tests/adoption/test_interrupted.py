@@ -80,7 +80,7 @@ class Interrupted:
             return "gone"
 
 
-@pytest.mark.parametrize("proven", [False, True])
+@pytest.mark.parametrize("proven", [False, pytest.param(True, marks=pytest.mark.long)])
 def test_whatever_ends_it_the_motors_are_off_the_file_is_whole_and_it_goes_on(
     proven: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

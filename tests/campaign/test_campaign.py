@@ -96,10 +96,12 @@ def test_the_sql_of_a_file_reads_the_results_alone_and_writes_nothing(sailed, tm
     assert before == {each: each.stat().st_mtime_ns for place in places for each in place.iterdir() if each.is_file()}
 
 
-def test_it_judges_reports_and_has_every_run_once(sailed, capsys):
+def test_it_judges_reports_and_has_every_run_once(sailed, tmp_path, capsys):
     path, folder = sailed
     assert set(digests(folder)) == set(itertools.product((0, 1), range(3, 8)))
-    assert main(["campaign", str(path), "--output", str(folder), "--batch", "3"]) == 0, "nothing is left to sail"
+    (tmp_path / "campaign.toml").write_text("page = false\n" + path.read_text())
+    words = ["campaign", str(tmp_path / "campaign.toml"), "--output", str(folder), "--batch", "3"]
+    assert main(words) == 0, "nothing is left to sail"
     told = capsys.readouterr().out
     assert "10 of them are there already" in told
     assert "holds  never" in told
@@ -156,7 +158,7 @@ def test_it_is_asked_by_sql(sailed, capsys):
 def test_a_campaign_that_does_not_hold_ends_with_1_and_says_where(sailed, tmp_path, capsys):
     path, folder = sailed
     told = path.read_text().replace("min(way_m) > 1.0", "min(way_m) > 1e9")
-    (tmp_path / "campaign.toml").write_text(told)
+    (tmp_path / "campaign.toml").write_text("page = false\n" + told)
     assert main(["campaign", str(tmp_path / "campaign.toml"), "--output", str(folder), "--batch", "3"]) == 1
     assert "FAILS  far (points 0, 1)" in capsys.readouterr().out
 
