@@ -8,6 +8,8 @@ from pathlib import Path
 from random import Random
 from typing import Any, cast
 
+import pytest
+
 from delfim.base.errors import Refused
 from delfim.console.gateway import page_messages
 from delfim.console.gateway.bridging import BridgeDesk
@@ -18,7 +20,6 @@ from delfim.console.watch.alertstate import UNSEEN, AlertState
 from delfim.console.watch.operators import OperatorsFile, add_operator
 from delfim.vehicle.failsafe.troubles import Trigger
 
-WATCH_S = 8 * 3600
 STEP_S = 1.0
 BEGAN_S = 1_790_000_000.0
 LOSS = 0.3  # of the frames of a boat
@@ -168,7 +169,8 @@ class LookOut:
         self.standing = now
 
 
-def test_in_a_watch_of_eight_hours_no_alert_is_lost(tmp_path: Path) -> None:
+@pytest.mark.parametrize("hours", [2, pytest.param(8, marks=pytest.mark.long)])
+def test_in_a_watch_of_hours_no_alert_is_lost(tmp_path: Path, hours: int) -> None:
     chance = Random(62923)
     keys = [add_operator(tmp_path / "operators.json", name, "command") for name in ("Ana", "Rui")]
     operators = OperatorsFile(tmp_path / "operators.json")
@@ -176,7 +178,7 @@ def test_in_a_watch_of_eight_hours_no_alert_is_lost(tmp_path: Path) -> None:
     boats = [TroubledBoat(number, chance) for number in (1, 2, 3)]
     pages = [WatchPage(number, operators.of(key), chance) for number, key in enumerate(keys, 1)]
     lookout, starts = LookOut(boats), 1
-    while console.now_s < WATCH_S:
+    while console.now_s < hours * 3600:
         console.now_s = now_s = console.now_s + STEP_S
         for boat in boats:
             boat.step(now_s, console.keeper)
@@ -195,9 +197,9 @@ def test_in_a_watch_of_eight_hours_no_alert_is_lost(tmp_path: Path) -> None:
     assert lookout.lost == []
     told = since(tmp_path, 0.0)
     noted, commands = ([line for line in told if line.what == what] for what in ("acknowledged", "command"))
-    assert len(lookout.known) > 300
-    assert starts > 8
+    assert len(lookout.known) > 35 * hours
+    assert starts > hours
     assert {line.who for line in noted} == {"Ana", "Rui"}
-    assert sum(line.text == "commands" for line in commands) > 30
+    assert sum(line.text == "commands" for line in commands) > 3 * hours
     assert any(line.text == LOST for line in noted)
     print(f"{len(lookout.known)} troubles, {len(noted)} alerts acknowledged, {starts} starts, {len(lookout.lost)} lost")

@@ -22,7 +22,8 @@ ROOT: Final = Path(__file__).parents[2]
 DELFIMX: Final = ROOT / "etc/delfimx.toml"
 MIXED: Final = range(1, 21)
 ENCOUNTERS: Final = {"imazu22": (1, 6, 11, 16, 22), "dnv55": (2, 18, 40), "morise55": (9, 50)}  # of each scale
-QUICK_S: Final = 120.0  # of a voyage in the tests that run each time
+# Of a voyage in the tests that run each time. Within two minutes a boat is told all modes.
+QUICK_S: Final = {"boats": 120.0, "scenarios": 60.0, "mixed": 60.0, "encounters": 60.0}
 MODES_S: Final = 7.0  # a boat is told another mode so often
 
 

@@ -70,7 +70,9 @@ VALUES = st.builds(
 
 
 @ONCE
-@pytest.mark.parametrize("mode", [Mode.MANUAL, pytest.param(Mode.HEADING, marks=pytest.mark.long), Mode.IDLE])
+@pytest.mark.parametrize(
+    "mode", [Mode.MANUAL, *(pytest.param(mode, marks=pytest.mark.long) for mode in (Mode.HEADING, Mode.IDLE))]
+)
 @given(st.lists(st.tuples(STRANGERS, ANYTHING | ORDERS | THRUSTS | VALUES), min_size=1, max_size=20))
 def test_whatever_anybody_else_says_moves_nothing(make_boat, mode, said):
     """Beside a boat that hears its own console alone: what the propellers are told is the same in each cycle. Anybody may stop
@@ -100,13 +102,14 @@ def test_whatever_anybody_else_says_moves_nothing(make_boat, mode, said):
     assert alone.state.actuation.run is (mode is not Mode.IDLE)
 
 
-def test_a_hundred_thousand_datagrams_of_anything(boat):
+@pytest.mark.parametrize("count", [10_000, pytest.param(100_000, marks=pytest.mark.long)])
+def test_many_datagrams_of_anything(boat, count):
     """Messages of every kind with anything in them, from many addresses, most of them commands and plans; one in ten is cut
     short or altered on its way."""
     sea = afloat(boat)
     random, console = Random(1), sea.console
     kinds = sorted(dialect.mavlink_map)
-    for n in range(100_000):
+    for n in range(count):
         payload = random.randbytes(random.randrange(1, 60))
         if n % 2:
             number = random.choice((76, 75, 69, 44, 73, 23, 11, 41, 45, 47, 51))
