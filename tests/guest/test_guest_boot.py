@@ -253,6 +253,7 @@ def test_a_boat_without_its_disk_boots_and_says_why_it_stays(boat: Boat) -> None
         dark(g, order())
 
 
+@pytest.mark.long
 def test_a_disk_that_comes_late_is_waited_for(boat: Boat) -> None:
     """Memory cards and what is on USB are found after their modules are loaded."""
     with boat.booted("/dev/late") as g:

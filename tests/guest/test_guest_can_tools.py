@@ -6,6 +6,7 @@ import pytest
 from tests.guest.harness import Guest
 
 
+@pytest.mark.long
 def test_dump_prints_what_candump_prints(can_guest: Guest, subtests: pytest.Subtests) -> None:
     result = can_guest.run("python tests/guest/guest_can_tools.py", timeout_s=120.0)
     assert result.code == 0, result.output

@@ -12,6 +12,7 @@ import pytest
 from tests.guest.harness import PATH, ROOT, Guest, missing
 
 
+@pytest.mark.long
 def test_python_can_sees_by_tcp_what_candump_sees_on_the_bus(can_guest: Guest) -> None:
     result = can_guest.run("python tests/guest/guest_cantcpd.py", timeout_s=120.0)
     assert result.code == 0, result.output

@@ -52,6 +52,7 @@ while count("/proc/vmstat", "workingset_refault_file") < 12_000:
 
 
 @pytest.mark.skipif(missing() is not None, reason=str(missing()))
+@pytest.mark.long
 def test_a_guest_whose_programs_are_read_again_and_again_has_too_little_memory(tmp_path: Path) -> None:
     with guest(tmp_path, modules=(), memory_mib=96) as small:
         (small.folder / "hungry.py").write_text(HUNGRY)
