@@ -43,6 +43,8 @@ class Boat:
 
     def __init__(self, place: Path, number: int) -> None:
         self.place, self.number = place, number
+        self._heard = dict[Path, list[dict[str, Any]]]()  # of each file of its log
+        self._read = dict[Path, int]()  # bytes
 
     def state(self) -> dict[str, Any]:
         with Link(self.place / "command") as link:
@@ -91,9 +93,13 @@ class Boat:
 
     def _events(self) -> Iterator[dict[str, Any]]:
         for file in in_order((self.place / "log").glob("*/state/*.meta.jsonl")):
-            for line in file.read_text().splitlines(keepends=True):
-                if line.endswith("\n"):
-                    yield json.loads(line)
+            with file.open("rb") as opened:
+                opened.seek(self._read.get(file, 0))
+                whole, end, _ = opened.read().rpartition(b"\n")
+            self._read[file] = self._read.get(file, 0) + len(whole + end)
+            heard = self._heard.setdefault(file, [])
+            heard += map(json.loads, whole.splitlines())
+            yield from heard
 
     async def turnings(self, until_ns: int) -> list[Turning]:
         """What its black box has of the propellers, as soon as that reaches to this time."""

@@ -179,7 +179,7 @@ class Standin:
             async with asyncio.timeout(timeout_s):
                 while not (found := [message for message in self.said if wanted(message)]):
                     await self.frame()
-                    await asyncio.sleep(0.02)
+                    await asyncio.sleep(0.06)
         except TimeoutError:
             raise AssertionError(f"not heard; heard was {self.said}") from None
         return found[0]

@@ -68,6 +68,7 @@ async def test_a_payload_program_is_a_mode_of_its_name_there_and_any_key_takes_t
     await shown_mode(page, 1, "hold")
 
 
+@pytest.mark.long
 async def test_it_is_entered_from_the_command_line(sea: Sea) -> None:
     _page, boat = await sea.at_rest(1)
     assert "weave" in await boat.delfim("drive", "weave")
@@ -87,6 +88,7 @@ async def test_it_is_entered_by_mavlink(sea: Sea) -> None:
     sea.radios[0].say(console.pack(ordered(1, CONTROL, 0.0, 0.0)))  # whoever asks next commands
 
 
+@pytest.mark.long
 async def test_without_navigation_it_is_refused_with_the_reason(sea: Sea) -> None:
     page, boat = await sea.at_rest(1)
     await boat.delfim("fault", "navigation_silent")

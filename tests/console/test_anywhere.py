@@ -67,6 +67,7 @@ def test_unit_tests_of_the_ground_part_pass_there() -> None:
     assert child.returncode == 0, child.stdout + child.stderr
 
 
+@pytest.mark.long
 def test_the_desks_commands_work_there(tmp_path: Path) -> None:
     """A mission in lock step, its log read and exported, a boat's files made and checked."""
     child = there(tmp_path, str(ROOT / "tests/console/anywhere.py"), *DESK)

@@ -7,6 +7,8 @@ import contextlib
 import sys
 from pathlib import Path
 
+import pytest
+
 from delfim.console.watch.operators import OperatorsFile, add_operator
 from tests.console.scenes import a_minute_at_work, at_work, choose, opened
 from tests.console.standin import Message, Standin
@@ -71,6 +73,7 @@ async def test_who_may_only_watch_takes_nothing_and_a_phone_says_who_commands() 
         await shown(page, gateway, "document.querySelector('.popup').textContent.includes('your role is to watch')")
 
 
+@pytest.mark.long
 async def test_two_pages_hand_the_command_over_at_the_real_gateway(tmp_path: Path) -> None:
     """Each in a browser of its own, for a browser keeps one operator's key."""
     file = tmp_path / "operators.json"

@@ -453,16 +453,37 @@ async def planned(sea: Sea) -> None:
 SHOWN_DEG = "Number(/hdg (\\d+)/.exec(document.querySelector('.selected').textContent)[1])"
 
 
+# What the page says by these is what another row has it say, or `test_page.py` and `test_gamepad.py` look at it.
+LONG = (
+    *(
+        "gamepad.thrust",
+        "gamepad.steer",
+        "keys.arrow: faster(boat, which(event), -1",
+        "keys.arrow: turn(boat, which(event), -1",
+    ),
+    *(f"keys.letter: {key}" for key in "MLUGPX"),
+    *(
+        "menus.boat: Pause",
+        "menus.boat: Continue",
+        "menus.speedForm",
+        "menus.headingForm: headTo",
+        "menus.more: Hold",
+        "key: B",
+    ),
+    *("planning.dryRun", "planning.waypoint: Follow", "planning.waypoint: Go to", "planning.sail: command"),
+    *("planning.home", "orders.constructor: enterMode", "strip.constructor"),
+)
+
+
 def stories() -> list[Any]:
-    """The rows, those together that are ways of one story. Long: what a menu's entry and a letter enter alike, for the letter's
-    way is short; and what a gamepad steers, for `test_gamepad.py` has the same of a boat that it looks at for longer."""
+    """The rows, those together that are ways of one story. Long, too: what a menu's entry and a letter enter alike."""
     of = dict[Any, list[str]]()
     found = list[Any]()
     for name, row in ROWS.items():
         of.setdefault(row.way, []).append(name)
     twice = {f"menus.boat: {title}" for title, _ in MODES.values()} - {"menus.boat: Play mission"}
     for names in of.values():
-        long = twice.issuperset(names) or names[0].startswith(("gamepad.thrust", "gamepad.steer"))
+        long = twice.issuperset(names) or names[0].startswith(LONG)
         found.append(pytest.param([ROWS[name] for name in names], id=" + ".join(names), marks=pytest.mark.long if long else ()))
     return found
 

@@ -15,7 +15,6 @@ from tests.console.test_commands import ROWS, planned, said_and_obeyed
 from tests.services.browser import Page
 
 HANDS = "keys.", "key: ", "gamepad."  # that are no fingers
-SHORT = "corner."  # the others are long
 
 
 @pytest.fixture(scope="module")
@@ -39,12 +38,8 @@ async def touched(sea: Sea) -> None:
     await planned(sea)
 
 
-BY_TOUCH = [
-    pytest.param(way, marks=() if way.startswith(SHORT) else pytest.mark.long) for way in ROWS if not way.startswith(HANDS)
-]
-
-
-@pytest.mark.parametrize("way", BY_TOUCH)
+@pytest.mark.long
+@pytest.mark.parametrize("way", [way for way in ROWS if not way.startswith(HANDS)])
 async def test_what_a_finger_says_is_what_the_vehicle_obeys(its: Sea, way: str) -> None:
     hands = list[Fingers]()
 

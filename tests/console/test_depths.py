@@ -121,6 +121,7 @@ async def heard(folder: Path) -> None:
             assert state
 
 
+@pytest.mark.long
 def test_the_depths_of_a_boat_are_on_the_page_and_there_again_after_a_reload(tmp_path: Path) -> None:
     asyncio.run(heard(tmp_path))
 

@@ -209,7 +209,8 @@ async def nothing(page: Page, name: str) -> None:
     """No picture is kept."""
 
 
-@pytest.mark.parametrize("size", [pytest.param(DESK, id="desk"), pytest.param(PHONE, id="phone", marks=pytest.mark.long)])
+@pytest.mark.long
+@pytest.mark.parametrize("size", [pytest.param(DESK, id="desk"), pytest.param(PHONE, id="phone")])
 def test_who_has_read_nothing_draws_sends_sails_and_stops_a_mission(tmp_path: Path, size: Size) -> None:
     asyncio.run(voyage(tmp_path, size, nothing))
 

@@ -87,7 +87,13 @@ def extent_m(waypoints: list[Message]) -> float:
 
 @pytest.mark.parametrize(
     ("title", "least", "field", "more"),
-    [("Lawn-mower", 10, "Width", "120"), ("Circle", 3, "Radius", "80"), ("Spiral", 60, "Radius", "80")],
+    [
+        ("Circle", 3, "Radius", "80"),
+        *(
+            pytest.param(*each, marks=pytest.mark.long)
+            for each in (("Lawn-mower", 10, "Width", "120"), ("Spiral", 60, "Radius", "80"))
+        ),
+    ],
 )
 async def test_a_pattern_is_changed_as_one_until_a_point_of_it_was_moved(page, gateway, title, least, field, more):
     await page.mouse(await pixel(page, -110, -110))

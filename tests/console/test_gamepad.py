@@ -80,7 +80,7 @@ async def test_in_heading_mode_it_turns_and_sets_the_speed_and_its_button_stops(
 
 
 @pytest.mark.parametrize(
-    "how", ["unplugged", "stopped", pytest.param("hidden", marks=LONG), pytest.param("another boat", marks=LONG)]
+    "how", ["unplugged", *(pytest.param(how, marks=LONG) for how in ("stopped", "hidden", "another boat"))]
 )
 async def test_it_lets_go_and_drives_again_only_from_rest(sea: Sea, how: str) -> None:
     page, boat = await by_hand(sea)

@@ -48,7 +48,7 @@ async def test_a_hull_is_to_scale_where_that_is_more_than_its_symbol() -> None:
         await shown(page, gateway, "delfim.long(1) === 0")
 
 
-@pytest.mark.parametrize("size", [DESK, PHONE], ids=["desk", "phone"])
+@pytest.mark.parametrize("size", [pytest.param(DESK, id="desk"), pytest.param(PHONE, id="phone", marks=pytest.mark.long)])
 async def test_a_weak_link_is_amber_with_its_cause_and_with_what_it_means_for_a_stop(size: tuple[int, int]) -> None:
     async with look(Standin(two()), size) as (page, gateway):
         weak = "document.querySelector('[data-boat=\"1\"] .weak')"
@@ -114,7 +114,14 @@ def three() -> list[Message]:
     return boats
 
 
-@pytest.mark.parametrize("size", [DESK, PHONE, LANDSCAPE], ids=["desk", "phone", "landscape"])
+@pytest.mark.parametrize(
+    "size",
+    [
+        pytest.param(DESK, id="desk", marks=pytest.mark.long),
+        pytest.param(PHONE, id="phone"),
+        pytest.param(LANDSCAPE, id="landscape", marks=pytest.mark.long),
+    ],
+)
 async def test_three_boats_are_all_in_sight_and_no_words_run_over_their_boxes(size: tuple[int, int]) -> None:
     async with look(Standin(three()), size) as (page, gateway):
         await page.press("Tab")
@@ -209,7 +216,14 @@ async def test_on_a_chart_words_stand_on_plates_and_before_a_boat_is_heard_the_c
         await choose(page, "Show the chart")
 
 
-@pytest.mark.parametrize("size", [DESK, (1000, 600), PHONE], ids=["desk", "small", "phone"])
+@pytest.mark.parametrize(
+    "size",
+    [
+        pytest.param(DESK, id="desk", marks=pytest.mark.long),
+        pytest.param((1000, 600), id="small", marks=pytest.mark.long),
+        pytest.param(PHONE, id="phone"),
+    ],
+)
 async def test_all_of_the_card_of_keys_can_be_scrolled_to(size: tuple[int, int]) -> None:
     async with look(Standin(two()), size) as (page, _gateway):
         await page.press("F1")
@@ -249,7 +263,11 @@ LAPPED = """(parts => {
 })(['#bar', '.chip', '#stop', '#stop-all', '#scale', '#hint', '#traffic', '#base'])"""
 
 
-@pytest.mark.parametrize("size", [(390, 844), (844, 390), (375, 667), (667, 375)], ids=str)
+@pytest.mark.parametrize(
+    "size",
+    [*(pytest.param(size, marks=pytest.mark.long) for size in ((390, 844), (844, 390))), (375, 667), (667, 375)],
+    ids=str,
+)
 async def test_nothing_lies_on_anything_on_a_phone_with_three_boats_however_it_is_held(size: tuple[int, int]) -> None:
     async with look(Standin(three()), size, touch=True) as (page, gateway):
         await page.press("Tab")

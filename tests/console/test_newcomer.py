@@ -178,6 +178,7 @@ async def test_a_refusal_is_shown_once(it: Console) -> None:
     assert [each for each in shown if "refused" in each] == ["boat 1heading refused: gps has not reported"]
 
 
+@pytest.mark.long
 async def test_what_is_aboard_is_drawn_and_a_mode_that_would_sail_it_asks_first(it: Console) -> None:
     boat = it.boat(1)
     boat.aboard[0] = [
@@ -221,6 +222,7 @@ async def until(boat: FakeBoat, commands: int) -> None:
             await asyncio.sleep(0.02)
 
 
+@pytest.mark.long
 async def test_hints_lead_from_the_first_menu_to_a_mission_and_do_not_come_again(it: Console) -> None:
     hint = "document.querySelector('#hint:not([hidden]) span')?.textContent ?? ''"
 
@@ -298,6 +300,7 @@ async def test_there_are_land_and_harbours_without_a_network_until_they_would_be
     assert f"put charts into the folder {it.folder}" in await page.value("document.querySelector('.popup').textContent")
 
 
+@pytest.mark.long
 async def test_scale_and_position_do_not_overlap_at_any_zoom(it: Console) -> None:
     await it.page.point(700, 300)
     for _ in range(9):

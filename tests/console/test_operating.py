@@ -207,6 +207,7 @@ async def test_each_key_of_the_thesis_is_seen_at_the_vehicle(sea: Sea) -> None:
     await shown_mode(page, 2, "idle")
 
 
+@pytest.mark.long
 async def test_a_boat_that_falls_silent_under_way_leaves_the_map_to_all(sea: Sea) -> None:
     page, boat = await sea.at_rest(1)
     await drawn(page, boat, [(60, -69), (60, 69), (-60, 69)])
@@ -286,6 +287,7 @@ def addressee(message: Any) -> int | None:
     return found
 
 
+@pytest.mark.long
 async def test_from_the_key_to_the_vehicles_acknowledge(sea: Sea) -> None:
     """As the page has it: from the event of the key to the answer, which the gateway passes on when the vehicle has said it."""
     page, _ = await sea.at_rest(1)
@@ -388,10 +390,12 @@ async def cut(sea: Sea, how: str, away: Callable[[], Awaitable[object]], back: C
     assert [each for each in all_ if max(stops) < each.t_ns < ended_ns and each.rpm] == []
 
 
+@pytest.mark.long
 async def test_a_hidden_tab_ends_thrust(sea: Sea) -> None:
     await cut(sea, "tab hidden", sea.page.hide, sea.page.show)
 
 
+@pytest.mark.long
 async def test_a_laptop_asleep_ends_thrust(sea: Sea) -> None:
     async def away() -> None:
         sea.page.sleep()

@@ -634,7 +634,8 @@ async def test_a_replay_is_moved_by_keys() -> None:
         assert 5.0 < ahead["at_s"] - before_s < 15.0, "ten seconds on from the frame that the page saw last"
 
 
-@pytest.mark.parametrize("how", ["dragged", pytest.param("zoomed", marks=pytest.mark.long)])
+@pytest.mark.long
+@pytest.mark.parametrize("how", ["dragged", "zoomed"])
 async def test_ten_boats_with_an_hour_of_track_each_are_drawn_thirty_times_a_second_while_it_moves(how: str) -> None:
     """Waits for a second with so many drawings: when it comes is the machine's other load, that it comes is the page's merit.
     At rest the map is drawn as often as boats are told, ten times a second; the operator's hand needs more."""

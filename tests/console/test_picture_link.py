@@ -88,7 +88,7 @@ class Watching:
         (20_000, 0.5, 160),
         pytest.param(64_000, 1.5, 160, marks=pytest.mark.long),
         pytest.param(600_000, 5.0, 320, marks=pytest.mark.long),
-        (2_500_000, 8.0, 640),
+        pytest.param(2_500_000, 8.0, 640, marks=pytest.mark.long),
     ],
 )
 def test_pictures_take_what_a_link_with_losses_leaves_and_the_state_does_not_wait(

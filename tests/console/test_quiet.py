@@ -160,7 +160,11 @@ async def test_the_last_that_was_told_is_shown_without_another_message(gateway, 
 
 @pytest.mark.parametrize(
     "trouble",
-    [{"failsafe": "battery low: home"}, {"ready": False, "reason": "no fix"}, {"owner": False, "commander": 7}],
+    [
+        {"failsafe": "battery low: home"},
+        pytest.param({"ready": False, "reason": "no fix"}, marks=pytest.mark.long),
+        pytest.param({"owner": False, "commander": 7}, marks=pytest.mark.long),
+    ],
 )
 async def test_a_trouble_is_shown_with_the_message_that_tells_it(gateway, page, trouble: Message):
     usual = {name: gateway.boat(1)[name] for name in trouble}

@@ -86,6 +86,7 @@ async def nothing(it: Console) -> None:
     """No picture is kept."""
 
 
+@pytest.mark.long
 def test_the_log_of_a_boat_that_kept_clear_is_seen_on_the_page(tmp_path: Path) -> None:
     asyncio.run(replayed(tmp_path, nothing))
 
