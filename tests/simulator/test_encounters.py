@@ -99,6 +99,7 @@ def test_a_file_or_a_name_that_is_not_there_is_refused_in_words(tmp_path, file, 
     assert words in str(refused.value)
 
 
+@pytest.mark.long
 def test_a_random_encounter_is_sailed_by_its_seed(tmp_path):
     path = written(tmp_path, "random")
     assert isinstance(load_scenario(path), Scenario)

@@ -184,6 +184,7 @@ def modelled(language: str) -> Iterator[str]:
 
 
 @in_both_languages
+@pytest.mark.long
 def test_in_lock_step_the_example_sails_the_same_run_twice_byte_for_byte(language, tmp_path):
     runs = []
     with modelled(language) as there:

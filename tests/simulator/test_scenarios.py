@@ -22,6 +22,10 @@ from delfim.vehicle.state import NoLog
 ROOT = Path(__file__).parents[2]
 VEHICLE = ROOT / "etc/delfimx.toml"
 SCENARIOS = sorted((ROOT / "etc/scenarios").glob("*.toml"))
+LONG = {  # they sail for 400 s and more, or what is in them is sailed by the tests of the guard, of energy, of payloads
+    *("things-drawn", "radar", "gyro-drift", "traffic-gives-way", "swimmers", "things", "headland", "calm-mission"),
+    *("ais-late", "ais-frozen", "ais-wrong", "ais-receiver-silent", "energy", "payload"),
+}
 SETTINGS = config.Vehicle(boat=config.BoatTable(name="test"))
 SAILING = """version = 1
 name = "test"
@@ -54,12 +58,15 @@ def logged_in(folder: str) -> tuple[str, str]:
 
 
 @pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.long)])
-@pytest.mark.parametrize("file", SCENARIOS, ids=lambda file: file.stem)
+@pytest.mark.parametrize(
+    "file", [pytest.param(each, id=each.stem, marks=pytest.mark.long if each.stem in LONG else ()) for each in SCENARIOS]
+)
 def test_the_scenario_ends_as_it_must(file, seed):
     result = sailed(file, seed)
     assert not result.failures, f"delfim sim {VEHICLE} --scenario {file} --seed {seed}"
 
 
+@pytest.mark.long
 def test_there_are_scenarios_for_every_trouble_of_the_table():
     told = {event.name for file in SCENARIOS for event in sailed(file, 1).events if event.kind == "notice"}
     assert told == NUMBERS.keys() - {"control"}
@@ -181,7 +188,7 @@ def test_mixed_faults_end_in_nothing_that_must_never_happen(seeds):
     assert not bad, "\n".join(f"{random_faults.again(str(VEHICLE), 'mixed', seed, [])}: {why}" for seed, why in bad.items())
 
 
-@pytest.mark.parametrize("seed", [1, 5, *(pytest.param(seed, marks=pytest.mark.long) for seed in (2, 4452))])
+@pytest.mark.parametrize("seed", [1, *(pytest.param(seed, marks=pytest.mark.long) for seed in (2, 5, 4452))])
 def test_vessels_that_follow_and_chase_the_boat_drive_it_nowhere(seed):
     """Some of etc/campaigns/chased.toml: outside the fence in none, though led away from its place beyond a zone (4452)."""
     assert not random_faults.sail_mixed(VEHICLE, seed, (), chased).failures

@@ -70,7 +70,9 @@ def off_truth(chart: SurveyChart, day: Sounded) -> tuple[np.ndarray, np.ndarray,
     return (chart.its.depth_m - day.truth(chart.its))[good], (grid.mean_m - true)[grid.sounded], between
 
 
-@pytest.mark.parametrize(("seed", "rate_hz"), [(7, 5.0), (11, 1.0), (4242, 5.0)])
+@pytest.mark.parametrize(
+    ("seed", "rate_hz"), [(11, 1.0), *(pytest.param(seed, 5.0, marks=pytest.mark.long) for seed in (7, 4242))]
+)
 def test_a_chart_is_right_within_its_figures(seed: int, rate_hz: float) -> None:
     day = sounded(seed, ways(AREA_M, SPACING_M), rate_hz)
     chart = made("Otter", [(day.soundings, day.corrections())])
@@ -236,6 +238,7 @@ def test_the_command_makes_a_chart_of_a_csv_and_a_table_of_the_tide(tmp_path: Pa
     assert again.range_m == pytest.approx(day.soundings.range_m)
 
 
+@pytest.mark.long
 def test_a_report_without_crossings_shows_no_figure_that_nobody_knows(chart: SurveyChart) -> None:
     alone = chart._replace(crossings=[], uncertainty=Uncertainty(math.nan, math.nan))
     told = report.page(alone, [], "delfim survey chart log")

@@ -39,8 +39,9 @@ def lake(tmp_path_factory: pytest.TempPathFactory) -> EncCell:
     return read_cell(file, LAYERS)
 
 
-def dangers(file: Path, **need: float) -> dict[str, ChartDanger]:
-    return {each.what: each for each in charted([read_cell(file, LAYERS)], Need(0.5, **need)).dangers}
+def dangers(cell: Path | EncCell, **need: float) -> dict[str, ChartDanger]:
+    cell = read_cell(cell, LAYERS) if isinstance(cell, Path) else cell
+    return {each.what: each for each in charted([cell], Need(0.5, **need)).dangers}
 
 
 def test_dangers_come_with_their_reason_and_the_margin_of_their_chart(tmp_path: Path) -> None:
@@ -58,16 +59,16 @@ def test_dangers_come_with_their_reason_and_the_margin_of_their_chart(tmp_path: 
 
 
 def test_the_boat_the_tide_and_the_zone_of_confidence_count(tmp_path: Path) -> None:
-    file = harbour(zone=6).write(tmp_path)
-    found = dangers(file, tide_m=-3.0, air_draught_m=2.4)
+    cell = read_cell(harbour(zone=6).write(tmp_path), LAYERS)
+    found = dangers(cell, tide_m=-3.0, air_draught_m=2.4)
     assert "obstruction 4.2 m deep" not in found, "1.2 m of water are left"
-    assert "obstruction 4.2 m deep" in dangers(file, tide_m=-3.0, under_keel_m=0.8)
+    assert "obstruction 4.2 m deep" in dangers(cell, tide_m=-3.0, under_keel_m=0.8)
     assert "bridge 2.5 m above the water" not in found
-    assert "bridge 2.5 m above the water" in dangers(file, tide_m=0.2, air_draught_m=2.4), "the water is higher"
+    assert "bridge 2.5 m above the water" in dangers(cell, tide_m=0.2, air_draught_m=2.4), "the water is higher"
     assert found["rock awash"].margin_m == 50.0
     assert found["rock awash"].why.endswith("zone of confidence not assessed")
-    assert dangers(file, margin_m=12.0)["rock awash"].margin_m == 12.0
-    assert dangers(file, under_keel_m=9.0)["shallow water of 5-10 m, 9.5 m needed"].band == "5-10 m"
+    assert dangers(cell, margin_m=12.0)["rock awash"].margin_m == 12.0
+    assert dangers(cell, under_keel_m=9.0)["shallow water of 5-10 m, 9.5 m needed"].band == "5-10 m"
 
 
 def test_what_is_not_known_is_dangerous(tmp_path: Path) -> None:
@@ -189,6 +190,7 @@ def test_a_margin_that_is_less_than_the_chart_asks_for_is_told(zone: int, asked:
     assert words in capsys.readouterr().out
 
 
+@pytest.mark.long
 def test_a_cell_becomes_files_for_the_page_and_for_the_boat(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file, out = harbour().write(tmp_path), tmp_path / "out"
     words = ["charts", str(file), AT, "--draught=0.5", "--air-draught=3", "--open=0-2", "--output", str(out)]

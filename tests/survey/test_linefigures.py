@@ -43,6 +43,7 @@ def test_a_line_that_the_boat_believes_to_begin_later_than_it_does_is_sailed_fro
     assert figures(LINE, [*other, *along[15:]])[0].sailed == pytest.approx(0.97)
 
 
+@pytest.mark.long
 def test_the_report_of_a_survey(tmp_path, monkeypatch, capsys) -> None:
     monkeypatch.chdir(tmp_path)
     area, boat = str(ROOT / "etc/areas/basin.geojson"), str(ROOT / "etc/boats/otter.toml")

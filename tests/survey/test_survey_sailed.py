@@ -184,7 +184,7 @@ def test_no_fence_stops_a_boat_whose_lines_end_at_an_island_with_wind_and_curren
 @pytest.mark.parametrize(
     ("boat", "area", "wind_mps", "wind_from_deg", "current_mps", "current_to_deg"),
     [
-        ("wam-v", 307, 3.62, 267.5, 0.25, 176.1),
+        pytest.param("wam-v", 307, 3.62, 267.5, 0.25, 176.1, marks=pytest.mark.long),
         pytest.param("wam-v", 7, 2.17, 57.9, 0.249, 187.5, marks=pytest.mark.long),
         pytest.param("wam-v", 417, 4.617, 44.0, 0.256, 149.8, marks=pytest.mark.long),
         pytest.param("skiff", 303, 2.4, 254.5, 0.206, 359.7, marks=pytest.mark.long),
@@ -212,6 +212,7 @@ def test_no_fence_stops_a_boat_among_holes(
     assert sum(line.sailed * line.length_m for line in each) > 0.98 * plan.line_m
 
 
+@pytest.mark.long
 def test_a_survey_whose_power_is_cut_on_a_line_goes_on_by_its_log_from_where_the_boat_is(tmp_path, capsys, monkeypatch) -> None:
     monkeypatch.chdir(tmp_path)
     assert main(["survey", "lines", str(BASIN), "--spacing", str(SPACING_M)]) == 0

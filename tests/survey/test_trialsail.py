@@ -66,7 +66,10 @@ def voyage(settings: config.Vehicle, plan: SurveyPlan) -> tuple[float, float]:
     return took_s, joules / 3600.0
 
 
-@pytest.mark.parametrize(("boat", "by"), [("wam-v", 0.02), ("otter", 0.02), ("skiff", 0.05)])
+@pytest.mark.parametrize(
+    ("boat", "by"),
+    [("otter", 0.02), *(pytest.param(*each, marks=pytest.mark.long) for each in (("wam-v", 0.02), ("skiff", 0.05)))],
+)
 def test_time_and_energy_of_lines_that_end_at_an_island_are_foretold(boat: str, by: float) -> None:
     island, file = Point(20.0, 35.0).buffer(6.0), ROOT / f"etc/boats/{boat}.toml"
     ground = Ground(AT, MultiPolygon([box(0.0, 0.0, 44.0, 70.0).difference(island)]), MultiPolygon([island]))
@@ -81,6 +84,7 @@ def test_time_and_energy_of_lines_that_end_at_an_island_are_foretold(boat: str, 
     assert took_wh == pytest.approx(energy_wh / WEATHER, rel=max(2.0 * by, 0.05))
 
 
+@pytest.mark.long
 def test_what_a_boat_that_steers_takes_for_many_close_lines_is_foretold() -> None:
     """Taken by two and three; among four lines alone half of the arcs are loops, which take her longer."""
     ground = Ground(AT, MultiPolygon([box(0.0, 0.0, 100.0, 20.0)]), MultiPolygon())
