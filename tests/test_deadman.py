@@ -104,7 +104,9 @@ def suite(tmp_path: Path, request: pytest.FixtureRequest) -> Iterator[Suite]:
         process.wait(200)
 
 
-@pytest.mark.parametrize("how", ["python", "interpreter lock", "memory", "SIGSTOP", "SIGKILL"])
+@pytest.mark.parametrize(
+    "how", ["python", "interpreter lock", pytest.param("memory", marks=pytest.mark.long), "SIGSTOP", "SIGKILL"]
+)
 def test_a_runtime_that_hangs_loses_the_propellers_and_comes_back(suite, how):
     pid = suite.runtime_pid()
     suite.hang.write_text(how)

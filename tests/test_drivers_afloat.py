@@ -238,6 +238,7 @@ def process(tmp_path: Path, name: str) -> int:
     return int(json.loads((tmp_path / "supervisor.json").read_text())["programs"][name]["pid"])
 
 
+@pytest.mark.long
 def test_a_boat_sails_by_the_position_and_heading_of_its_board(tmp_path: Path) -> None:
     """On a serial port, in real time; the board is played by `delfim nodes`."""
     values = (
@@ -290,7 +291,9 @@ def test_pulses_stop_at_the_death_of_the_runtime_and_of_the_outlet_and_go_on_whe
     assert motors.stopped(), "the end in order"
 
 
-@pytest.mark.parametrize("also_runtime", [False, True], ids=["the outlet", "and the runtime"])
+@pytest.mark.parametrize(
+    "also_runtime", [pytest.param(False, id="the outlet"), pytest.param(True, id="and the runtime", marks=pytest.mark.long)]
+)
 def test_an_outlet_that_hangs_under_way_is_ended_and_the_boat_says_why(tmp_path: Path, also_runtime: bool) -> None:
     with afloat(tmp_path, "pwm") as (motors, command):
         sailed(motors, command, until=(1.0, -1.0))

@@ -71,6 +71,7 @@ def made(source: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.long
 def test_it_holds_wheel_source_changes_and_signed_checksums(made: Path) -> None:
     dist = made / "dist"
     wheel, packed, notes = f"delfim-{__version__}-py3-none-any.whl", f"delfim-{__version__}.tar.gz", f"delfim-{__version__}.md"
@@ -89,6 +90,7 @@ def test_it_holds_wheel_source_changes_and_signed_checksums(made: Path) -> None:
     assert "\n## [" not in (dist / notes).read_text()
 
 
+@pytest.mark.long
 def test_the_bill_of_materials_is_one_by_the_schema_of_its_format(made: Path) -> None:
     jsonschema = pytest.importorskip("jsonschema", reason="make formats brings it")
     referencing = pytest.importorskip("referencing", reason="make formats brings it")
@@ -103,6 +105,7 @@ def test_the_bill_of_materials_is_one_by_the_schema_of_its_format(made: Path) ->
     assert list(held.iter_errors(bill | {"components": [{"name": "of no type"}]})), "the schema is looked at"
 
 
+@pytest.mark.long
 def test_the_wheel_holds_examples_and_page_and_no_tests(made: Path) -> None:
     (wheel,), (packed,) = (made / "dist").glob("*.whl"), (made / "dist").glob("*.tar.gz")
     names = set(zipfile.ZipFile(wheel).namelist())

@@ -146,6 +146,7 @@ def test_a_boat_that_is_told_to_end_stays_idle_with_its_mission_aboard(boat):
     assert not restarted(state)
 
 
+@pytest.mark.long
 def test_a_boat_that_dies_again_before_it_knows_where_it_is_goes_on_all_the_same(boat):
     boat.supervisor.send_signal(signal.SIGSTOP)  # it does not start the runtime before navigation is silent
     os.kill(boat.runtime(), signal.SIGKILL)
@@ -160,6 +161,7 @@ def test_a_boat_that_dies_again_before_it_knows_where_it_is_goes_on_all_the_same
     assert state["mission"] == "Doca"
 
 
+@pytest.mark.long
 def test_a_disk_that_is_gone_does_not_take_the_voyage_with_it(boat):
     for slot in (boat.folder / "log").glob("voyage-*"):
         slot.unlink()
@@ -167,6 +169,7 @@ def test_a_disk_that_is_gone_does_not_take_the_voyage_with_it(boat):
     assert "it was in play" in restarted(boat.until(lambda state: state["mode"] == "hold"))
 
 
+@pytest.mark.long
 def test_a_torn_record_is_the_one_before_it_and_two_are_told(boat):
     while not all(b'{"mode":"play"' in slot.read_bytes() for slot in boat.folder.glob("*/voyage-*")):
         NEVER.wait(0.1)  # the one before it is of the same mode after a few seconds under way

@@ -347,6 +347,7 @@ def test_a_supervisor_that_is_stopped_holds_nobody_up(boat: Boat) -> None:
     assert (after["pid"], after["restarts"]) == (before["pid"], before["restarts"])
 
 
+@pytest.mark.long
 def test_the_page_shows_who_is_at_the_doors(boat: Boat) -> None:
     assert boat.curl(PASSWORD).returncode == 0
     assert boat.ssh("friend").stdout == "aboard\n"

@@ -112,7 +112,7 @@ def test_a_runtime_that_hangs_does_not_keep_the_boat_under_way(suite: Suite) -> 
     assert not last.run
 
 
-@pytest.mark.parametrize("how", ["command socket", "frame"])
+@pytest.mark.parametrize("how", [pytest.param("command socket", marks=pytest.mark.long), "frame"])
 def test_who_drives_and_who_powers_the_boat_may_end_it(suite: Suite, how: str) -> None:
     if how == "frame":
         suite.bus.sendto(messages.pack_shutdown(messages.Shutdown(False)), CanAddress(messages.SHUTDOWN))

@@ -70,7 +70,10 @@ class Tried:
         return found is not None and is_right(found, self.hidden, self.settings.thrusters)
 
 
-@pytest.fixture(scope="module", params=[*NAMES, *STEERED])
+@pytest.fixture(
+    scope="module",
+    params=["otter", "heron", *(pytest.param(name, marks=pytest.mark.long) for name in ("wam-v", "blueboat")), *STEERED],
+)
 def tried(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Tried:
     """A trial of each boat, with its end."""
     its = Tried(request.param, 5 if request.param in NAMES else 6, tmp_path_factory.mktemp("tried") / "a.trial")

@@ -3,10 +3,13 @@
 import json
 from pathlib import Path
 
+import pytest
+
 from bench import otherhulls
 from bench.adoption import OTHERS, RADIUS_M, table, tried
 
 
+@pytest.mark.long
 def test_a_hull_of_another_hand_is_found_out_about(tmp_path: Path) -> None:
     row = tried(OTHERS + 1, 1, tmp_path / "a.trial", motors_alone=False)
     assert (row["motors"], row["ended"], row["refused"], row["place"]) == ("right", "", "", "")

@@ -183,7 +183,7 @@ def test_another_campaign_is_compared_run_by_run(sailed, tmp_path, capsys):
         (("--again", "x"), "not POINT:SEED"),
         (("--workers", "0"), "--workers is 1 to 1024"),
         (("select 1",), "SQL is for delfim campaign query"),
-        (("--cluster", "tcp://127.0.0.1:1"), "no Dask cluster at tcp://127.0.0.1:1"),
+        pytest.param(("--cluster", "tcp://127.0.0.1:1"), "no Dask cluster at tcp://127.0.0.1:1", marks=pytest.mark.long),
     ],
 )
 def test_mistakes_are_said_in_words(sailed, tmp_path, capsys, words, said):

@@ -502,10 +502,9 @@ async def test_nothing_is_called_after_close() -> None:
 @pytest.mark.parametrize(
     ("messages", "bytes_max", "rates"),
     [
-        (400, 300, Rates(0.05, 0.05, 0.05, 0.005)),
-        (40, 65_535, Rates(0.0005, 0.001, 0.001, 0.00002)),
+        pytest.param(400, 300, Rates(0.05, 0.05, 0.05, 0.005), id="a bad bus"),
+        pytest.param(40, 65_535, Rates(0.0005, 0.001, 0.001, 0.00002), id="long messages", marks=pytest.mark.long),
     ],
-    ids=["a bad bus", "long messages"],
 )
 def test_two_processes_on_a_bad_bus(messages: int, bytes_max: int, rates: Rates) -> None:
     """The short form of `python bench/dsor.py --messages 10000`."""

@@ -95,7 +95,10 @@ def test_each_known_boat_gets_a_name_a_number_a_place_and_a_mission(boat: str, c
     run.close()
 
 
-@pytest.mark.parametrize("words", [[], ["--length", "1.2", "--beam", "0.93", "--mass", "30", "--thrust", "60"]])
+SMALL = ["--length", "1.2", "--beam", "0.93", "--mass", "30", "--thrust", "60"]
+
+
+@pytest.mark.parametrize("words", [[], pytest.param(SMALL, marks=pytest.mark.long)])
 @pytest.mark.parametrize("motors", MOTORS)
 def test_no_boat_sails_much_faster_than_it_is_told(motors: str, words: list[str]) -> None:
     """Whatever the force of its motors: model and autopilot take one speed at full power."""

@@ -306,6 +306,7 @@ def test_a_boat_with_a_second_bus_sails_its_own_mission_tells_no_trouble_and_is_
     assert (code, "all the same, bit by bit" in told) == (0, True), told
 
 
+@pytest.mark.long
 def test_lockstep_sails_the_whole_mission_and_repeats_itself_byte_for_byte(tmp_path):
     logs = []
     for name in ("one", "two"):

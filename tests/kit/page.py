@@ -39,7 +39,7 @@ async def shown(page: Page, gateway: Standin, expression: str) -> None:
     async with asyncio.timeout(200):
         while not await page.value(expression):
             await gateway.frame()
-            await asyncio.sleep(0.02)
+            await asyncio.sleep(0.06)
 
 
 async def settled(page: Page, gateway: Standin) -> None:

@@ -119,6 +119,7 @@ def place(tmp_path: Path) -> Path:
     return tmp_path
 
 
+@pytest.mark.long
 def test_the_boat_of_a_laboratory_sails_is_shown_logged_repeated_and_stopped(place, free_port):
     path, bench = f"{place}/laboratory:{ROOT}", Bench(place)
     values = (
@@ -171,6 +172,7 @@ def test_the_boat_of_a_laboratory_sails_is_shown_logged_repeated_and_stopped(pla
     assert '"example_motor": "1.0"' in cat.stdout or '"example_motor":"1.0"' in cat.stdout, "the start event names the parts"
 
 
+@pytest.mark.long
 def test_a_log_is_repeated_with_the_parts_and_read_without(place):
     path, bench = f"{place}/laboratory:{ROOT}", Bench(place)
     values = (

@@ -54,6 +54,7 @@ def test_it_sails_in_lock_step_and_logs_as_with_them(core, tmp_path):
     assert logs[0] == logs[1]
 
 
+@pytest.mark.long
 def test_it_sails_in_real_time_and_the_dead_man_stops_it(core, tmp_path):
     def ask(command: str, **words: object) -> dict:
         while True:

@@ -3,12 +3,15 @@
 import os
 import subprocess
 import sys
+from functools import partial
 from pathlib import Path
 
 import pytest
 
 from delfim.commands.description.parts import KINDS, USED
 from tests.parts.laboratory import ROOT, installed, known
+
+long = partial(pytest.param, marks=pytest.mark.long)  # the second and further ones of a kind
 
 
 def delfim(*words: str, place: Path) -> subprocess.CompletedProcess[str]:
@@ -36,21 +39,21 @@ def test_what_it_writes_is_installed_and_keeps_the_contract(tmp_path, kind):
     ("file", "before", "after", "words"),
     [
         ("motor/driver.py", "self._thrust = dict", "line.write(b'hi'); self._thrust = dict", "it spoke"),
-        ("motor/driver.py", "sum(not self.input.write(", "sum(not not self.input.write(", "returned 1, not 0"),
         ("motor/driver.py", 'raise OSError("example_motor: the line takes no stop")', "pass", "stop did not raise OSError"),
-        (
+        long("motor/driver.py", "sum(not self.input.write(", "sum(not not self.input.write(", "returned 1, not 0"),
+        long(
             "motor/driver.py",
             "except (ValueError, KeyError)",
             "except KeyError",
             "garbage where its reports come: it raised ValueError",
         ),
-        (
+        long(
             "motor/driver.py",
             '{"thrust": {name: self._thrust[address]',
             '{"thrust": {name: self',
             "report can be JSON: it raised TypeError",
         ),
-        ("motor/driver.py", 'self.input.write(b"\\nthrust %d 0\\n" % address)', "True", "stop is sent: nothing came"),
+        long("motor/driver.py", 'self.input.write(b"\\nthrust %d 0\\n" % address)', "True", "stop is sent: nothing came"),
         ("source/source.py", "fix = None", "fix = Fix(None, 0, 0.0)", "silence: it returned something"),
         ("source/source.py", "self._rest = self._rest[-LINE_MAX:]", "self._rest = b''", "byte by byte: it was not understood"),
         ("sensor/sensor.py", "except ValueError", "except KeyError", "garbage: it raised ValueError"),

@@ -10,6 +10,8 @@ import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+import pytest
+
 from delfim.vehicle.operator.link import Link
 from tests.afloat import running
 
@@ -85,6 +87,7 @@ def until(condition: Callable[[], object]) -> None:
         never.wait(0.05)
 
 
+@pytest.mark.long
 def test_connect_mode_arm_load_list_play_hold_disarm(tmp_path):
     (tmp_path / "good.txt").write_text(MISSION)
     (tmp_path / "jump.txt").write_text(MISSION + JUMP)

@@ -180,6 +180,7 @@ async def planned(path: Path, home: bool) -> None:
         assert [each["thrust"] for each in state["thrusters"].values()] == [0.0, 0.0]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("autopilot", ["generic", "ardurover"])
 def test_a_mission_of_the_high_level_interface_comes_back_and_a_take_off_moves_nothing(tmp_path, autopilot):
     with running(tmp_path, PORT, f'mavlink.autopilot="{autopilot}"') as path:

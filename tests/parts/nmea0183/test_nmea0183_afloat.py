@@ -196,6 +196,7 @@ class Listener:
         self._socket.close()
 
 
+@pytest.mark.long
 def test_the_boat_tells_other_instruments_where_it_is(tmp_path):
     """A sonar on a serial port, read by pynmea2, and gpsd, which takes the boat for a receiver."""
     if not shutil.which("gpsd"):
