@@ -14,9 +14,9 @@ import socket
 import struct
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import Final, NamedTuple, TypeVar
 
 from bench.critical_path import family, free_ports, running
 from bench.turn import START_S, Turn, spent
@@ -26,10 +26,12 @@ HEADER: Final = struct.Struct("<HHHdHBHB")  # sync, message, bytes of its fields
 SYNC: Final = 0xFE54
 CHECKSUM: Final = struct.Struct("<H")
 THRUST, STATE, GOTO, ORDER = 301, 350, 450, 501  # SetThrusterActuation, EstimatedState, Goto, VehicleCommand
+T = TypeVar("T")
 OURS, ANYBODY = 0x4001, 0xFFFF  # a console; whoever receives it
 SPEED_MPS: Final = 1.5
 AHEAD_DEG: Final = (41.195, -8.7062)  # a kilometre north of where its simulator begins
-AGAIN_S: Final = 0.2  # between two datagrams, until the boat obeys
+SERVICE: Final = "now in 'SERVICE' mode"
+LOOK_S: Final = 0.02  # between two looks at what it says and logs
 
 
 class Logged(NamedTuple):
@@ -88,24 +90,36 @@ class Dune:
         (place / "bin").mkdir()
         (place / "etc").mkdir()
         shutil.copy(self._program, place / "bin/dune")
-        changes = f"[Transports.UDP]\nLocal Port = {port}\n\n[Transports.Logging]\nLSF Compression Method = none\n"
+        link = f"[Transports.UDP]\nLocal Port = {port}\nIgnore Filter = true\n"  # else it obeys nobody who was not announced
+        log = "[Transports.Logging]\nLSF Compression Method = none\n"
         file = os.path.relpath(self._settings / "otter.ini", place / "etc")
-        (place / "etc/peers.ini").write_text(f"[Require {file}]\n\n{changes}")
+        (place / "etc/peers.ini").write_text(f"[Require {file}]\n\n{link}\n{log}")
         return [str(place / "bin/dune"), "-d", str(place / "etc"), "-c", "peers", "-p", "Simulation"]
 
 
 def _under_way(place: Path, port: int) -> float:
-    """Send the boat ahead until its log has an order of thrust. Returns when that was, s. Raises TimeoutError."""
-    until_s = time.monotonic() + START_S
+    """Send the boat ahead as soon as it is in service: what it is told before that, it forgets. Returns when its log has the
+    first order of thrust after it, s. Raises DelfimError."""
+    _awaited(lambda: SERVICE in (place / "said").read_text(), place)
+    sent_s = time.time()
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as link:
-        while time.monotonic() < until_s:
-            with contextlib.suppress(ConnectionError):  # it does not listen yet
-                link.sendto(order(time.time()), ("127.0.0.1", port))
-            for each in logged(place):
-                if each.number == THRUST and struct.unpack_from("<Bf", each.fields)[1] > 0.0:
-                    return each.at_s
-            time.sleep(AGAIN_S)
-    raise TimeoutError(f"DUNE ordered no thrust: {(place / 'said').read_text()[-500:]}")
+        link.sendto(order(sent_s), ("127.0.0.1", port))
+
+    def ordered_s() -> float | None:
+        thrusts = (each for each in logged(place) if each.number == THRUST and each.at_s >= sent_s)
+        return next((each.at_s for each in thrusts if struct.unpack_from("<Bf", each.fields)[1] > 0.0), None)
+
+    return _awaited(ordered_s, place)
+
+
+def _awaited(look: Callable[[], T | None], place: Path) -> T:
+    """Return what a look finds as soon as it finds something. Raises DelfimError with what DUNE said last after START_S."""
+    until_s = time.monotonic() + START_S
+    while time.monotonic() < until_s:
+        if found := look():
+            return found
+        time.sleep(LOOK_S)
+    raise DelfimError(f"DUNE ordered no thrust: {(place / 'said').read_text()[-500:]}")
 
 
 def order(at_s: float) -> bytes:
@@ -140,11 +154,11 @@ def logged(place: Path) -> Iterator[Logged]:
             at = end
 
 
-def latencies_us(messages: Iterator[Logged]) -> list[float]:
+def latencies_us(messages: Iterable[Logged]) -> list[float]:
     """Return how long each EstimatedState took to become the order to the second motor, ascending, µs. What came to no order
-    before the next one is left out."""
+    before the next one is left out. The log has messages as they were written, which is not the order of their stamps."""
     found, state_s, orders = list[float](), math.inf, 0
-    for each in messages:
+    for each in sorted(messages, key=lambda each: each.at_s):
         if each.number == STATE:
             state_s, orders = each.at_s, 0
         elif each.number == THRUST:
