@@ -8,6 +8,7 @@ import hashlib
 import math
 from collections.abc import Iterator, Sequence
 from collections.abc import Set as AbstractSet
+from functools import cache
 from itertools import combinations, pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Final, Literal, cast, get_args, get_type_hints
@@ -1168,10 +1169,17 @@ class Vehicle(Table, frozen=True):
 
 def stated(table: Table, left_out: AbstractSet[str] = frozenset()) -> dict[str, Any]:
     """The keys of a table, and of those in it, that are not at their defaults."""
-    told = {each.name: (getattr(table, each.name), each) for each in msgspec.structs.fields(table) if each.name not in left_out}
-    tables = {name: stated(value) for name, (value, _) in told.items() if isinstance(value, Table)}
-    values = {name: value for name, (value, its) in told.items() if name not in tables and value != its.default}
+    usual = _defaults(type(table))
+    told = {name: getattr(table, name) for name in usual if name not in left_out}
+    tables = {name: stated(value) for name, value in told.items() if isinstance(value, Table)}
+    values = {name: value for name, value in told.items() if name not in tables and value != usual[name]}
     return values | {name: keys for name, keys in tables.items() if keys}
+
+
+@cache
+def _defaults(kind: type[Table]) -> dict[str, Any]:
+    """The keys of a table, each with what it is where nobody says anything."""
+    return {each.name: each.default for each in msgspec.structs.fields(kind)}
 
 
 def whole(aboard: tuple[Part, ...]) -> type[Vehicle]:
