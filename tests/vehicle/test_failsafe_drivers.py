@@ -32,7 +32,9 @@ from delfim.vehicle.links import Links
 from delfim.vehicle.propulsion.actuators import Actuator, open_actuator
 from tests.vehicle import test_failsafe_enumeration as enumeration
 from tests.vehicle.test_drivers import PwmDevice, Px4Device, RoverDevice, SeatDevice, VescDevice, Wire, greet, settings
-from tests.vehicle.test_failsafe_enumeration import AGES_S, MODES, TROUBLES, VALUES, must_be_zero
+from tests.vehicle.test_failsafe_enumeration import AGES_S, MODES, TROUBLES, VALUES, must_be_zero, quick_boats
+
+__all__ = ["quick_boats"]
 
 SLIP_RPM: Final = 1000.0  # missing of a motor that does not turn as commanded
 FAILSAFE: Final = msgspec.structs.replace(

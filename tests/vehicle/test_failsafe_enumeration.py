@@ -6,9 +6,10 @@ taken apart again.
 """
 
 import math
+from collections.abc import Callable
 from importlib import import_module
 from itertools import pairwise, product
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import pytest
 
@@ -24,8 +25,10 @@ from delfim.parts.dsor.table import Dsor
 from delfim.simulator.lockstepbus import LockstepBus
 from delfim.vehicle import console
 from delfim.vehicle.build import triggers
+from delfim.vehicle.failsafe import failsafe
 from delfim.vehicle.failsafe.troubles import TURNING, Trigger
 from delfim.vehicle.grex import Guest
+from delfim.vehicle.helm import helm
 from delfim.vehicle.loop import VehicleLoop
 from delfim.vehicle.navigation.fixes import Fix
 from delfim.vehicle.plans import fence
@@ -93,6 +96,26 @@ TROUBLES = ("none", *(trigger.name.lower() for trigger in (*Trigger, *OF_PARTS) 
 AHEAD = config.Zones(keep_out=(config.Area(centre=((math.degrees(0.675) + 1e-4, math.degrees(-0.16)),), radius_m=10.0),))
 BEHIND = config.Zones(keep_in=(config.Area(centre=((math.degrees(0.675) - 5e-4, math.degrees(-0.16)),), radius_m=10.0),))
 NEEDS = {mode: import_module(f"delfim.vehicle.control.modes.{mode.name.lower()}").NEEDS for mode in Mode}
+
+
+def once(make: Callable[..., Any]) -> Callable[..., Any]:
+    """The same, made once for each vehicle's file."""
+    made = dict[int, tuple[config.Vehicle, Any]]()
+
+    def found(settings: config.Vehicle, *more: object) -> Any:
+        if id(settings) not in made:
+            made[id(settings)] = settings, make(settings, *more)
+        return made[id(settings)][1]
+
+    return found
+
+
+@pytest.fixture(autouse=True)
+def quick_boats(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What follows from the file alone is half of the work of a boat, and a boat is made for each case."""
+    monkeypatch.setitem(globals(), "triggers", once(triggers))
+    monkeypatch.setattr(helm, "filled", once(helm.filled))
+    monkeypatch.setattr(failsafe, "Rules", once(failsafe.Rules))
 
 
 class Sensors:
