@@ -187,7 +187,7 @@ class Tried:
         )
 
 
-@pytest.mark.parametrize("name", ["float", "pods"])
+@pytest.mark.parametrize("name", [pytest.param("float", marks=pytest.mark.long), "pods"])
 def test_a_boat_whose_thrusters_push_across_has_her_motors_found_and_keeps_her_hull(name: str, tmp_path: Path) -> None:
     tried = Tried(name, 3, tmp_path)
     assert tried.session.run() == ""
@@ -215,7 +215,7 @@ def test_a_boat_whose_thrusters_push_across_has_her_motors_found_and_keeps_her_h
         )
 
 
-@pytest.mark.parametrize(("name", "hull"), [("pods", 259), ("float", 250)])
+@pytest.mark.parametrize(("name", "hull"), [("pods", 259), pytest.param("float", 250, marks=pytest.mark.long)])
 def test_a_boat_that_the_current_carries_off_is_brought_back_before_the_proof(name: str, hull: int, tmp_path: Path) -> None:
     """The one was carried to the edge; the other is quick, and turned on the spot with what steers a large one."""
     tried = Tried(name, 1, tmp_path, hull)

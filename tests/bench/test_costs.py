@@ -17,7 +17,7 @@ VEHICLE = str(Path(__file__).parents[2] / "etc" / "delfimx.toml")
 
 
 def test_no_slice_of_any_row_compares_more_than_it_may(monkeypatch, counted):
-    monkeypatch.setattr(costs, "ROWS", 100)  # waypoints, and circles; all zones and corners
+    monkeypatch.setattr(costs, "ROWS", 40)  # waypoints, and circles; all zones and corners
     rows = costs.rows(config.load(VEHICLE))
     for row in rows:
         callbacks = row.callbacks()

@@ -138,6 +138,7 @@ needs_networks = pytest.mark.skipif(not HAS_NETWORKS, reason="needs root, networ
 
 
 @needs_networks
+@pytest.mark.long
 def test_the_page(aboard: Aboard) -> None:
     assert "<title>" in aboard.typed("http", "curl -sS --max-time 20 http")
 

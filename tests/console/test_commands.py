@@ -470,7 +470,14 @@ LONG = (
         "menus.more: Hold",
         "key: B",
     ),
-    *("planning.dryRun", "planning.waypoint: Follow", "planning.waypoint: Go to", "planning.sail: command"),
+    *(
+        "planning.dryRun",
+        'planning.save: mission(boat.id, "save"',
+        "planning.fetch",
+        "planning.waypoint: Follow",
+        "planning.waypoint: Go to",
+        "planning.sail: command",
+    ),
     *("planning.home", "orders.constructor: enterMode", "strip.constructor"),
 )
 

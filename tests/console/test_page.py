@@ -510,7 +510,10 @@ async def test_values_of_sensors_stand_in_words_with_the_ages_of_old_ones(page: 
     await shown(page, gateway, "document.querySelector('[data-boat=\"1\"] .measured').hidden")
 
 
-@pytest.mark.parametrize(("title", "least"), [("Lawn-mower…", 10), ("Circle…", 3), ("Spiral…", 60)])
+@pytest.mark.parametrize(
+    ("title", "least"),
+    [("Lawn-mower…", 10), *(pytest.param(*each, marks=pytest.mark.long) for each in (("Circle…", 3), ("Spiral…", 60)))],
+)
 async def test_patterns_become_waypoints_around_the_point(page: Page, gateway: Standin, title: str, least: int) -> None:
     await page.mouse(await pixel(page, 20, 0))
     await choose(page, "Pattern", title)

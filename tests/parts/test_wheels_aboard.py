@@ -27,6 +27,7 @@ def image(monkeypatch: pytest.MonkeyPatch) -> Any:
     return image
 
 
+@pytest.mark.long
 def test_a_part_that_was_installed_as_the_image_does_is_a_part_of_the_boat(image: Any, tmp_path: Path) -> None:
     shutil.copytree(EXAMPLES / "source", tmp_path / "source")
     words = ["--no-deps", "--no-build-isolation", "--no-index", "-w", tmp_path, tmp_path / "source"]

@@ -24,7 +24,7 @@ VEHICLE = ROOT / "etc/delfimx.toml"
 SCENARIOS = sorted((ROOT / "etc/scenarios").glob("*.toml"))
 LONG = {  # they sail for 400 s and more, or what is in them is sailed by the tests of the guard, of energy, of payloads
     *("things-drawn", "radar", "gyro-drift", "traffic-gives-way", "swimmers", "things", "headland", "calm-mission"),
-    *("ais-late", "ais-frozen", "ais-wrong", "ais-receiver-silent", "energy", "payload"),
+    *("ais-late", "ais-frozen", "ais-wrong", "ais-receiver-silent", "energy", "payload", "battery-low", "console-lost"),
 }
 SETTINGS = config.Vehicle(boat=config.BoatTable(name="test"))
 SAILING = """version = 1
