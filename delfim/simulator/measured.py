@@ -101,18 +101,21 @@ class MeasuredModel(Model):
 
 
 def measured(hull: Hull) -> SimulatedHull:
-    """The numbers of the simulator's own hull, as [simulation.hull] has them: the same way."""
+    """The numbers of the simulator's own hull, as [simulation.hull] has them: the same way in calm air. A turn under way sheds
+    cross-flow astern, which takes a part of the force that pushes her aside; the numbers have all of that force, so that
+    everything aside is as much larger. Only wind from abeam, which has its own numbers, then moves her less."""
     ahead_kg, aside_kg = hull.mass_kg + hull.added_surge_kg, hull.mass_kg + hull.added_sway_kg
+    larger = ahead_kg / (ahead_kg - hull.lift_kg_per_m * hull.lift_m)
     return SimulatedHull(
         mass_kg=ahead_kg,
-        mass_aside_kg=aside_kg,
+        mass_aside_kg=larger * aside_kg,
         mass_turning_kg=aside_kg,
         inertia_kgm2=hull.inertia_kgm2 + hull.added_yaw_kgm2,
         surge_n_per_mps=hull.surge_n_per_mps,
         surge_n_per_mps2=hull.surge_n_per_mps2,
-        sway_n_per_mps=hull.sway_n_per_mps,
-        sway_n_per_mps2=hull.sway_n_per_mps2,
-        sway_ahead_n_per_mps2=hull.lift_kg_per_m,
+        sway_n_per_mps=larger * hull.sway_n_per_mps,
+        sway_n_per_mps2=larger * hull.sway_n_per_mps2,
+        sway_ahead_n_per_mps2=larger * hull.lift_kg_per_m,
         yaw_nm_per_radps=hull.yaw_nm_per_radps,
         yaw_nm_per_radps2=hull.yaw_nm_per_radps2,
         yaw_ahead_nm_s_per_m=hull.lift_kg_per_m * hull.lift_m**2,

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from delfim import config
-from delfim.adoption.trial.concluding import conclude, corrections
+from delfim.adoption.trial.concluding import RECEIVER_M, conclude, corrections, told_position_m
 from delfim.adoption.trial.motors import MotorsFound
 from delfim.adoption.trial.session import TrialProgress
 from tests.adoption.test_session import ROOT
@@ -27,3 +27,10 @@ def test_who_says_no_has_the_old_file(file: Path) -> None:
     assert dict(corrections(progress))["adopted", "proven"] is True
     progress.is_proven = False
     assert list(corrections(progress)) == []
+
+
+def test_the_hold_answers_to_the_receiver_that_the_file_tells_of() -> None:
+    file = ROOT / "etc/boats/otter.toml"
+    assert told_position_m(config.load(file)) == RECEIVER_M
+    estimated = config.load(file, ["navigation.estimator=true", "estimator.position_m=0.4"])
+    assert told_position_m(estimated) == 0.4

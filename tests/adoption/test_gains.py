@@ -1,6 +1,7 @@
 """Gains that are chosen on the twin, their margins, and the proof sail that must prove them."""
 
 import math
+from itertools import pairwise
 from pathlib import Path
 
 import msgspec
@@ -17,6 +18,7 @@ from delfim.adoption.twin import gains
 from delfim.adoption.twin.child import in_child
 from delfim.adoption.twin.gains import AT_CRUISE, AT_REST, ChosenGains
 from delfim.adoption.twin.margins import Loop
+from delfim.adoption.twin.twinvoyage import TwinVoyage, VoyageTurn
 from delfim.adoption.writing import changed, put_back
 from delfim.base.errors import DelfimError
 from delfim.base.modes import Mode
@@ -90,6 +92,29 @@ def test_the_boat_asks_for_no_more_than_it_can(choice: ChosenGains) -> None:
         model.push(row.name, -math.copysign(1.0, row.y_m))
     model.advance(30.0)
     assert limits.turn_radps <= abs(model.yaw_rate_radps)
+
+
+def test_a_voyage_off_its_speed_costs_what_one_off_its_lines_does() -> None:
+    """She swings about her course, and is slower for it: the lines alone do not tell."""
+    turn = VoyageTurn(over_deg=1.0, settled_s=6.0, told_over_deg=1.5, told_s=6.5)
+    sailed = TwinVoyage(1.0, 9.0, turn, 0.8, 2.0, 0.06, 0.2, is_done=True, turn_s=5.0, run_in_m=5.0)
+    assert sailed._replace(speed_off=0.31).cost == pytest.approx(sailed.cost + 2.5)
+    assert sailed._replace(path_m=1.8).cost == pytest.approx(sailed.cost + 2.5)
+
+
+def test_motors_that_are_a_little_later_make_the_speed_a_little_slower() -> None:
+    def loop(delay_s: float) -> tuple[float, float]:
+        file = told(*FOUND)
+        rows = tuple(msgspec.structs.replace(row, delay_s=delay_s) for row in file.thrusters)
+        late = msgspec.structs.replace(file, thrusters=rows)
+        keys = gains._common(late, gains.twin_hull(late), 1.0)
+        return keys["control", "speed", "p_n_per_mps"], keys["control", "speed", "i_n_per_m"]
+
+    found = [loop(0.4 + 0.01 * step) for step in range(11)]
+    for (p, i), (later_p, later_i) in pairwise(found):
+        assert 0.95 * p <= later_p <= p
+        assert 0.9 * i <= later_i <= i
+    assert found[-1] < found[0]
 
 
 def test_a_file_without_a_twin_has_no_gains_to_choose() -> None:

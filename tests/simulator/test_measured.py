@@ -16,6 +16,7 @@ from delfim.vehicle.control.hull import craft, gains
 from delfim.vehicle.state import NoLog
 
 ROOT = Path(__file__).parents[2]
+CURRENT = Sea(current_mps=0.2, current_to_deg=40.0)
 SEA = Sea(current_mps=0.2, current_to_deg=40.0, wind_mps=5.0, wind_from_deg=100.0, gusts=0.0)
 
 
@@ -23,11 +24,12 @@ def blueboat(*overrides: str) -> config.Vehicle:
     return config.load(ROOT / "etc/boats/blueboat.toml", overrides)
 
 
-def test_the_measured_hull_moves_as_its_numbers_say() -> None:
-    """Those of the simulator's own hull without its lift give the same way."""
+@pytest.mark.parametrize(("lifts", "sea"), [(False, SEA), (True, CURRENT)])
+def test_the_measured_hull_moves_as_its_numbers_say(lifts: bool, sea: Sea) -> None:
+    """Those of the simulator's own hull give the same way, with its lift in calm air."""
     told = blueboat()
-    hull = hull_of(told)._replace(lift_kg_per_m=0.0)
-    rest = SEA, 1, 0.67, -0.16, 0.3, told.thrusters
+    hull = hull_of(told) if lifts else hull_of(told)._replace(lift_kg_per_m=0.0)
+    rest = sea, 1, 0.67, -0.16, 0.3, told.thrusters
     one, other = Model(hull, *rest), MeasuredModel(told, measured(hull), *rest)
     for seconds, parts in ((8.0, (0.6, 0.9)), (5.0, (-0.4, 0.5)), (5.0, (0.0, 0.0))):
         for model in (one, other):

@@ -77,10 +77,15 @@ def conclude(progress: TrialProgress, file: Path, report: Path, on: str, ask: As
     return result.fit.refusal
 
 
+def told_position_m(vehicle: config.Vehicle) -> float:
+    """The deviation of a boat's receiver as her file has it."""
+    return vehicle.estimator.position_m if vehicle.navigation.estimator else RECEIVER_M
+
+
 def _with_gains(result: Identified, vehicle: config.Vehicle, text: str, file: Path, tell: Tell) -> Identified:
     """The same with gains, which a process of its own chooses in ten seconds or so."""
     told = identify.with_found(result, text, str(file))
-    position_m = max(scatter_m(result.record), vehicle.estimator.position_m if vehicle.navigation.estimator else RECEIVER_M)
+    position_m = max(scatter_m(result.record), told_position_m(vehicle))
     result = result._replace(gains=in_child(gains.chosen_of, text, told, str(file), position_m, tell=tell))
     assert result.gains is not None
     for line in gains.told(result.gains):

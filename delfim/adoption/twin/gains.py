@@ -45,6 +45,7 @@ GROWS: Final = 1.0, 0.7, 0.4, 0.0  # of how the water's damping grows with the w
 CRUISE, MOST, COMING_BACK = 0.65, 0.85, 0.6  # of full speed
 RAMP_MPS2: Final = 0.4
 SPEED_PER_S: Final = 0.8  # of the speed's loop, at most
+SPEED_STEP: Final = 0.98  # from one loop that is tried to the next: boats that are nearly alike get gains that are
 SPEED_MARGINS: Final = 60.0, 3.0  # with 30 % more delay
 SPEED_AGE_S: Final = 0.35  # of velocity, when it is used
 POSITIONS: Final = 2.5  # deviations of the receiver, that hold does not answer
@@ -308,7 +309,7 @@ def _common(vehicle: config.Vehicle, hull: TwinHull, position_m: float) -> Keys:
         p, i = natural * its.mass_kg, 0.2 * natural**2 * its.mass_kg
         if Loop(p, i, 0.0, its.mass_kg, drag, hull.lag_s, dead_s, 1).margins.holds(SPEED_MARGINS):
             break
-        natural *= 0.9
+        natural *= SPEED_STEP
     ramp = min(RAMP_MPS2, control.speed.ramp_mps2, 0.5 * hull.ahead_n / its.mass_kg)
     near_m = max(HOLD_LEAST_M, POSITIONS * position_m)
     turn_m = hull.cruise_mps / min(SPIN_MOST_RADPS, SPIN * hull.spin_radps)

@@ -59,8 +59,10 @@ class TwinVoyage(NamedTuple):
 
     @property
     def cost(self) -> float:
-        """What counts, in one number: half a metre, some degrees and seconds, and tired motors weigh about the same."""
-        weighed = self.path_m / 0.4 + self.over_deg / 8.0 + self.settled_s / 15.0 + self.travel_per_s / 0.5
+        """What counts, in one number: half a metre, a tenth of the speed, some degrees and seconds, and tired motors weigh
+        about the same."""
+        weighed = self.path_m / 0.4 + self.speed_off / 0.1 + self.over_deg / 8.0 + self.settled_s / 15.0
+        weighed += self.travel_per_s / 0.5
         beyond = max(self.quarter.over_deg - OVER_DEG, 0.0) + max(self.quarter.settled_s - SETTLED_S, 0.0)
         return weighed + 0.5 * beyond + (0.0 if self.is_done else UNFINISHED)
 

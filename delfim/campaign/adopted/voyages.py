@@ -10,6 +10,7 @@ from delfim import config
 from delfim.adoption.model import Array
 from delfim.adoption.suited import place_of
 from delfim.adoption.trial.boats import SETTLE_S, SimulatedTrial
+from delfim.adoption.trial.concluding import told_position_m
 from delfim.adoption.trial.hiddenhull import Hidden, LateModel
 from delfim.adoption.twin import gains
 from delfim.adoption.twin.twintrack import apart
@@ -110,5 +111,5 @@ def of_truth(was: config.Vehicle, adopted: config.Vehicle, true: Hidden) -> conf
         yaw_nm_per_radps2=its.yaw_nm_per_radps2,
     )
     file = replace(adopted, boat=boat, thrusters=rows, control=was.control, simulation=replace(was.of(Simulation), hull=hull))
-    best = gains.chosen(was, file, 1.0).best
+    best = gains.chosen(was, file, told_position_m(adopted)).best
     return gains.with_keys(file, best.keys)
