@@ -330,7 +330,7 @@ def shown(folder: Path) -> None:
     (folder / "pelee.geojson").write_text(json.dumps({"type": "FeatureCollection", "delfim": {}, "features": rows}))
 
 
-FEW = 5  # mutations that are tried each time
+FEW = 10  # mutations that are tried each time
 SAMPLES = {
     shown: ("dangers for the page",),
     settings: (
