@@ -6,7 +6,7 @@ from typing import Final
 
 import numpy as np
 
-from delfim.adoption.figures import SPEEDS, TOO_WINDY, Figure
+from delfim.adoption.figures import SPEEDS, TOO_WINDY, Figure, quickest_turn_dps
 from delfim.adoption.fitting import Fit
 from delfim.adoption.model import plain
 from delfim.adoption.suited import ASIDE_MOST
@@ -91,6 +91,8 @@ def unseen(fit: Fit, told: dict[str, Figure]) -> Iterator[str]:
     if told["full_mps"].is_beyond:
         fastest = float(np.nanmax(np.abs(fit.windows.measured[..., :2])))
         yield f"full speed: she sailed {fastest:.1f} m/s at most; it is extrapolated"
+    if told["turn_dps"].is_beyond or told["spin_dps"].is_beyond:
+        yield f"quick turns: she turned by {quickest_turn_dps(fit):.0f} deg/s at most; quicker ones are extrapolated"
     windy = [each for name, each in told.items() if name in SPEEDS and each.spread > TOO_WINDY * each.found]
     if windy:
         slowest = min(windy, key=lambda each: each.found)

@@ -28,6 +28,7 @@ WINDY: Final = 1.5  # times the acceleration that no command explains, over that
 LEAST_SEEN: Final = 10  # velocities of a window
 TOO_WINDY: Final = 0.2  # of a speed: one that is less sure than this is not built upon
 BEYOND: Final = 1.1  # times the fastest that was sailed: a figure that is extrapolated ...
+QUICKEST: Final = 0.99  # of all rates of turn: a gyro jumps now and then
 EXTRA: Final = 0.25  # ... is so much of the excess less sure
 
 Parts = tuple[float, float]  # of the starboard and the port motor
@@ -42,7 +43,7 @@ class Figure(NamedTuple):
     found: float
     spread: float
     told: float
-    is_beyond: bool = False  # faster than she was sailed: extrapolated
+    is_beyond: bool = False  # faster than she was sailed, or a quicker turn: extrapolated
 
 
 class CalmRun(NamedTuple):
@@ -145,17 +146,25 @@ def figures(fit: Fit, motion: ModelMotion) -> dict[str, Figure]:
     count = len(fit.theta)
     gusts = unexplained_mps2(fit)
     found, fastest = dict[str, Figure](), np.nanmax(np.abs(fit.windows.measured[..., :2]).max(2))
+    quickest_dps = quickest_turn_dps(fit)
     for name, words, unit, of in FIGURES:
         every = of(motion)
         slopes = (every[1 : 1 + count] - every[0]) / NUDGES
         value, began = float(every[0]), _speed(STOPS[name])(motion) if name in STOPS else every
         excess = abs(float(began[0])) / fastest if unit == "m/s" or name in STOPS else 1.0
+        excess = abs(value) / quickest_dps if unit == "deg/s" and quickest_dps > 0.0 else excess
         windy = WINDY * gusts / _pushed(fit, name) if name in SPEEDS else 0.0
         vague = MODEL + windy + (2.0 * EXTRA if name in STOPS else EXTRA) * max(excess - 1.0, 0.0)
         spread = float(np.sqrt(max(slopes @ fit.covariance @ slopes, 0.0) + (vague * value) ** 2))
         words = words if fit.windows.gear is None else STEERED.get(name, words)
         found[name] = Figure(name, words, unit, value, spread, float(every[-1]), excess > BEYOND)
     return found
+
+
+def quickest_turn_dps(fit: Fit) -> float:
+    """The quickest rate of turn that was measured, but for a hundredth of all; 0: none was."""
+    rates = np.abs(fit.windows.measured[..., 3])
+    return float(np.degrees(np.nanquantile(rates, QUICKEST))) if np.isfinite(rates).any() else 0.0
 
 
 def unexplained_mps2(fit: Fit) -> float:

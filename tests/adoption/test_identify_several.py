@@ -83,6 +83,17 @@ def test_the_stronger_one_of_two_at_a_side_is_looked_for_on_either_side(tmp_path
 
 
 @pytest.mark.long
+def test_turns_that_were_never_so_quick_are_extrapolated_and_less_sure(tmp_path: Path) -> None:
+    """A small boat with much power: her log has turns of 20 deg/s, and she can turn by 79."""
+    voyage = Voyage("small pairs", 2, tmp_path)
+    assert voyage.result.fit.refusal == ""
+    turn, true_dps = voyage.result.found.figures["turn_dps"], voyage.after(0.3, 0.7)[1]
+    assert abs(turn.found - true_dps) > 0.3 * true_dps, "else this tells nothing"
+    assert turn.is_beyond
+    assert abs(turn.found - true_dps) < 2.0 * turn.spread
+    assert any(line.startswith("not seen: quick turns: she turned by ") for line in identify.told(voyage.result))
+
+
 def test_two_at_a_side_that_would_be_too_unlike_are_not_believed(tmp_path: Path) -> None:
     refused = Voyage("float", 12, tmp_path).result.fit.refusal
     assert refused.startswith("one of the two motors at port would be 3.1 times as strong as the other")
