@@ -3,6 +3,7 @@
 python -m bench.competitor KIND FILE PORTS [--set KEY=VALUE]...
 
 delfim      the product: its runtime, its rows, and the rows of the load
+empty       the same, whose guidance, control and allocation take no time: the last command goes out again
 apart       the product's runtime with the vehicle alone
 services    the other half of "apart" and of the C program: all rows but the vehicle, niced
 asyncio     the rows of "delfim" on a plain asyncio loop: no priority, no window
@@ -23,12 +24,16 @@ from typing import Any, Final
 from bench.load import Ports, rows
 from delfim import config
 from delfim.base.clock import Clock, SystemClock
+from delfim.base.modes import Mode
 from delfim.logging import systemlog
 from delfim.services import suite
 from delfim.services.priority.navigation_loop import Practice, speaker
 from delfim.services.runtime import LoadedService, Runtime
+from delfim.vehicle.helm.helm import Helm
+from delfim.vehicle.propulsion.propulsion import Propulsion
+from delfim.vehicle.state import Actuation, Wanted
 
-KINDS: Final = ("delfim", "apart", "services", "asyncio", "uvloop")
+KINDS: Final = ("delfim", "empty", "apart", "services", "asyncio", "uvloop")
 SERVICES_NICE: Final = 10
 
 
@@ -86,6 +91,25 @@ class PlainRuntime(Runtime):
             await everything
 
 
+def emptied() -> None:
+    """From now on the boat's heading mode computes nothing after its first step: what is left is to read and to send."""
+    control, send, kept = Helm.control, Propulsion.send, list[Wanted]()
+
+    def same(helm: Helm, now_s: float) -> Wanted:
+        if helm.state.mode is not Mode.HEADING:
+            return control(helm, now_s)
+        if not kept:
+            kept.append(control(helm, now_s))
+        return kept[0]
+
+    def again(propulsion: Propulsion, wanted: Wanted, now_s: float) -> Actuation:
+        is_same = bool(kept) and wanted is kept[0] and propulsion.sent_s > 0.0
+        return propulsion.again(now_s) if is_same else send(propulsion, wanted, now_s)
+
+    setattr(Helm, "control", same)  # noqa: B010
+    setattr(Propulsion, "send", again)  # noqa: B010
+
+
 def new_loop(kind: str) -> asyncio.AbstractEventLoop:
     loop: asyncio.AbstractEventLoop = importlib.import_module("uvloop" if kind == "uvloop" else "asyncio").new_event_loop()
     return loop
@@ -105,7 +129,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     boat = suites.pop("vehicle")
     others = [*suites.values(), *rows(Ports(*map(int, asked.ports.split(","))))]
     services = {"apart": [boat], "services": others}.get(asked.kind, [*others, boat])
-    if asked.kind in ("delfim", "apart"):
+    if asked.kind == "empty":
+        emptied()
+    if asked.kind in ("delfim", "empty", "apart"):
         return Runtime(settings, SystemClock()).main(services)
     if asked.kind == "services":
         os.nice(SERVICES_NICE)

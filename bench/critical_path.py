@@ -43,12 +43,13 @@ LABELS: Final = {
     "ordinary": "Delfim, not in real time",
     "dronecan": "Delfim, motors on DroneCAN",
     "vesc": "Delfim, motors on VESC",
+    "empty": "Delfim that computes nothing",
     "apart": "Delfim, services apart",
     "asyncio": "the same on plain asyncio",
     "uvloop": "the same on uvloop",
 }
 MOTORS: Final = ("dronecan", "vesc")  # drivers in place of the boat's own propellers, on a bus of their own
-OURS: Final = ("delfim", "ordinary", *MOTORS, "apart")  # that have a window
+OURS: Final = ("delfim", "ordinary", *MOTORS, "empty", "apart")  # that have a window
 RATES_HZ: Final = (5.0, 100.0, 500.0)
 LONG_CYCLES: Final = 150_645  # as many as the thesis logged at sea
 REAL_TIME: Final = ("chrt", "--fifo", str(config.RuntimeTable().fifo_priority))  # as this program where its file says nothing

@@ -10,6 +10,7 @@
 #include <cstdlib>
 #include <mutex>
 #include <thread>
+#include <unistd.h>
 
 #include "MOOS/libMOOS/Comms/MOOSAsyncCommClient.h"
 
@@ -25,6 +26,7 @@ std::mutex mutex;
 std::condition_variable changed;
 double rudder = 0.0;
 Clock::time_point rudder_at;
+std::FILE* told = nullptr;  // for results alone: the library prints what it does to standard output
 
 bool connected(void* name) {
   return client.Register(static_cast<const char*>(name), 0.0);
@@ -36,8 +38,8 @@ bool heard(void*) {
   for (auto& each : mail) {
     if (each.GetKey() == "DESIRED_THRUST") {
       const auto now = std::chrono::system_clock::now().time_since_epoch();
-      std::printf("%g %lld\n", each.GetDouble(), static_cast<long long>(std::chrono::nanoseconds(now).count()));
-      std::fflush(stdout);
+      std::fprintf(told, "%g %lld\n", each.GetDouble(), static_cast<long long>(std::chrono::nanoseconds(now).count()));
+      std::fflush(told);
     } else {
       const std::lock_guard<std::mutex> held(mutex);
       rudder = each.GetDouble();
@@ -72,6 +74,8 @@ double turned(bool starboard, Clock::time_point since) {
 
 int main(int count, char** words) {
   if (count != 2 && count != 4) return 2;
+  told = fdopen(dup(STDOUT_FILENO), "w");
+  if (told == nullptr || dup2(STDERR_FILENO, STDOUT_FILENO) < 0) return 1;
   char thrust[] = "DESIRED_THRUST", side[] = "DESIRED_RUDDER";
   client.SetOnConnectCallBack(connected, count == 2 ? thrust : side);
   client.SetOnMailCallBack(heard, nullptr);
@@ -108,8 +112,8 @@ int main(int count, char** words) {
     });
     const double us = turned(x_m < 0, since);
     rest.join();
-    std::printf("%.1f\n", us);
-    std::fflush(stdout);
+    std::fprintf(told, "%.1f\n", us);
+    std::fflush(told);
   }
   return 0;
 }

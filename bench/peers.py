@@ -53,15 +53,14 @@ def run(asked: argparse.Namespace) -> int:
             if not found:
                 print(f"{name} is not built here: its programs are not in PATH")
         peers: list[Peer] = [Delfim(asked, place), *chain.from_iterable(others.values())]
+        Path(asked.output).mkdir(parents=True, exist_ok=True)
+        file = Path(asked.output) / "peers.json"
         for number in range(rounds):
             for peer in peers if number % 2 == 0 else reversed(peers):
                 print(f"round {number + 1} of {rounds}: {peer.label}", flush=True)
                 results.setdefault(peer.label, []).append(peer.turn(seconds))
-    Path(asked.output).mkdir(parents=True, exist_ok=True)
-    file = Path(asked.output) / "peers.json"
-    file.write_text(
-        json.dumps({label: [each._asdict() for each in turns] for label, turns in results.items()}, indent=1) + "\n"
-    )
+                kept = {label: [each._asdict() for each in turns] for label, turns in results.items()}
+                file.write_text(json.dumps(kept, indent=1) + "\n")  # a turn takes a minute, and a later one may fail
     print(table(results), f"\ndelfim: {file}", sep="\n")
     return 0
 
@@ -155,7 +154,9 @@ class Moos:
         began_ns = time.time_ns()
         with contextlib.ExitStack() as ended:
             antler, port = ended.enter_context(self._community(PROGRAMS))
-            orders = Orders(ended.enter_context(running([str(self._probe), str(port)], stdout=subprocess.PIPE)))
+            orders = Orders(
+                ended.enter_context(running([str(self._probe), str(port)], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL))
+            )
             start_s = (orders.first(lambda thrust: thrust > 0.0, began_ns, START_S) - began_ns) / 1e9
             processor, memory_bytes = spent(lambda: family(antler.pid), seconds)
             killed_ns = time.time_ns()

@@ -24,6 +24,7 @@ COLOURS: Final = {
     "ordinary": "#9b5de5",
     "dronecan": "#00798c",
     "vesc": "#7d5a50",
+    "empty": "#f28482",
     "apart": "#e8b04a",
     "asyncio": "#2e86ab",
     "uvloop": "#5b9a68",
