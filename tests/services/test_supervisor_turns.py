@@ -168,7 +168,7 @@ STORIES = """
 0.00 runtime: started as process 100; outlet: started as process 101
 2.00 sshd: started as process 102; ftpd: started as process 103
 5.02 runtime term
-5.22 runtime: ended: exit code 0; stop; stop; ftpd term
+5.22 stop; runtime: ended: exit code 0; stop; stop; ftpd term
 5.32 to 5.42 stop (2)
 5.42 ftpd: ended: exit code 0; outlet term
 5.62 outlet: ended: exit code 0; sshd term
@@ -181,7 +181,7 @@ STORIES = """
 3.10 to 3.50 stop (5)
 3.50 calm
 5.02 runtime term
-5.22 runtime: ended: exit code 0; stop; stop; sshd term
+5.22 stop; runtime: ended: exit code 0; stop; stop; sshd term
 5.32 to 5.42 stop (2)
 5.42 sshd: ended: exit code 0
 = a silent runtime that does not say where it stands | runtime sshd | 5.02
@@ -194,7 +194,7 @@ STORIES = """
 3.60 to 4.00 stop (5)
 4.00 calm
 5.02 runtime term
-5.22 runtime: ended: exit code 0; stop; stop; sshd term
+5.22 stop; runtime: ended: exit code 0; stop; stop; sshd term
 5.32 to 5.42 stop (2)
 5.42 sshd: ended: exit code 0
 = a silent runtime that the kernel does not end | runtime sshd | 7.02
@@ -211,7 +211,7 @@ STORIES = """
 6.60 to 7.00 stop (5)
 7.00 calm
 7.02 runtime term
-7.22 runtime: ended: exit code 0; stop; stop; sshd term
+7.22 stop; runtime: ended: exit code 0; stop; stop; sshd term
 7.32 to 7.42 stop (2)
 7.42 sshd: ended: exit code 0
 = a silent guard that the kernel does not end | runtime outlet | 7.02
@@ -223,7 +223,7 @@ STORIES = """
      started as process 102
 6.70 uncut; outlet: beats again: may turn
 7.02 runtime term
-7.22 runtime: ended: exit code 0; stop; stop; outlet term
+7.22 stop; runtime: ended: exit code 0; stop; stop; outlet term
 7.42 outlet: ended: exit code 0
 = a runtime that never beats | runtime sshd | 61.02
 0.00 runtime: started as process 100
@@ -233,7 +233,7 @@ STORIES = """
 60.10 to 60.50 stop (5)
 60.50 calm
 61.02 runtime term
-61.22 runtime: ended: exit code 0; stop; stop; sshd term
+61.22 stop; runtime: ended: exit code 0; stop; stop; sshd term
 61.32 stop
 61.42 sshd: ended: exit code 0; stop
 = a guard that never beats | runtime outlet | 61.02
@@ -241,7 +241,7 @@ STORIES = """
 60.00 outlet asked; outlet killed; outlet: no beat for 60.0 s: dead-man; it stood in turn (srv/loop.py:34); started again in
      0 s; outlet: started as process 102
 61.02 runtime term
-61.22 runtime: ended: exit code 0; stop; stop; outlet term
+61.22 stop; runtime: ended: exit code 0; stop; stop; outlet term
 61.42 outlet: ended: exit code 0
 = another program that never beats | runtime sshd | 302.02
 0.00 runtime: started as process 100
@@ -249,7 +249,7 @@ STORIES = """
 300.50 sshd asked; sshd killed; sshd: no beat for 300.0 s: killed; it stood in turn (srv/loop.py:34); started again in 0.5 s
 301.00 sshd: started as process 102
 302.02 runtime term
-302.22 runtime: ended: exit code 0; stop; stop; sshd term
+302.22 stop; runtime: ended: exit code 0; stop; stop; sshd term
 302.32 stop
 302.42 sshd: ended: exit code 0
 = a silent program | runtime sshd | 33.52
@@ -260,7 +260,7 @@ STORIES = """
      0.5 s
 33.00 sshd: started as process 102
 33.52 runtime term
-33.72 runtime: ended: exit code 0; stop; stop; sshd term
+33.72 stop; runtime: ended: exit code 0; stop; stop; sshd term
 33.82 stop
 33.92 sshd: ended: exit code 0; stop
 = a program that was silent | runtime sshd | 13.02
@@ -269,7 +269,7 @@ STORIES = """
 3.60 sshd: does not answer
 12.60 sshd: did not answer for 10.1 s
 13.02 runtime term
-13.22 runtime: ended: exit code 0; stop; stop; sshd term
+13.22 stop; runtime: ended: exit code 0; stop; stop; sshd term
 13.32 to 13.42 stop (2)
 13.42 sshd: ended: exit code 0
 = programs that die wait longer and longer, unless they lived for long | runtime sshd | 22.02
@@ -291,21 +291,21 @@ STORIES = """
 19.56 sshd: started as process 108
 20.26 sshd: exit code 100: not to be started again
 22.02 runtime term
-22.22 runtime: ended: exit code 0; stop; stop
+22.22 stop; runtime: ended: exit code 0; stop; stop
 = a runtime that dies | runtime sshd | 2.02
 0.00 runtime: started as process 100
-0.01 runtime: exit code 1; started again in 0.5 s; stop; sshd: started as process 101
+0.01 stop; runtime: exit code 1; started again in 0.5 s; stop; sshd: started as process 101
 0.11 to 0.51 stop (5)
 0.51 runtime: started as process 102
 0.61 to 1.01 stop (5)
 1.01 calm
 2.02 runtime term
-2.22 runtime: ended: exit code 0; stop; stop; sshd term
+2.22 stop; runtime: ended: exit code 0; stop; stop; sshd term
 2.32 to 2.42 stop (2)
 2.42 sshd: ended: exit code 0
 = a runtime that dies and then is silent | runtime | 4.02
 0.00 runtime: started as process 100
-0.01 runtime: exit code 1; started again in 0.5 s; stop
+0.01 stop; runtime: exit code 1; started again in 0.5 s; stop
 0.11 to 0.51 stop (5)
 0.51 runtime: started as process 101
 0.61 to 1.01 stop (5)
@@ -315,23 +315,23 @@ STORIES = """
 2.61 to 3.01 stop (5)
 3.01 calm
 4.02 runtime term
-4.22 runtime: ended: exit code 0; stop; stop
+4.22 stop; runtime: ended: exit code 0; stop; stop
 = a program that cannot be started | runtime absent | 1.22
 0.00 runtime: started as process 100
 0.50 absent: cannot be started: No such file or directory; started again in 0.5 s
 1.00 absent: cannot be started: No such file or directory; started again in 1 s
 1.22 runtime term
-1.42 runtime: ended: exit code 0; stop; stop
+1.42 stop; runtime: ended: exit code 0; stop; stop
 = a runtime that ends | runtime sshd | inf
 0.00 runtime: started as process 100
 0.50 sshd: started as process 101
-1.03 runtime: ended: exit code 0; stop; stop; sshd term
+1.03 stop; runtime: ended: exit code 0; stop; stop; sshd term
 1.13 to 1.23 stop (2)
 1.23 sshd: ended: exit code 0
 = a runtime that must not be started again | runtime sshd | 2.02
 0.00 runtime: started as process 100
 0.50 sshd: started as process 101
-1.03 runtime: exit code 100: not to be started again; stop
+1.03 stop; runtime: exit code 100: not to be started again; stop
 1.13 to 2.02 stop (10)
 2.02 sshd term
 2.12 to 2.22 stop (2)
@@ -348,11 +348,11 @@ STORIES = """
 6.10 to 6.50 stop (5)
 6.50 calm
 7.02 runtime term
-7.22 runtime: ended: exit code 0; stop; stop
+7.22 stop; runtime: ended: exit code 0; stop; stop
 = a runtime that leaves and says so again | runtime | 3.02
 0.00 runtime: started as process 100
 3.02 runtime term
-3.22 runtime: ended: exit code 0; stop; stop
+3.22 stop; runtime: ended: exit code 0; stop; stop
 = a runtime that said its last word | runtime | 7.02
 0.00 runtime: started as process 100
 1.00 to 6.00 stop (51)
@@ -361,13 +361,13 @@ STORIES = """
 6.10 to 6.50 stop (5)
 6.50 calm
 7.02 runtime term
-7.22 runtime: ended: exit code 0; stop; stop
+7.22 stop; runtime: ended: exit code 0; stop; stop
 = a guard that says the last word | runtime outlet | 3.02
 0.00 runtime: started as process 100; outlet: started as process 101
 2.00 outlet asked; outlet killed; outlet: beat stopped for 1.0 s: dead-man; it stood in turn (srv/loop.py:34); started again
      in 0 s; outlet: started as process 102
 3.02 runtime term
-3.22 runtime: ended: exit code 0; stop; stop; outlet term
+3.22 stop; runtime: ended: exit code 0; stop; stop; outlet term
 3.42 outlet: ended: exit code 0
 = programs that do not end | runtime sshd ftpd | 1.02
 0.00 runtime: started as process 100
@@ -394,12 +394,12 @@ STORIES = """
 0.50 sshd: started as process 101
 0.70 sshd: exit code 1; started again in 0.5 s
 1.02 runtime term
-1.22 runtime: ended: exit code 0; stop; stop
+1.22 stop; runtime: ended: exit code 0; stop; stop
 = a guard that does not end | runtime outlet sshd | 1.02
 0.00 runtime: started as process 100; outlet: started as process 101
 0.50 sshd: started as process 102
 1.02 runtime term
-1.22 runtime: ended: exit code 0; stop; stop; sshd term
+1.22 stop; runtime: ended: exit code 0; stop; stop; sshd term
 1.32 to 1.42 stop (2)
 1.42 sshd: ended: exit code 0; outlet term
 3.60 outlet killed; outlet: ended: did not end in 2 s; outlet: started as process 103
@@ -409,7 +409,7 @@ STORIES = """
 0.00 runtime: started as process 100; outlet: started as process 101
 0.50 sshd: started as process 102
 1.02 runtime term
-1.22 runtime: ended: exit code 0; stop; stop; sshd term
+1.22 stop; runtime: ended: exit code 0; stop; stop; sshd term
 1.32 to 1.42 stop (2)
 1.42 sshd: ended: exit code 0; outlet term
 1.60 outlet asked; outlet killed; outlet: ended: beat stopped for 1.0 s: dead-man; it stood in turn (srv/loop.py:34);
@@ -419,7 +419,7 @@ STORIES = """
 = a guard that the kernel does not end | runtime outlet | 1.02
 0.00 runtime: started as process 100; outlet: started as process 101
 1.02 runtime term
-1.22 runtime: ended: exit code 0; stop; stop; outlet term
+1.22 stop; runtime: ended: exit code 0; stop; stop; outlet term
 3.40 outlet killed
 4.30 cut; outlet: does not answer, and cannot be killed: D (disk sleep); THE MOTORS MAY TURN: cut off
 = a guard that the kernel did not end before all end | runtime outlet | 4.02
@@ -428,11 +428,11 @@ STORIES = """
 2.10 outlet killed
 3.10 cut; outlet: does not answer, and cannot be killed: D (disk sleep); THE MOTORS MAY TURN: cut off
 4.02 runtime term
-4.22 runtime: ended: exit code 0; stop; stop; outlet term
+4.22 stop; runtime: ended: exit code 0; stop; stop; outlet term
 = a guard that comes up too late to stop its motors | runtime outlet | 1.02
 0.00 runtime: started as process 100; outlet: started as process 101
 1.02 runtime term
-1.22 runtime: ended: exit code 0; stop; stop; outlet term
+1.22 stop; runtime: ended: exit code 0; stop; stop; outlet term
 3.40 outlet killed; outlet: ended: did not end in 2 s; outlet: started as process 102
 8.50 outlet term
 8.70 outlet: ended: exit code 0
@@ -440,7 +440,7 @@ STORIES = """
 0.00 runtime: started as process 100; outlet: started as process 101
 0.20 outlet: exit code 100: not to be started again
 1.02 runtime term
-1.22 runtime: ended: exit code 0; stop; stop
+1.22 stop; runtime: ended: exit code 0; stop; stop
 """
 
 

@@ -327,7 +327,7 @@ class Supervisor:
             if fd in requests:
                 self._on_request(told)
             elif fd != self._wake:
-                self._on_beat(pipes[fd], told) if told else pipes[fd].hang_up()
+                self._on_beat(pipes[fd], told) if told else self._on_closed(pipes[fd])
         self._reap()
         self._watchdog.stroke(b"\0")
 
@@ -353,6 +353,14 @@ class Supervisor:
         elif child.program.critical and self._stop_due_s is not None:
             self._stop_due_s = None
             self._calm()
+
+    def _on_closed(self, child: Child) -> None:
+        """Take the end of a beat: the program is gone, or beats no more. The propellers are stopped before it is reaped, for
+        which the kernel may take a second while somebody looks at its files in /proc."""
+        child.hang_up()
+        if child.program.critical:
+            self._stop_due_s = time.monotonic()
+            self._keep_stopped()
 
     def _end(self) -> None:
         """End in order and bounded: the critical program first, which stops the propellers itself; then they are stopped
