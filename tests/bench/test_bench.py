@@ -10,7 +10,7 @@ import pytest
 
 from bench import critical_path, fleet, liblog
 from bench.__main__ import main
-from bench.critical_path import LABELS, LONG_CYCLES, MOTORS, Plan, Slice
+from bench.critical_path import LABELS, LONG_CYCLES, Plan, Slice
 from bench.report import PERCENTILES, STAGES, Cycle, over_budget
 from delfim.base.errors import DelfimError
 from tests.parts.fleet.mosquitto import needs_mosquitto
@@ -43,7 +43,7 @@ def test_quick_run_has_every_field(tmp_path: Path, capsys: pytest.CaptureFixture
             assert 0 < known[0] <= known[-1] <= row["worst_us"]
             assert 0 < row["cpu_us"] <= row["cpu_all_us"]
             assert (row["window_share"] is not None) == (row["competitor"] in critical_path.OURS)
-            assert ("canzlogd" in row["over_budget_per_s"]) == (row["competitor"] in ("delfim", "ordinary", *MOTORS))
+            assert ("canzlogd" in row["over_budget_per_s"]) == (row["competitor"] in {*critical_path.OURS} - {"apart"})
             assert set(row["stages_us"]) == set(STAGES)
             assert sum(row["histogram"]) == row["cycles"]
             assert set(row["ratio"]) == set(row["verdict"]) == set(PERCENTILES)
