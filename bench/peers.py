@@ -200,7 +200,7 @@ class Moos:
                 finally:
                     for pid in reversed(family(antler.pid)):
                         with contextlib.suppress(ProcessLookupError):
-                            os.kill(pid, signal.SIGTERM)
+                            os.kill(pid, signal.SIGKILL)  # its logger outlives a request to end
 
     def _mission(self, port: int, programs: Sequence[str]) -> str:
         navigation, helm, controller = self._rates
