@@ -16,8 +16,9 @@ __all__ = ["counted"]
 VEHICLE = str(Path(__file__).parents[2] / "etc" / "delfimx.toml")
 
 
-def test_no_slice_of_any_row_compares_more_than_it_may(monkeypatch, counted):
-    monkeypatch.setattr(costs, "ROWS", 40)  # waypoints, and circles; all zones and corners
+@pytest.mark.parametrize("most", [40, pytest.param(100, marks=pytest.mark.long)])
+def test_no_slice_of_any_row_compares_more_than_it_may(monkeypatch, counted, most):
+    monkeypatch.setattr(costs, "ROWS", most)  # waypoints, and circles; all zones and corners
     rows = costs.rows(config.load(VEHICLE))
     for row in rows:
         callbacks = row.callbacks()

@@ -188,14 +188,15 @@ def test_the_command_refuses_in_one_line_and_writes_nothing(tmp_path, capsys) ->
     assert "No such file" in (lines(tmp_path / "none.kml") and told(capsys))
 
 
-def test_a_file_of_a_hundred_megabytes_and_one_of_many_corners_are_not_read(tmp_path, capsys) -> None:
+@pytest.mark.parametrize("corners", [40_000, pytest.param(1_000_000, marks=pytest.mark.long)])
+def test_a_file_of_a_hundred_megabytes_and_one_of_many_corners_are_not_read(tmp_path, capsys, corners) -> None:
     large = tmp_path / "a.geojson"
     with large.open("wb") as file:
         file.truncate(100_000_000)
     assert lines(large) == 2
     assert f"files of more than {BYTES} are not read" in told(capsys)
     many = tmp_path / "b.geojson"
-    many.write_text(f'{{"type": "Polygon", "coordinates": [[{",".join(["[1,2]", "[3,4]"] * 20_000)}]]}}')
+    many.write_text(f'{{"type": "Polygon", "coordinates": [[{",".join(["[1,2]", "[3,4]"] * (corners // 2))}]]}}')
     assert lines(many) == 2
     assert "corners: simplify it to 10000" in told(capsys)
 
