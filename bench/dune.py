@@ -14,24 +14,22 @@ import socket
 import struct
 import tempfile
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import Final, NamedTuple, TypeVar
+from typing import Final, NamedTuple
 
-from bench.critical_path import family, free_ports, running
-from bench.turn import START_S, Turn, spent
+from bench.critical_path import family, free_ports, running, until
+from bench.turn import Turn, spent
 from delfim.base.errors import DelfimError
 
 HEADER: Final = struct.Struct("<HHHdHBHB")  # sync, message, bytes of its fields, s since 1970, from and to
 SYNC: Final = 0xFE54
 CHECKSUM: Final = struct.Struct("<H")
 THRUST, STATE, GOTO, ORDER = 301, 350, 450, 501  # SetThrusterActuation, EstimatedState, Goto, VehicleCommand
-T = TypeVar("T")
 OURS, ANYBODY = 0x4001, 0xFFFF  # a console; whoever receives it
 SPEED_MPS: Final = 1.5
 AHEAD_DEG: Final = (41.195, -8.7062)  # a kilometre north of where its simulator begins
 SERVICE: Final = "now in 'SERVICE' mode"
-LOOK_S: Final = 0.02  # between two looks at what it says and logs
 
 
 class Logged(NamedTuple):
@@ -100,7 +98,7 @@ class Dune:
 def _under_way(place: Path, port: int) -> float:
     """Send the boat ahead as soon as it is in service: what it is told before that, it forgets. Returns when its log has the
     first order of thrust after it, s. Raises DelfimError."""
-    _awaited(lambda: SERVICE in (place / "said").read_text(), place)
+    until(lambda: _found(SERVICE in (place / "said").read_text(), place), "its service mode")
     sent_s = time.time()
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as link:
         link.sendto(order(sent_s), ("127.0.0.1", port))
@@ -109,17 +107,15 @@ def _under_way(place: Path, port: int) -> float:
         thrusts = (each for each in logged(place) if each.number == THRUST and each.at_s >= sent_s)
         return next((each.at_s for each in thrusts if struct.unpack_from("<Bf", each.fields)[1] > 0.0), None)
 
-    return _awaited(ordered_s, place)
+    at_s: float = until(lambda: _found(ordered_s(), place), "an order of thrust")
+    return at_s
 
 
-def _awaited(look: Callable[[], T | None], place: Path) -> T:
-    """Return what a look finds as soon as it finds something. Raises DelfimError with what DUNE said last after START_S."""
-    until_s = time.monotonic() + START_S
-    while time.monotonic() < until_s:
-        if found := look():
-            return found
-        time.sleep(LOOK_S)
-    raise DelfimError(f"DUNE ordered no thrust: {(place / 'said').read_text()[-500:]}")
+def _found(what: object, place: Path) -> object:
+    """Return what was found. Raises DelfimError with what DUNE said last where that is nothing yet."""
+    if not what:
+        raise DelfimError(f"not yet: {(place / 'said').read_text()[-500:]}")
+    return what
 
 
 def order(at_s: float) -> bytes:

@@ -78,17 +78,17 @@ class Delfim:
         place = self._place / f"delfim-{self._count}"
         place.mkdir()
         boat = Underway(self._asked, place)
-        with contextlib.ExitStack() as ended:
-            bus = ended.enter_context(_orders(boat))
+        with open_can(f"canloop:{boat.bus}") as bus:
+            bus.bind(CanAddress(messages.PROPELLER_STARBOARD))
+            bus.settimeout(START_S)
             began_ns = time.time_ns()
-            ended.enter_context(boat)
-            start_s = (_ordered(bus, thrust=True) - began_ns) / 1e9
-            with Onlooker(f"canloop:{boat.bus}") as look:
-                begin_ns = time.time_ns()
-                processor, memory_bytes = spent(boat.pids, seconds)
-                paths_us = look.paths_us(begin_ns, time.time_ns())
-            with _orders(boat) as fresh:  # one that was not read for so long is full, and hears nothing for a second
-                stopped_s = self._killed(boat, fresh)
+            with boat:
+                start_s = (_ordered(bus, thrust=True) - began_ns) / 1e9
+                with Onlooker(f"canloop:{boat.bus}") as look:
+                    begin_ns = time.time_ns()
+                    processor, memory_bytes = spent(boat.pids, seconds)
+                    paths_us = look.paths_us(begin_ns, time.time_ns())
+                stopped_s = self._killed(boat, bus)
         return Turn(start_s, processor, memory_bytes, stopped_s, paths_us)
 
     def _killed(self, boat: "Underway", bus: CanSocket) -> float | None:
@@ -107,15 +107,6 @@ class Underway(Boat):
 
     def pids(self) -> list[int]:
         return [each for process in self.started for each in family(process.pid)]
-
-
-@contextlib.contextmanager
-def _orders(boat: Underway) -> Iterator[CanSocket]:
-    """The orders to the starboard propeller, from now on."""
-    with open_can(f"canloop:{boat.bus}") as bus:
-        bus.bind(CanAddress(messages.PROPELLER_STARBOARD))
-        bus.settimeout(START_S)
-        yield bus
 
 
 def _ordered(bus: CanSocket, *, thrust: bool, since_ns: int = 0) -> int:
