@@ -8,6 +8,7 @@ import msgspec
 from delfim.base.tables import text
 
 PORT = "([0-9]{1,4}|[1-5][0-9]{4}|6[0-4][0-9]{3}|65[0-4][0-9]{2}|655[0-2][0-9]|6553[0-5])"  # 0 to 65535
+PLACE = "/[^ ]+( +[^ ]+)*"  # of a file or a device: the folders of people have blanks in their names
 Name = Annotated[str, text("[A-Za-z][A-Za-z0-9_-]{0,31}", "a letter, then up to 31 letters, digits, _ or -")]
 Fraction = Annotated[float, msgspec.Meta(ge=0.0, le=1.0)]
 BatteryVoltage = Annotated[float, msgspec.Meta(ge=0.0, le=1000.0)]
@@ -36,7 +37,9 @@ Stretch = Annotated[float, msgspec.Meta(ge=0.5, le=2.0)]
 Shear = Annotated[float, msgspec.Meta(ge=-0.2, le=0.2)]
 Device = Annotated[
     str,
-    text(rf"(/[^ ]+|tcp:([0-9.]+|\[[0-9A-Fa-f:]+\]):{PORT})", "a serial port as /dev/ttyUSB0, or tcp:ADDRESS:PORT, in numbers"),
+    text(
+        rf"({PLACE}|tcp:([0-9.]+|\[[0-9A-Fa-f:]+\]):{PORT})", "a serial port as /dev/ttyUSB0, or tcp:ADDRESS:PORT, in numbers"
+    ),
 ]
 Baud = Annotated[int, msgspec.Meta(ge=1200, le=4_000_000)]
 DsorNode = Annotated[int, msgspec.Meta(ge=0, le=126)]

@@ -170,3 +170,12 @@ def test_the_boat_in_the_water_may_be_wired_in_another_way_than_her_file_says():
     motors = {row.address: row.name for row in there.thrusters}
     assert [(motors[row.address], row.reversed) for row in here.thrusters] == [("port", False), ("starboard", True)]
     assert plain.world == []
+
+
+@pytest.mark.parametrize("name", ["boats/bait-boat", "boats/blueboat", "boats/otter", "boats/wam-v"])
+def test_its_folder_may_have_blanks_in_its_name(name: str):
+    """As `My boats` has: the chip, the board and the lines that are played lie in it."""
+    file = Path(__file__).parents[2] / f"etc/{name}.toml"
+    with workspace("my boat/run") as its:
+        settings = settings_of(config.load(file), its, ())
+        assert config.load(file, settings.overrides).runtime.run_directory.endswith("my boat/run")

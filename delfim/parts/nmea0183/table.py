@@ -6,6 +6,7 @@ from typing import Annotated, Any, Literal
 import msgspec
 
 from delfim.base.ranges import (
+    PLACE,
     PORT,
     Degrees,
     Metres,
@@ -20,20 +21,20 @@ LINES = 8  # of NMEA 0183, at most
 LineDevice = Annotated[
     str,
     text(
-        rf"(/[^ ]+|(udp|tcp|tcp-listen|gpsd):([0-9.]+|\[[0-9A-Fa-f:.]+\]):{PORT})",
+        rf"({PLACE}|(udp|tcp|tcp-listen|gpsd):([0-9.]+|\[[0-9A-Fa-f:.]+\]):{PORT})",
         "/DEVICE, or udp:, tcp:, tcp-listen: or gpsd: before ADDRESS:PORT, the address in numbers",
     ),
 ]
 PilotDevice = Annotated[
     str,
     text(
-        rf"((/[^ ]+|(udp|tcp|tcp-listen):([0-9.]+|\[[0-9A-Fa-f:.]+\]):{PORT})?)",
+        rf"(({PLACE}|(udp|tcp|tcp-listen):([0-9.]+|\[[0-9A-Fa-f:.]+\]):{PORT})?)",
         "/DEVICE, or udp:, tcp: or tcp-listen: before ADDRESS:PORT of this computer, or empty",
     ),
 ]
 OutDevice = Annotated[
     str,
-    text(rf"(/[^ ]+|udp:([0-9.]+|\[[0-9A-Fa-f:.]+\]):{PORT})", "/DEVICE, or udp:ADDRESS:PORT, the address in numbers"),
+    text(rf"({PLACE}|udp:([0-9.]+|\[[0-9A-Fa-f:.]+\]):{PORT})", "/DEVICE, or udp:ADDRESS:PORT, the address in numbers"),
 ]
 SPOKEN_BYTES = {"RMC": 80, "HDT": 20, "GGA": 77, "VTG": 48, "ROT": 24}  # at most, of each sentence that is told
 SpokenName = Literal["RMC", "HDT", "GGA", "VTG", "ROT"]

@@ -4,7 +4,7 @@ from typing import Annotated, Any, Literal
 
 import msgspec
 
-from delfim.base.ranges import Device, Name
+from delfim.base.ranges import PLACE, Device, Name
 from delfim.base.tables import Table, text
 
 Pulse = Annotated[float, msgspec.Meta(ge=400.0, le=2600.0)]  # us
@@ -51,7 +51,7 @@ class PwmTelemetry(Table, frozen=True):
 class Pwm(Table, frozen=True):
     """Motors and servos that are told by pulses: the kernel's PWM, or a PCA9685 (docs/pwm.md)."""
 
-    chip: Annotated[str, text("/[^ ]+", "an absolute path")] = "/sys/class/pwm/pwmchip0"  # or /dev/i2c-1; * as in a shell
+    chip: Annotated[str, text(PLACE, "an absolute path")] = "/sys/class/pwm/pwmchip0"  # or /dev/i2c-1; * as in a shell
     i2c_address: Annotated[int, msgspec.Meta(ge=0x03, le=0x77)] = 0x40  # of the PCA9685
     clock_hz: Annotated[float, msgspec.Meta(ge=1e6, le=50e6)] = 25e6  # of the PCA9685, whose own is some percent off
     rate_hz: Annotated[float, msgspec.Meta(ge=40.0, le=330.0)] = 50.0  # pulses a second
