@@ -112,9 +112,14 @@ def test_the_boat_sails_on_and_the_console_shows_what_it_knows(trouble: str) -> 
             assert not any(each["lost"] for each in seen["vessels"]), "the boat hears them"
 
 
-async def test_the_page_shows_it_too(page: Page, gateway: Standin) -> None:
-    for trouble, said in PAGE_SAYS.items():
-        seen = sailed(trouble).shown()
+@pytest.fixture(scope="module")
+def seas() -> list[dict[str, Any]]:
+    """Sailed before there is a page: it hears nothing meanwhile, and gives its gateway up."""
+    return [sailed(trouble).shown() for trouble in PAGE_SAYS]
+
+
+async def test_the_page_shows_it_too(seas: list[dict[str, Any]], page: Page, gateway: Standin) -> None:
+    for seen, said in zip(seas, PAGE_SAYS.values(), strict=True):
         gateway.vessels, gateway.reported_s = seen["vessels"], seen["heard_s"]
         for each in gateway.vessels:
             each["boats"] = [near | {"boat": 1} for near in each["boats"]]
