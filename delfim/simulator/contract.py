@@ -41,6 +41,8 @@ from delfim.vehicle.state import Actuation, NoLog, State
 BOAT: Final = str(Path(__file__).parents[1] / "etc/delfimx.toml")
 PIECES: Final = 300  # of garbage
 READS: Final = 100
+TRIES: Final = 3  # of calls that are long
+LONG_S: Final = 10.0 * SLOW_S  # of one call: then it is a fault
 VOYAGE_S: Final = 60.0
 THRUSTERS: Final = """thrusters=[{{name="starboard", driver="{0}", y_m=1.0, thrust_n=[-300.0, 500.0]}}, \
 {{name="port", driver="{1}", address=1, y_m=-1.0, thrust_n=[-300.0, 500.0]}}]"""
@@ -139,7 +141,7 @@ def tried(name: str, version: str, file: str = BOAT) -> Iterator[Tried]:
     for mode in part.modes:
         yield from _mode(mode.name, settings)
     for order in part.orders:
-        yield from _order(part, order, settings)
+        yield _order(part, order, settings)
     if part.driver or part.source or part.sensor or part.played:
         yield from _voyage(part, settings)
 
@@ -161,21 +163,34 @@ def _trying(found: list[str]) -> Iterator[None]:
         found.append(f"it raised {type(error).__name__}: {in_words(error)}")
 
 
+def judged(calls: Callable[[], tuple[list[float], str]]) -> tuple[str, float]:
+    """What is wrong with these calls, and how long the longest takes, s. `calls` makes all of them, and answers with what each
+    took and what was wrong. A busy machine holds up any call, but not the same one in each try: the shortest time counts."""
+    least_s = list[float]()
+    for _ in range(TRIES):
+        took_s, fault = calls()
+        least_s = list(map(min, least_s or took_s, took_s))
+        if fault or max(least_s) <= LONG_S:
+            break
+    worst_s = max(least_s)
+    return fault or (f"a call took {1e3 * worst_s:.1f} ms" if worst_s > LONG_S else ""), worst_s
+
+
 class Stopwatch:
-    """Counts calls, the longest of them, and what they raised."""
+    """Counts calls, how long each took, and what they raised."""
 
     def __init__(self) -> None:
-        self.worst_s, self.faults = 0.0, list[str]()
+        self.took_s, self.faults = list[float](), list[str]()
 
     def __call__(self, call: Callable[..., Any], *arguments: Any) -> Any:
         began_s, result = time.perf_counter(), None
         with _trying(self.faults):
             result = call(*arguments)
-        self.worst_s = max(self.worst_s, time.perf_counter() - began_s)
+        self.took_s.append(time.perf_counter() - began_s)
         return result
 
     def tried(self, what: str, fault: str = "") -> Tried:
-        return Tried(what, next(iter(self.faults), fault), self.worst_s)
+        return Tried(what, next(iter(self.faults), fault), max(self.took_s))
 
 
 def _driver(name: str, settings: config.Vehicle) -> Iterator[Tried]:
@@ -196,7 +211,7 @@ def _driver(name: str, settings: config.Vehicle) -> Iterator[Tried]:
     wrong = next((f"send or repeat returned {each!r}, not 0" for each in took if each != 0), "")
     yield timed.tried("commands are sent", wrong or ("" if wires.sent() else "nothing came on its line or bus"))
     for sensor in driver.inputs:
-        yield from _garbage("garbage where its reports come", sensor.read, wires)
+        yield _garbage("garbage where its reports come", sensor.read, wires)
     timed = Stopwatch()
     timed(driver.stop)
     yield timed.tried("stop is sent", "" if wires.sent() else "nothing came on its line or bus")
@@ -232,27 +247,29 @@ def _input(kind: str, name: str, settings: config.Vehicle) -> Iterator[Tried]:
     timed = Stopwatch()
     values = [timed(read, state, 0.2 * k) for k in range(READS)]
     yield timed.tried(f"{kind}: silence", "it returned something" if any(values) else "")
-    yield from _garbage(f"{kind}: garbage", read, wires, state)
+    yield _garbage(f"{kind}: garbage", read, wires, state)
     if (said := _played(name, settings)) and wires.lines:
         yield from _timings(kind, read, said, wires, state)
     if kind == "source":
         yield _jsonable("report", lambda: opened.report(0.0))
 
 
-def _garbage(what: str, read: Callable[[State, float], object], wires: Wires, state: State | None = None) -> Iterator[Tried]:
+def _garbage(what: str, read: Callable[[State, float], object], wires: Wires, state: State | None = None) -> Tried:
     """Feed pieces of all lengths, an endless line among them. What comes of it must make sense."""
-    timed, chance, state = Stopwatch(), Random(what), state or State()
-    faults = list[str]()
-    for k in range(PIECES):
-        length = 65_536 if k == PIECES // 2 else chance.randrange(0, 200)
-        wires.say(chance.randbytes(length).replace(b"\n", b"" if length > 200 else b"\n"), chance)
-        fix = timed(read, state, 0.2 * k)
-        if fix is not None and not is_sound(fix):
-            faults.append("its message has numbers that are not finite")
-        faults += [f"{name} is {value!r}" for name, (value, _) in state.measured.items() if not math.isfinite(value)]
-    if timed.worst_s > 10.0 * SLOW_S:
-        faults.append(f"a call took {1e3 * timed.worst_s:.1f} ms")
-    yield timed.tried(what, "".join(faults[:1]))
+    state = state or State()
+
+    def fed() -> tuple[list[float], str]:
+        timed, chance, faults = Stopwatch(), Random(what), list[str]()
+        for k in range(PIECES):
+            length = 65_536 if k == PIECES // 2 else chance.randrange(0, 200)
+            wires.say(chance.randbytes(length).replace(b"\n", b"" if length > 200 else b"\n"), chance)
+            fix = timed(read, state, 0.2 * k)
+            if fix is not None and not is_sound(fix):
+                faults.append("its message has numbers that are not finite")
+            faults += [f"{name} is {value!r}" for name, (value, _) in state.measured.items() if not math.isfinite(value)]
+        return timed.took_s, "".join([*timed.faults, *faults][:1])
+
+    return Tried(what, *judged(fed))
 
 
 def _played(name: str, settings: config.Vehicle) -> bytes:
@@ -311,23 +328,27 @@ def _mode(name: str, settings: config.Vehicle) -> Iterator[Tried]:
     yield Tried(f"mode {name}: {VOYAGE_S:.0f} s in simulation", "".join(faults[:1]))
 
 
-def _order(part: Part, row: OrderRow, settings: config.Vehicle) -> Iterator[Tried]:
+def _order(part: Part, row: OrderRow, settings: config.Vehicle) -> Tried:
     """Give an order without values, and with some that make no sense: it is carried out, or refused for a reason, and in
     time."""
-    faults, run = list[str](), Lockstep(settings, 1, lambda clock: NoLog())
-    health, garbage = run.state.parts[part.name], (-1e300, 1e300, "\0")
-    tries: list[console.Values] = [{}, {"no_such_key": 1.0}]
+    garbage, tries = (-1e300, 1e300, "\0"), list[console.Values]([{}, {"no_such_key": 1.0}])
     tries += [{key: value} for key in row.table.__struct_fields__ for value in garbage]
-    for values in tries:
-        for _ in run.cycles(1.0):
-            pass
-        with _in_real_time():
-            refused = run.command(console.PartOrder(row.name, values))
-        faults += [health.reason] if health.failed else []
-        faults += [f"{key} has no limits" for key, value in values.items() if refused is None and isinstance(value, float)]
-    if health.worst_s > 10.0 * SLOW_S:
-        faults.append(f"a call took {1e3 * health.worst_s:.1f} ms")
-    yield Tried(f"order {row.name}", "".join(faults[:1]), health.worst_s)
+
+    def given() -> tuple[list[float], str]:
+        run, took_s, faults = Lockstep(settings, 1, lambda clock: NoLog()), list[float](), list[str]()
+        health = run.state.parts[part.name]
+        for values in tries:
+            for _ in run.cycles(1.0):
+                pass
+            health.worst_s = 0.0
+            with _in_real_time():
+                refused = run.command(console.PartOrder(row.name, values))
+            took_s.append(health.worst_s)
+            faults += [health.reason] if health.failed else []
+            faults += [f"{key} has no limits" for key, value in values.items() if refused is None and isinstance(value, float)]
+        return took_s, "".join(faults[:1])
+
+    return Tried(f"order {row.name}", *judged(given))
 
 
 @contextmanager

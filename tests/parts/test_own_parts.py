@@ -6,11 +6,10 @@ from delfim import config
 from delfim.base.parts import OWN, Part
 from delfim.parts.nmea0183.table import Nmea0183, Nmea0183Port
 from delfim.parts.torqeedo.table import TorqeedoPort, TorqeedoTable, TorqlinkPort, TorqlinkTable
-from delfim.simulator.contract import devices
+from delfim.simulator.contract import devices, judged
 
 DRIVERS = tuple(row for row in OWN.values() if row.driver)
 INPUTS = tuple(row for row in OWN.values() if row.source or row.sensor)
-BUSY = "a call took"  # of garbage without an end: a busy machine
 BOARD = {  # it obeys and speaks only after its first heartbeat, which nobody says here
     "commands are sent": "send or repeat returned 2, not 0",
     "source: what its device says byte by byte": "it was not understood",
@@ -47,5 +46,16 @@ def boat(row: Part) -> config.Vehicle:
 
 @pytest.mark.parametrize("row", [*DRIVERS, *(row for row in INPUTS if not row.driver)], ids=lambda row: row.name)
 def test_a_part_of_the_boats_own_keeps_the_contract(row: Part) -> None:
-    faults = {each.what: each.fault for each in devices(row, boat(row)) if each.fault and BUSY not in each.fault}
+    faults = {each.what: each.fault for each in devices(row, boat(row)) if each.fault}
     assert faults == KNOWN.get(row.name, {})
+
+
+def test_a_call_that_a_busy_machine_held_up_is_no_fault_and_one_that_is_long_each_time_is() -> None:
+    tries = iter([[0.05, 0.001], [0.001, 0.05]])
+    assert judged(lambda: (next(tries), "")) == ("", 0.001)
+    assert judged(lambda: ([0.001, 0.03], "")) == ("a call took 30.0 ms", 0.03)
+
+
+def test_what_else_is_wrong_is_told_at_once() -> None:
+    tries = iter([[0.05]])
+    assert judged(lambda: (next(tries), "it raised ValueError")) == ("it raised ValueError", 0.05)

@@ -69,6 +69,13 @@ def test_what_it_writes_is_installed_and_keeps_the_contract(tmp_path, kind):
             "    while True: pass\n    fastest_mps, mo",
             "order pay_out: TimeoutError: it took",
         ),
+        (
+            "order/winch.py",
+            "    fastest_mps, mo",
+            "    from time import perf_counter\n\n    end_s = perf_counter() + 0.03\n"
+            "    while perf_counter() < end_s:\n        pass\n    fastest_mps, mo",
+            "order pay_out: ",  # a call took 30 ms; on a busy machine perhaps more than the 0.1 s after which it is broken off
+        ),
         ("trouble/sees.py", "if navigation is None or ", "if ", "cannot tell: AttributeError"),
     ],
 )
