@@ -1229,12 +1229,16 @@ def read(tree: dict[str, Any], file: str) -> Vehicle:
     return decode(tree, kind_of(tree, file), file)
 
 
+def is_taken(name: str) -> bool:
+    """Whether a part of the boat's own, or a table of her file, has this name."""
+    return name in Vehicle.__struct_fields__ or name in OWN
+
+
 def kind_of(tree: dict[str, Any], file: str) -> type[Vehicle]:
     """The class of a vehicle's file, with the keys of the parts that it names. Raises ConfigError."""
     aboard = named(tree.get("parts"), file)
-    taken = {*Vehicle.__struct_fields__, *OWN}
     for part in aboard:
-        wrong = [part.name] if part.name in taken else [row.name for row in part.troubles if hasattr(Failsafe, row.name)]
+        wrong = [part.name] if is_taken(part.name) else [row.name for row in part.troubles if hasattr(Failsafe, row.name)]
         if wrong:
             raise ConfigError(file, f"parts.{part.name}", f"{wrong[0]} is a name of the boat's own; it needs another one")
     return whole(aboard) if aboard else Vehicle

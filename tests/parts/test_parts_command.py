@@ -96,3 +96,12 @@ def test_a_part_that_is_not_installed_and_a_name_that_is_none(tmp_path):
     assert "no installed package has a part of the name acme" in delfim("parts", "check", "acme", place=tmp_path).stderr
     assert "is no name for a part" in delfim("parts", "new", "motor", "Acme!", place=tmp_path).stderr
     assert "writes one to begin with" in delfim("parts", "list", place=tmp_path).stdout
+
+
+@pytest.mark.parametrize(
+    ("name", "whose"), [("vesc", "the boat's"), ("boat", "the boat's"), ("json", "Python's"), ("class", "Python's")]
+)
+def test_a_name_that_could_never_be_used_is_refused_before_a_package_is_written(tmp_path, name, whose):
+    told = delfim("parts", "new", "motor", name, "--output", str(tmp_path), place=tmp_path)
+    assert (told.returncode, f"{name} is a name of {whose} own" in told.stderr) == (2, True), told.stderr
+    assert not [*tmp_path.glob("**/delfim-*")]

@@ -1,8 +1,10 @@
 """`delfim parts`: a laboratory's own parts: lists those that are installed, writes a package to begin with, tries one."""
 
 import argparse
+import keyword
 import re
 import shutil
+import sys
 from pathlib import Path
 from typing import Final
 
@@ -50,8 +52,14 @@ def _list(_: argparse.Namespace) -> int:
 
 
 def _new(asked: argparse.Namespace) -> int:
+    from delfim.config import is_taken
+
     if not re.fullmatch("[a-z][a-z0-9_]{0,31}", asked.name):
         raise DelfimError(f"{asked.name!r} is no name for a part: a small letter, then up to 31 small letters, digits or _")
+    if is_taken(asked.name) or asked.name == "delfim":
+        raise DelfimError(f"{asked.name} is a name of the boat's own; the part needs another one")
+    if keyword.iskeyword(asked.name) or asked.name in sys.stdlib_module_names:
+        raise DelfimError(f"{asked.name} is a name of Python's own, which would be imported instead; the part needs another one")
     example, place = f"example_{asked.kind}", Path(asked.output) / f"delfim-{asked.name}"  # no name that Python would import
     if place.exists():
         raise DelfimError(f"{place} is there already")
