@@ -2,6 +2,7 @@
 
 import os
 import re
+import shlex
 import stat
 import subprocess
 import sys
@@ -108,10 +109,59 @@ def test_two_boats_share_no_secret(made: Path, tmp_path: Path) -> None:
 
 def test_the_boats_of_a_fleet_have_one_key_for_their_consoles_and_nothing_else_in_common(made: Path, tmp_path: Path) -> None:
     second = tmp_path / "second"
-    assert commission(second, *WORDS, "--fleet", str(made)) == 0
+    assert commission(second, *WORDS, "--fleet", str(made), "--id", "8") == 0
     files = [path.relative_to(made) for path in made.rglob("*") if path.is_file()]
     same = {each for each in files if (made / each).read_bytes() == (second / each).read_bytes()}
     assert same == {Path("boat/mavlink.key"), Path("shore/mavlink.key")}
+
+
+def test_two_boats_of_a_fleet_with_one_number_are_refused(
+    made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The file's number is the default: an order to one boat would move both."""
+    assert commission(tmp_path / "second", *WORDS, "--fleet", str(made)) == 2
+    assert f"--id 7: Boat1 in {made} has this number" in capsys.readouterr().err
+    assert not (tmp_path / "second").exists()
+
+
+@pytest.mark.parametrize("system", ["image", "debian"])
+def test_the_commands_that_carry_are_typed_twice_and_know_blanks(system: str, tmp_path: Path, capsys, monkeypatch) -> None:
+    """Who lost a key commissions again and carries the new one to where the old one is."""
+    monkeypatch.chdir(tmp_path)
+    for name, text in {
+        "sudo": 'exec "$@"',
+        "chown": "",
+        "sed": "",
+        "scp": 'cp -r "$2" "${3#*:}"',
+        "ssh": 'eval "$3"',
+        "service": "",
+    }.items():
+        (tmp_path / "bin").mkdir(exist_ok=True)
+        (tmp_path / "bin" / name).write_text(f"#!/bin/sh\n{text}\n")
+        (tmp_path / "bin" / name).chmod(0o700)
+    there = tmp_path / "there"
+    for output in ("boat 1", "boat 2"):
+        assert commission(Path(output), *WORDS, "--for", system) == 0
+        told = capsys.readouterr().out.partition("To the guest computer")[0]
+        lines = [line for line in told.splitlines() if line.startswith("    s")]
+        typed = "\n".join(lines).replace("/mnt/.boat", str(there)).replace("/log/.boat", str(there))
+        subprocess.run(["sh", "-e", "-c", typed], check=True, env={"PATH": f"{tmp_path}/bin:/usr/bin:/bin"}, timeout=60)
+        assert {path.name: path.read_bytes() for path in there.iterdir()} == {
+            path.name: path.read_bytes() for path in Path(output, "boat").iterdir()
+        }
+
+
+def test_the_commands_to_type_ashore_know_blanks(tmp_path: Path, capsys, monkeypatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert commission(Path("boat 1"), *WORDS) == 0
+    told = capsys.readouterr().out.splitlines()
+    console, ssh, lftp = (
+        next(shlex.split(line) for line in told if line.startswith(f"    {program} "))
+        for program in ("delfim console", "ssh", "lftp")
+    )
+    assert {"boat 1/shore/mavlink.key", "boat 1/shore/boat.toml"} <= {*console}
+    assert (ssh[2], ssh[4]) == ("boat 1/shore/ana.key", 'UserKnownHostsFile="boat 1/shore/known_hosts"')
+    assert lftp[4].endswith('ssl:ca-file "boat 1/shore/boat.crt"')
 
 
 def test_a_user_who_has_an_ssh_key_keeps_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

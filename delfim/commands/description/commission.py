@@ -76,7 +76,8 @@ def run(asked: argparse.Namespace) -> int:
     crew, network = _users(answers["users"]), _network(answers["network"])
     if answers["for"] not in ("image", "debian"):
         raise DelfimError(f"--for {answers['for']}: there are image and debian")
-    secrets = _secrets(answers, crew, _consoles_key(asked.fleet), settings)
+    console_key = _consoles_key(asked.fleet, answers["id"])
+    secrets = _secrets(answers, crew, console_key, settings)
     changes = {"boat.name": answers["name"], "boat.id": _number(answers["id"])}
     changes |= _addresses(answers, network, settings) | _opened(settings)
     changes |= {key: value for one in asked.set for key, value in _flat(tables.read_override(one))}
@@ -146,13 +147,20 @@ def _users(text: str) -> dict[str, str]:
     return users
 
 
-def _consoles_key(fleet: str | None) -> str:
-    """The key of the boat that was commissioned into a folder, or a new one. Raises ConfigError."""
+def _consoles_key(fleet: str | None, number: str) -> str:
+    """The key of the boat that was commissioned into a folder, or a new one. Raises ConfigError, and DelfimError where that
+    boat has the same number: both would obey an order to one of them."""
     from secrets import token_hex
 
     from delfim.base.input.keys import read_key
 
-    return f"{read_key(Path(fleet) / 'shore/mavlink.key').hex() if fleet else token_hex(32)}\n"
+    if fleet is None:
+        return f"{token_hex(32)}\n"
+    key = read_key(Path(fleet) / "shore/mavlink.key")
+    other = config.load(Path(fleet) / "shore/boat.toml").boat
+    if other.id == _number(number):
+        raise DelfimError(f"--id {number}: {other.name} in {fleet} has this number, and would obey orders to this boat, too")
+    return f"{key.hex()}\n"
 
 
 def _network(text: str) -> IPv4Interface:

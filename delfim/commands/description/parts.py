@@ -59,7 +59,9 @@ def _new(asked: argparse.Namespace) -> int:
     if is_taken(asked.name) or asked.name == "delfim":
         raise DelfimError(f"{asked.name} is a name of the boat's own; the part needs another one")
     if keyword.iskeyword(asked.name) or asked.name in sys.stdlib_module_names:
-        raise DelfimError(f"{asked.name} is a name of Python's own, which would be imported instead; the part needs another one")
+        raise DelfimError(
+            f"{asked.name} is a name of Python's own, which would be imported instead; the part needs another one"
+        )
     example, place = f"example_{asked.kind}", Path(asked.output) / f"delfim-{asked.name}"  # no name that Python would import
     if place.exists():
         raise DelfimError(f"{place} is there already")

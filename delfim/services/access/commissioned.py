@@ -6,6 +6,7 @@ A command is told for each door that somebody ashore can open; tests/commands/te
 from collections.abc import Collection, Iterator, Sequence
 from ipaddress import IPv4Interface
 from pathlib import Path
+from shlex import quote
 from typing import Final
 
 from delfim import config
@@ -23,20 +24,21 @@ def bus(settings: config.Vehicle) -> str:
 
 def carried(output: Path, settings: config.Vehicle, kind: str, network: IPv4Interface, interface: str) -> str:
     """The places where the files go; `kind` is what the boat's computer runs, image or debian. An image has no system to log in
-    to."""
+    to. Where an older `.boat` is, its files are replaced: without -T the new ones would lie in a folder within it, unread."""
+    made = quote(f"{output}/boat")
     if kind == "debian":
         login = f"USER@{network.ip}"
         lines = [
             "To the boat's computer by cable, with the package installed (docs/install.md); USER is yours there:",
-            f"    scp -r {output}/boat {login}:.boat",
-            f"    ssh -t {login} 'sudo mv -T .boat {BOAT} && sudo chown -R root: {BOAT}'",
+            f"    scp -r {made} {login}:.boat",
+            f"    ssh -t {login} 'sudo cp -rT .boat {BOAT} && sudo rm -r .boat && sudo chown -R root: {BOAT}'",
             f"    ssh -t {login} 'sudo sed -i s,^VEHICLE=.*,VEHICLE={BOAT}/boat.toml, /etc/default/delfim'",
             f"    ssh -t {login} 'sudo service delfim restart'",
         ]
     else:
         lines = [
             "To the boat's disk, by hand and never over the radio; /mnt is where its log partition is mounted (docs/image.md):",
-            f"    sudo cp -r {output}/boat /mnt/.boat",
+            f"    sudo cp -rT {made} /mnt/.boat",
             "    sudo chown -R root: /mnt/.boat; sudo chmod 700 /mnt/.boat",
             "    words for its kernel (boot/grub/boat.cfg or cmdline.txt): "
             f"VEHICLE={BOAT}/boat.toml NET={interface} ADDRESS={network}",
@@ -55,7 +57,7 @@ def ashore(output: Path, settings: config.Vehicle, own: str, crew: Sequence[str]
 Each user has a key (unless they had one) and a password of their own there: {", ".join(crew)}. Give each their files, boat.crt
 and known_hosts.
 
-Before it goes into the water: delfim check --sea {output}/boat/boat.toml, and docs/sea.md."""
+Before it goes into the water: delfim check --sea {quote(f"{output}/boat/boat.toml")}, and docs/sea.md."""
 
 
 def _commands(shore: Path, settings: config.Vehicle, own: str, user: str, running: Collection[str]) -> Iterator[str]:
@@ -67,13 +69,15 @@ def _commands(shore: Path, settings: config.Vehicle, own: str, user: str, runnin
     if line.device:
         yield from _shore(line)
     if not is_loopback(mavlink.listen):
-        yield f"delfim console --boats 0.0.0.0:14550 --key {shore}/mavlink.key --vehicle {shore}/boat.toml"
+        key, file = quote(f"{shore}/mavlink.key"), quote(f"{shore}/boat.toml")
+        yield f"delfim console --boats 0.0.0.0:14550 --key {key} --vehicle {file}"
     if "sshd" in running and not is_loopback(listen := settings.of(Sshd).listen):
-        key = f"-i {shore}/{user}.key " if (shore / f"{user}.key").exists() else ""
-        yield f"ssh {_port('-p', listen, 22)}{key}-o UserKnownHostsFile={shore}/known_hosts {user}@{boat}"
+        key = f"-i {quote(f'{shore}/{user}.key')} " if (shore / f"{user}.key").exists() else ""
+        known = quote(f"UserKnownHostsFile={_word(shore / 'known_hosts')}")
+        yield f"ssh {_port('-p', listen, 22)}{key}-o {known} {user}@{boat}"
     if "ftpd" in running and not is_loopback(listen := settings.of(Ftpd).listen):
-        tls = f"set ftp:ssl-force true; set ssl:ca-file {shore}/boat.crt"
-        yield f"lftp {_port('-p', listen, 21)}-u {user} -e '{tls}' {boat}"
+        tls = f"set ftp:ssl-force true; set ssl:ca-file {_word(shore / 'boat.crt')}"
+        yield f"lftp {_port('-p', listen, 21)}-u {user} -e {quote(tls)} {boat}"
     watched = bus(settings)
     if "cantcpd" in running and watched and not is_loopback(listen := settings.of(Cantcpd).listen[0]):
         yield f"delfim can dump socketcand:{boat}:{address(listen)[1]}:{bus_name(watched)}"
@@ -82,6 +86,11 @@ def _commands(shore: Path, settings: config.Vehicle, own: str, user: str, runnin
         yield f"browser: http://{boat}{'' if port == 80 else f':{port}'}/"
     if "tabletd" in running and not is_loopback(listen := settings.of(Tablet).listen):
         yield f"tablet: https://{boat}:{address(listen)[1]}/ with the token of {shore}/tablet.token (docs/tablet.md)"
+
+
+def _word(path: Path) -> str:
+    """A path as one word of ssh's and of lftp's own language, within the shell's."""
+    return f'"{path}"' if " " in str(path) else str(path)
 
 
 def _port(option: str, listen: str, usual: int) -> str:
