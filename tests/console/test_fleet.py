@@ -804,6 +804,37 @@ def test_a_boat_with_another_time_is_not_shown_but_told(tmp_path: Path) -> None:
     ]
 
 
+@pytest.mark.parametrize(
+    ("here", "aboard", "words"),
+    [
+        ("key", "other", "boat 4 is heard, and signs with another key than this console's (--key)"),
+        ("key", "", "boat 4 is heard, and signs nothing: a console with a key (--key) believes only who signs with it"),
+        ("", "key", "boat 4 signs, and this console has no key (--key): she obeys nothing from here, no stop either"),
+        ("", "", ""),
+        ("key", "key", ""),
+    ],
+)
+def test_another_key_than_the_boats_is_told(tmp_path: Path, here: str, aboard: str, words: str) -> None:
+    """Else there is no boat and no reason, or one whose STOP does nothing."""
+    for name in ("key", "other"):
+        keygen(tmp_path / name)
+    clock, told = ManualClock(), list[dict[str, Any]]()
+    fleet = Fleet(clock, lambda address, data: None, told.append, Key(tmp_path / here, clock) if here else None)
+    secret = Key(tmp_path / aboard, clock).secret if aboard else None
+    boat = FakeBoat(4, clock, lambda data: fleet.receive("udp", data), secret)
+    boat.tick()
+    assert [each["text"] for each in told if each.get("alarm") == "console"] == ([words] if words else [])
+
+
+def test_a_stranger_alarms_nobody_who_has_a_boat(tmp_path: Path) -> None:
+    keygen(tmp_path / "key")
+    key = Key(tmp_path / "key")
+    sea = Sea(1, secret=key.secret, key=key)
+    sea.run(3.0)
+    FakeBoat(4, sea.clock, lambda data: sea.fleet.receive(4, data)).tick()
+    assert not [each for each in sea.told if each.get("alarm") == "console"]
+
+
 def test_with_a_key_a_whole_fleet_has_room(tmp_path: Path) -> None:
     keygen(tmp_path / "key")
     clock, key = ManualClock(), Key(tmp_path / "key")

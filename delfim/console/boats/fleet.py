@@ -103,9 +103,10 @@ class Fleet:
         for message in codec.decode(data):
             self.record(bytes(message.get_msgbuf()))
             self._take(address, message)
-        if codec.doubt:
-            self._complain(codec.doubt, self._clock.monotonic_s())
-            codec.doubt = ""
+        doubt = codec.doubt or (codec.stranger if not self.boats else "")  # strangers alarm nobody who has a boat
+        if doubt:
+            self._complain(doubt, self._clock.monotonic_s())
+        codec.doubt = codec.stranger = ""
 
     def _take(self, address: Address, message: Any) -> None:
         number, now_s = message.get_srcSystem(), self._clock.monotonic_s()

@@ -7,6 +7,7 @@ docs/mavlink.md.
 import secrets
 from collections.abc import Iterator
 from pathlib import Path
+from shlex import quote
 from typing import Any, Final
 
 from delfim.base.clock import Clock, SystemClock
@@ -76,6 +77,11 @@ mavlink: Final = wire.dialect
 
 SYSTEM: Final = 250  # of a console that has no other number; QGroundControl and MAVProxy call themselves 255
 COMPONENT: Final = mavlink.MAV_COMP_ID_MISSIONPLANNER
+BOAT: Final = mavlink.MAV_COMP_ID_AUTOPILOT1
+STRANGERS: Final = {
+    "forged": "is heard, and signs with another key than this console's (--key)",
+    "unsigned": "is heard, and signs nothing: a console with a key (--key) believes only who signs with it",
+}
 STREAMS: Final = 1024  # of boats: some for each number
 STAMPS_S: Final = 10.0  # between two writings of the time stamps
 
@@ -90,7 +96,8 @@ class Key:
         try:
             self.secret = read_key(file)
         except ConfigError as error:
-            raise ConfigError(str(file), "key", f"{error.reason}; make one with: delfim console --keygen {file}") from None
+            hint = "" if file.exists() else f"; make one with: delfim console --keygen {quote(str(file))}"
+            raise ConfigError(str(file), "key", f"{error.reason}{hint}") from None
         self._clock = clock or SystemClock()
         self._file = stamps or file.with_suffix(".stamps")
         self._signing = Signing(self.secret, self._clock, read_stamps(self._file), STREAMS)
@@ -116,11 +123,12 @@ class Key:
 
 class Codec:
     """One end of one conversation. A `stream` may cut frames anywhere, datagrams hold whole ones. `counts`: the refused.
-    `doubt`: why a boat is not believed whose key is right, in words; empty: all are."""
+    `doubt`: why a boat is not believed whose key is right, or does not believe us, in words; empty: all do. `stranger`: why one
+    is not believed whose key is another, or none: anybody may make such a frame."""
 
     def __init__(self, key: Key | None = None, *, stream: bool = False, me: int = SYSTEM) -> None:
         self.counts = {"heard": 0, "refused": 0}
-        self.doubt = ""
+        self.doubt = self.stranger = ""
         self._key, self._stream, self._cutter = key, stream, wire.Cutter()
         secret, stamp, link = (None, _no_stamp, 0) if key is None else (key.secret, key.stamp, key.link)
         self.encode = wire.Sender(me, COMPONENT, secret, stamp, link).pack
@@ -143,7 +151,14 @@ class Codec:
         if self._key is not None and (verdict := self._key.judge(frame)).fault:
             self.counts["refused"] += 1
             self.doubt = f"boat {message.get_srcSystem()} {verdict.words}" if verdict.words else self.doubt
+            if verdict.fault in STRANGERS and message.get_srcComponent() == BOAT:
+                self.stranger = f"boat {message.get_srcSystem()} {STRANGERS[verdict.fault]}"
             return None
+        if self._key is None and frame[2] & mavlink.MAVLINK_IFLAG_SIGNED and message.get_srcComponent() == BOAT:
+            number = message.get_srcSystem()
+            self.doubt = (
+                f"boat {number} signs, and this console has no key (--key): she obeys nothing from here, no stop either"
+            )
         self.counts["heard"] += 1
         return message
 
