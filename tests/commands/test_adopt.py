@@ -53,6 +53,16 @@ def test_a_drawn_boat_is_tried_and_what_was_found_is_told(capsys: pytest.Capture
     assert again[0].startswith("Adopted already, on 20")
 
 
+def test_a_file_that_came_with_delfim_is_tried_on_a_drawn_boat_alone(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("sys.stdin", io.StringIO())
+    assert main(["adopt", "etc/boats/heron.toml", "--sim", "6"]) == 1
+    assert capsys.readouterr().out.startswith("A boat is drawn: ")
+    assert main(["adopt", "etc/boats/heron.toml"]) == 2
+    assert "No such file" in capsys.readouterr().err, "in the wrong folder a boat would sail by an example"
+
+
 def test_who_says_no_starts_nothing(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("sys.stdin", io.StringIO())
     assert main(["adopt", "heron.toml", "--sim", "6"]) == 1

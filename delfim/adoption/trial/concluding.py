@@ -43,17 +43,26 @@ def motors_told(progress: TrialProgress, tell: Tell) -> None:
         tell(f"{'.'.join(key)} = {inline(value)}")
 
 
-def conclude(progress: TrialProgress, file: Path, report: Path, on: str, ask: Ask | None, tell: Tell) -> str:
+def conclude(
+    progress: TrialProgress,
+    file: Path,
+    report: Path,
+    on: str,
+    ask: Ask | None,
+    tell: Tell,
+    keep: Callable[[], object] = lambda: None,
+) -> str:
     """Correct the rows, fit the hull, choose gains on the twin, write what is agreed to; `ask` None: nothing is written.
     Returns why the fit was refused, in words; empty: it was not, or this boat has none. `on`: the day. `progress` has then what
-    was written."""
+    was written; `keep` is called before the motors are: a trial that does not know of it would be taken for another boat's."""
     text = changed(read_text(file), {key: (value, f"found {on}") for key, value in corrections(progress)}, str(file))
     vehicle = config.read(parse_toml(text), str(file))
     motors_told(progress, tell)
     is_written = ask is not None and ask(f"Write this into {file}?")
     if is_written:
-        replace_file(file, text)
         progress.written = Written(on, vehicle.thrusters)
+        keep()
+        replace_file(file, text)
         tell(f"{file} is written. The boat's program has the old one until it is started again.")
     if why := hull_unfit(vehicle.thrusters):
         tell(f"Hull, compass and gains stay as they are: {why}.")

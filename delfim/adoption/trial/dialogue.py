@@ -169,7 +169,8 @@ def adopted(progress: TrialProgress, place: Path, file: str, on: str, dialogue: 
     """Say what a whole trial found of the boat, and write what is agreed to. Returns the exit code."""
     from delfim.adoption.trial.concluding import conclude
 
-    refused = conclude(progress, Path(file), place.with_suffix(".html"), on, dialogue.ask, dialogue.tell)
+    report = place.with_suffix(".html")
+    refused = conclude(progress, Path(file), report, on, dialogue.ask, dialogue.tell, lambda: keep(place, progress))
     keep(place, progress)
     if refused:
         dialogue.tell(f"The hull is not adopted: {refused}. Begin afresh (--afresh) where that is mended.")

@@ -6,7 +6,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from delfim.commands import vehicle_file
+from delfim.commands import shipped, vehicle_file
 
 RADIUS_M = 60.0
 
@@ -35,6 +35,7 @@ def run(asked: argparse.Namespace) -> int:
     from delfim.adoption.trial import dialogue, session
     from delfim.base.errors import DelfimError
 
+    asked.file = asked.file if asked.sim is None else shipped(asked.file)
     name = Path(asked.file).stem if asked.sim is None else f"{Path(asked.file).stem}-{asked.sim}"
     place, file = Path(asked.output) / f"{name}.trial", asked.file
     if asked.afresh:
