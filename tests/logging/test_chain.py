@@ -71,6 +71,14 @@ def test_what_nobody_touched_is_whole_and_the_files_are_as_they_were_without_a_c
         assert (content[:5], trouble) == (b"head\n", "")
 
 
+def test_a_folder_and_a_file_may_be_named_from_where_one_is(voyage: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As the documents print it: `delfim log check logs`."""
+    monkeypatch.chdir(voyage.parent)
+    assert found(Path(voyage.name)) == found(voyage)
+    one = next(voyage.rglob("*.log.gz")).relative_to(voyage.parent)
+    assert found(one) == ["whole"]
+
+
 @settings(max_examples=30, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())
 def test_each_byte_that_is_changed_added_or_taken_away_shows(voyage: Path, tmp_path: Path, data: st.DataObject) -> None:

@@ -40,6 +40,7 @@ class ChainVerdict(NamedTuple):
 
 def check(paths: Sequence[str], now_ns: int) -> list[ChainVerdict]:
     """Check all logs in these paths. Raises OSError, DelfimError where there is none."""
+    paths = [os.path.abspath(path) for path in paths]  # as the tree names its files: one name for a log and for its chain
     files = {_stem(file.path): file.path for file in tree.files(paths) if "-repaired." not in file.path}
     folders = {Path(stem).parent for stem in files} | {Path(path) for path in paths if os.path.isdir(path)}
     chains = {str(file).removesuffix(SUFFIX): file for folder in folders for file in folder.rglob(f"*{SUFFIX}")}
