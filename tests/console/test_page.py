@@ -545,6 +545,12 @@ async def test_what_differs_aboard_is_badged_and_can_be_taken(page: Page, gatewa
     assert (await gateway.until(lambda m: m.get("do") == "put"))["mission"]["name"] == "Aboard"
 
 
+async def test_a_line_that_ends_at_a_hole_is_one_line_though_its_end_is_a_leg_of_its_own(page: Page, gateway: Standin) -> None:
+    ends = [each | {"line": line} for each, line in zip(waypoints(SQUARE), (None, 1, 2, 2), strict=True)]
+    await gateway.tell({"t": "mission", "boat": 1, "where": "here", "mission": {**survey(), "waypoints": ends}})
+    await shown(page, gateway, "document.body.innerText.includes('survey: 2 lines · ')")
+
+
 async def test_a_dry_run_says_time_and_distance(page: Page, gateway: Standin) -> None:
     await gateway.tell({"t": "mission", "boat": 1, "where": "here", "mission": survey()})
     await settled(page, gateway)

@@ -30,7 +30,7 @@ export const named = (mission: Mission): string => (isSurvey(mission) ? "survey"
 
 /** What a plan has, in words. */
 export function counted(mission: Mission): string {
-  const lines = mission.waypoints.filter(({ line }) => line).length;
+  const lines = new Set(mission.waypoints.flatMap(({ line }) => line || [])).size; // one that ends at a hole has two legs
   const [count, word] = isSurvey(mission) && lines ? [lines, "line"] : [mission.waypoints.length, "waypoint"];
   return `${count} ${word}${count === 1 ? "" : "s"}`;
 }
