@@ -1,6 +1,8 @@
 """A voyage seen from outside: what is judged, and when it is over."""
 
 import argparse
+import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -86,3 +88,16 @@ def test_with_a_console_a_boat_that_was_started_again_is_left_to_what_it_keeps(m
     boat.published = [state("hold", "restarted: it was in play on leg 1")] * 3
     its._watch(lambda state, words: None, boat)  # type: ignore[arg-type]
     assert boat.asked.count("mission") == boat.asked.count("play") == 1
+
+
+def test_a_console_that_was_killed_is_told_once_with_the_words_that_start_it_again(monkeypatch, capsys) -> None:
+    with subprocess.Popen([sys.executable, "-c", "", "console", "--token", "my boats/token"]) as gone:
+        gone.wait()
+    boat = Boat([state("path", "operator")] * 3, state("path", "operator"))
+    its = sailed(boat, monkeypatch, console=True)
+    its.gateway = gone
+    capsys.readouterr()
+    for _ in range(2):
+        its._watch(lambda state, words: None, boat)  # type: ignore[arg-type]
+    told = "delfim: the console has ended, the boat sails on; again, in another terminal: "
+    assert capsys.readouterr().err == f"{told}delfim console --token 'my boats/token'\n"

@@ -147,7 +147,7 @@ def _real_time(asked: argparse.Namespace, settings: config.Vehicle, mission: Mis
                 boat = running.enter_context(_process("supervise", *arguments))
                 if asked.console:
                     gateway = running.enter_context(_process("console", *console, stdout=subprocess.PIPE))
-                    voyage.address = _announced(gateway)
+                    voyage.address, voyage.gateway = _announced(gateway), gateway
                 voyage.sail(boat)
             except KeyboardInterrupt:
                 voyage.end = CTRL_C

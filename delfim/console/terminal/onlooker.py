@@ -3,12 +3,13 @@
 import argparse
 import contextlib
 import json
+import shlex
 import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
 from importlib.util import find_spec
-from typing import Any, Final
+from typing import Any, Final, cast
 
 from delfim import config
 from delfim.base.errors import DelfimError, Refused
@@ -34,6 +35,7 @@ class Voyage:
         )  # nothing to play: the boat keeps what is aboard
         self._last: dict[str, Any] | None = None  # state
         self.address, self.end = "", ""
+        self.gateway: subprocess.Popen[bytes] | None = None  # the console's program
         self.troubles = dict[str, str]()  # troubles of the boat: the last words about each
 
     def sail(self, boat: "subprocess.Popen[bytes]") -> None:
@@ -86,6 +88,7 @@ class Voyage:
                 alive_s = now_s
                 with contextlib.suppress(Refused):  # not heard: a fault by command
                     newest = operator.ask("alive")
+                self._missed()
             if self._played_s is None:
                 with contextlib.suppress(Refused):  # not fit yet; the view shows why
                     operator.ask("play")
@@ -99,6 +102,14 @@ class Voyage:
                 self.end = f"time: {self._asked.for_s:.0f} s sailed, mode {state['mode']}"
             if self.end:
                 return
+
+    def _missed(self) -> None:
+        """Say once that the console's program has ended, and how to have it again: the boat sails on."""
+        if self.gateway is None or self.gateway.poll() is None:
+            return
+        again = shlex.join(["delfim", *cast(list[str], self.gateway.args)[3:]])
+        print(f"delfim: the console has ended, the boat sails on; again, in another terminal: {again}", file=sys.stderr)
+        self.gateway, self.address = None, ""
 
     def _ended(self, state: dict[str, Any]) -> str:
         """How the mission ended, in words. Where there is a console, its operator goes on."""
