@@ -4,6 +4,7 @@ A failure that the user can put right is one line on standard error, with exit c
 """
 
 import argparse
+import re
 import select
 import sys
 from collections.abc import Sequence
@@ -14,6 +15,7 @@ from delfim.base.errors import DelfimError, PermanentFailure, Refused, did_you_m
 from delfim.commands import GROUPS, LINUX, SENTENCES, Formatter, loaded
 
 EXIT_REFUSED, EXIT_WRONG, EXIT_PERMANENT = 1, 2, 100  # 100 tells the supervisor: do not start me again
+SOUTHERN = re.compile(r"-[0-9.]+,.*")
 FORMATS = ("asammdf", "pyarrow", "scipy")  # packages of delfim[formats]; all others are of delfim[ground]
 
 
@@ -73,13 +75,24 @@ def parsed(words: Sequence[str]) -> tuple[ModuleType, argparse.Namespace]:
     """The command and its options. Raises DelfimError for an unknown command, SystemExit for wrong options."""
     name, *rest = words
     command, parser = declared(name)
-    asked, more = parser.parse_known_args(rest)
+    asked, more = parser.parse_known_args(_joined(rest))
     unknown = [word for word in more if word.startswith("-") and not word[1:2].isdigit()]
     if unknown or (more and "many" not in asked):
         parser.error(f"unrecognized arguments: {' '.join(unknown or more)}")
     if more:  # argparse finds the words of a list behind its options only where no option stands before them
         getattr(asked, asked.many).extend(more)
     return command, asked
+
+
+def _joined(words: Sequence[str]) -> list[str]:
+    """The words, a place of the southern half behind `--at` hung on it: argparse takes `-33.85,151.2` for another option."""
+    joined = list[str]()
+    for word in words:
+        if SOUTHERN.fullmatch(word) and joined[-1:] == ["--at"]:
+            joined[-1] += f"={word}"
+        else:
+            joined.append(word)
+    return joined
 
 
 def declared(name: str) -> tuple[ModuleType, argparse.ArgumentParser]:

@@ -111,6 +111,13 @@ def place(most_deg: float) -> Callable[[str], tuple[float, float]]:
     return parsed
 
 
+def picture(text: str) -> str:
+    """The type of an option for the file of a drawing."""
+    if not text.lower().endswith((".png", ".svg")):
+        raise argparse.ArgumentTypeError(f"{text} ends neither with .png nor with .svg")
+    return text
+
+
 def overrides(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--set", action="append", default=[], metavar="KEY=VALUE", help="Use this value instead of the file's; may be repeated."

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from delfim import commands
-from delfim.__main__ import main
+from delfim.__main__ import main, parsed
 from tests.logging.sailing import sailed
 
 ROOT = Path(__file__).parents[2]
@@ -45,6 +45,21 @@ def test_help_is_in_whole_sentences_and_shows_defaults(name, capsys):
 def test_a_command_that_does_not_exist_is_one_line_with_a_proposal(capsys):
     assert main(["chekc"]) == 2
     assert capsys.readouterr().err == "delfim: there is no command 'chekc'; did you mean check?; delfim alone lists all\n"
+
+
+@pytest.mark.parametrize(
+    "words", [["charts", "US5OH10M.000", "--at", "-33.85,151.2"], ["survey", "rest", "a.survey.json", "--at", "-33.85,151.2"]]
+)
+def test_a_place_of_the_southern_half_is_no_option(words):
+    _, asked = parsed(words)
+    assert asked.at in ((-33.85, 151.2), [(-33.85, 151.2)])
+
+
+@pytest.mark.parametrize("words", [["charts", "a.000", "--at", "1,1"], ["survey", "lines", "a.geojson"]])
+def test_a_picture_of_a_kind_that_is_not_drawn_is_refused_before_anything_is_written(words, capsys):
+    with pytest.raises(SystemExit):
+        parsed([*words, "--picture", "a.bmp"])
+    assert capsys.readouterr().err.endswith("argument --picture: a.bmp ends neither with .png nor with .svg\n")
 
 
 @pytest.mark.parametrize(

@@ -5,7 +5,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from delfim.base.errors import DelfimError
-from delfim.commands import OWN_FILE, overrides, place, shipped
+from delfim.commands import OWN_FILE, overrides, picture, place, shipped
 
 
 def options(parser: argparse.ArgumentParser) -> None:
@@ -28,7 +28,7 @@ def options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--open", action="append", default=[], metavar="BAND", help=told)
     told = "Write FILE.geojson and FILE.clearance (default: the first cell's name in this folder)."
     parser.add_argument("-o", "--output", metavar="FILE", help=told)
-    parser.add_argument("--picture", metavar="FILE", help="Draw it, too, as .png or .svg.")
+    parser.add_argument("--picture", type=picture, metavar="FILE", help="Draw it, too, as .png or .svg.")
     told = "Cells of S-57 (.000); their updates .001 ... lie beside them."
     parser.add_argument("cell", nargs="+", metavar="CELL", help=told)
     parser.set_defaults(many="cell")

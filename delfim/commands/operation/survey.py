@@ -7,7 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from delfim.base.errors import DelfimError
-from delfim.commands import OWN_FILE, Formatter, overrides, place, shipped
+from delfim.commands import OWN_FILE, Formatter, overrides, picture, place, shipped
 
 MOST_M = 1000.0  # of a spacing, a swath, a run-in
 SEEN = 0.0005  # a part of the area that the printed figure shows
@@ -59,7 +59,7 @@ def _lines_options(lines: argparse.ArgumentParser) -> None:
     lines.add_argument("--at-begin", action="append", default=[], type=_action, metavar="COMMAND", help=told)
     lines.add_argument("--at-end", action="append", default=[], type=_action, metavar="COMMAND", help="And where each ends.")
     lines.add_argument("--output", metavar="FILE", help="Write the mission here (default: AREA.toml in this folder).")
-    lines.add_argument("--picture", metavar="FILE", help="Draw it, too, as .png or .svg.")
+    lines.add_argument("--picture", type=picture, metavar="FILE", help="Draw it, too, as .png or .svg.")
 
 
 def _boats_option(parser: argparse.ArgumentParser) -> None:
@@ -75,7 +75,7 @@ def _rest_options(rest: argparse.ArgumentParser) -> None:
     told = "Where the boat is, or the next of --boats (default: where the last log ends)."
     rest.add_argument("--at", action="append", default=[], type=place(89.0), metavar="LAT,LON", help=told)
     rest.add_argument("--output", metavar="FILE", help="Write the mission here (default: NAME-rest.toml in this folder).")
-    rest.add_argument("--picture", metavar="FILE", help="Draw it, too, as .png or .svg.")
+    rest.add_argument("--picture", type=picture, metavar="FILE", help="Draw it, too, as .png or .svg.")
     rest.add_argument("survey", metavar="SURVEY", help="The file .survey.json that delfim survey lines wrote.")
     rest.add_argument("log", nargs="*", metavar="LOG", help="Logs since then: trees, days, folders, files, CSV of soundings.")
     rest.set_defaults(many="log")
