@@ -207,6 +207,13 @@ def test_sql_that_is_none_is_refused_before_the_first_run(tmp_path, capsys, line
     assert not (tmp_path / "out").exists()
 
 
+def test_results_to_compare_with_are_looked_for_before_the_first_run(tmp_path, capsys):
+    path = written(tmp_path, 'scenario = "mixed"')
+    assert main(["campaign", str(path), "--output", str(tmp_path / "out"), "--against", str(tmp_path)]) == 2
+    assert capsys.readouterr().err == f"delfim: no results in {tmp_path}\n"
+    assert not (tmp_path / "out").exists()
+
+
 # The results.
 
 

@@ -238,6 +238,15 @@ def test_the_command_makes_a_chart_of_a_csv_and_a_table_of_the_tide(tmp_path: Pa
     assert again.range_m == pytest.approx(day.soundings.range_m)
 
 
+def test_a_log_that_is_named_twice_counts_once(tmp_path: Path, capsys, day: Sounded) -> None:
+    """Soundings that count twice look surer than they are: each line crosses itself."""
+    exported(day, tmp_path / "soundings.csv")
+    logs = [str(tmp_path / "soundings.csv"), f"{tmp_path}/../{tmp_path.name}/soundings.csv"]
+    assert main(["survey", "chart", *logs, "-o", str(tmp_path / "out")]) == 0
+    believed, _, refused, *_ = capsys.readouterr().out.replace(",", "").split()
+    assert int(believed) + int(refused) == len(day.soundings.range_m)
+
+
 @pytest.mark.long
 def test_a_report_without_crossings_shows_no_figure_that_nobody_knows(chart: SurveyChart) -> None:
     alone = chart._replace(crossings=[], uncertainty=Uncertainty(math.nan, math.nan))

@@ -236,6 +236,12 @@ def _report(asked: argparse.Namespace) -> int:
     return 0
 
 
+def _once(logs: list[str]) -> list[str]:
+    """The logs, none of them twice, nor beside its own folder: soundings that count twice look surer than they are."""
+    places = {Path(log).resolve(): log for log in logs}
+    return [log for place, log in places.items() if not places.keys() & {*place.parents}]
+
+
 def _chart(asked: argparse.Namespace) -> int:
     from delfim import config
     from delfim.logging.ashore import tree
@@ -251,7 +257,7 @@ def _chart(asked: argparse.Namespace) -> int:
     say("soundings")
     known = config.load(asked.vehicle, asked.set).sounder if asked.vehicle else None
     span = tree.span(asked.from_, asked.to, 0)
-    parts = [making.read_part(log, span, known, asked.sound, levels, asked.rtk_datum) for log in asked.log]
+    parts = [making.read_part(log, span, known, asked.sound, levels, asked.rtk_datum) for log in _once(asked.log)]
     names = dict.fromkeys(read.boat for read, _ in parts)
     if len(names) > 1 and (asked.bar or asked.patch_test):
         raise DelfimError(f"a bar check and a patch test are of one boat, and these are logs of {', '.join(names)}")

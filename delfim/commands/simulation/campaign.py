@@ -44,6 +44,8 @@ def run(asked: argparse.Namespace) -> int:
     if asked.shrink:
         return shrinking.run(plan, folder, *_run(asked.shrink, len(plan.points)))
     queries.rehearse(file, plan)
+    if asked.against:
+        queries.connect(Path(asked.against)).close()  # a slip of the pen is told before the first run, not after the last
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # as Ctrl-C, which a shell keeps from what runs in the background
     runner.sail(plan, folder, asked.batch, asked.workers, asked.cluster)
     words = ["delfim", "campaign", asked.file, *(["--output", asked.output] if asked.output else [])]
