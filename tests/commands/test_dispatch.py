@@ -31,7 +31,8 @@ def test_every_command_is_a_file_and_every_file_a_command():
 
 
 @pytest.mark.parametrize("name", commands.SENTENCES)
-def test_help_is_in_whole_sentences_and_shows_defaults(name, capsys):
+def test_help_is_in_whole_sentences_and_shows_defaults(name, capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "200")  # no path is broken at its hyphen, whatever the terminal
     with pytest.raises(SystemExit) as ended:
         main([name, "--help"])
     assert ended.value.code == 0
