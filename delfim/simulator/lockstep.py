@@ -307,16 +307,16 @@ class Lockstep:
         reason = self.order(console.LoadMission(mission), "simulation")
         if reason is not None:
             return f"stopped: {reason}"
-        playing = False
+        waits: str | None = "not played yet"
         for state in self.cycles(limit_s):
             look(self)
-            if not playing:
-                playing = self.order(console.Play(), "simulation") is None
+            if waits is not None:
+                waits = self.order(console.Play(), "simulation")
             elif state.reason.startswith("play done"):
                 return f"mission done in {self.elapsed_s:.0f} s"
             elif state.mode is Mode.IDLE:
                 return f"stopped: {state.reason}"
-        return f"time: {limit_s:.0f} s sailed, mode {self.state.mode.name.lower()}"
+        return f"time: {limit_s:.0f} s sailed, mode {self.state.mode.name.lower()}{f'; {waits}' if waits else ''}"
 
 
 _ALIVE: Final = console.Alive()

@@ -25,12 +25,15 @@ def state(mode: str, reason: str) -> dict[str, Any]:
 class Boat:
     """Both ends of the command socket: what it publishes, and what it answers."""
 
-    def __init__(self, published: list[dict[str, Any]], now: dict[str, Any], refuses: str = "") -> None:
+    def __init__(
+        self, published: list[dict[str, Any]], now: dict[str, Any], refuses: str = "", refused: str = "mission"
+    ) -> None:
         self.published, self.now, self.refuses, self.asked = published, now, refuses, list[str]()
+        self._refused = refused  # the command
 
     def ask(self, command: str, **words: object) -> dict[str, Any]:
         self.asked.append(command)
-        if command == "mission" and self.refuses:
+        if command == self._refused and self.refuses:
             raise Refused(self.refuses)
         return self.now
 
@@ -47,9 +50,9 @@ class Boat:
         pass
 
 
-def sailed(boat: Boat, monkeypatch: pytest.MonkeyPatch, *, console: bool = False) -> Voyage:
+def sailed(boat: Boat, monkeypatch: pytest.MonkeyPatch, *, console: bool = False, for_s: float | None = None) -> Voyage:
     settings = config.load(FILE)
-    asked = argparse.Namespace(console=console, for_s=None, json=True, plain=False)
+    asked = argparse.Namespace(console=console, for_s=for_s, json=True, plain=False)
     mission: Mission = load_mission(config.mission_place(str(FILE), settings))
     monkeypatch.setattr(onlooker, "_connected", lambda path, process: boat)
     its = Voyage(asked, settings, mission)
@@ -101,3 +104,12 @@ def test_a_console_that_was_killed_is_told_once_with_the_words_that_start_it_aga
         its._watch(lambda state, words: None, boat)  # type: ignore[arg-type]
     told = "delfim: the console has ended, the boat sails on; again, in another terminal: "
     assert capsys.readouterr().err == f"{told}delfim console --token 'my boats/token'\n"
+
+
+def test_why_a_boat_does_not_play_is_told_when_it_lasts_and_at_the_end(monkeypatch, capsys):
+    times = iter(range(1000))
+    monkeypatch.setattr(onlooker.time, "monotonic", lambda: 1.0 * next(times))
+    words = "play refused: no heading: position and velocity only"
+    boat = Boat([state("idle", "started")] * 100, state("idle", "started"), words, "play")
+    assert sailed(boat, monkeypatch, for_s=60.0).end == f"time: 60 s sailed, mode idle; {words}"
+    assert capsys.readouterr().err == f"delfim: {words}\n"

@@ -67,6 +67,15 @@ def test_same_seed_same_bytes_and_another_seed_another_run():
     assert runs[0] != runs[2]
 
 
+def test_a_mission_that_is_never_played_ends_with_the_reason():
+    """Else a boat without a compass lies in idle for two hours, and nobody says why."""
+    sailing = boat(1)
+    assert sailing.command(console.Kill()) is None
+    assert sailing.sail(MISSION.read_text(), 2.0) == "time: 2 s sailed, mode idle; play refused: kill: operator: commanded"
+    sailing = boat(1)
+    assert sailing.sail(MISSION.read_text(), 5.0) == "time: 5 s sailed, mode play"
+
+
 @pytest.mark.parametrize("seed", [1, 2, 3, *(pytest.param(seed, marks=pytest.mark.long) for seed in range(4, 21))])
 def test_every_waypoint_is_reached_in_a_cross_current_with_sensor_noise(seed):
     sailing = boat(seed)

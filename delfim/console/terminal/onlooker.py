@@ -18,6 +18,7 @@ from delfim.vehicle.operator.link import Link
 from delfim.vehicle.plans.mission import Mission, canonical
 
 START_S: Final = 60.0  # the suite must answer within this time: a busy machine loads it slowly
+PATIENCE_S: Final = 5.0  # a boat that has all it needs is fit to play by then
 CTRL_C, GONE = "ended by Ctrl-C", "the vehicle's program has ended"
 
 Show = Callable[[dict[str, Any], str], None]  # a state, and words beside it
@@ -36,6 +37,7 @@ class Voyage:
         self._last: dict[str, Any] | None = None  # state
         self.address, self.end = "", ""
         self.gateway: subprocess.Popen[bytes] | None = None  # the console's program
+        self._waits, self._told = "", ""  # why it is not played yet, and what of it was told
         self.troubles = dict[str, str]()  # troubles of the boat: the last words about each
 
     def sail(self, boat: "subprocess.Popen[bytes]") -> None:
@@ -90,16 +92,14 @@ class Voyage:
                     newest = operator.ask("alive")
                 self._missed()
             if self._played_s is None:
-                with contextlib.suppress(Refused):  # not fit yet; the view shows why
-                    operator.ask("play")
-                    self._played_s = now_s
+                self._play(operator, now_s)
             elif (is_under_way := is_under_way or state["mode"] != "idle") or newest is not state:
                 # what the onlooker was told before "play" may still wait to be read
                 self.end, sailed_s = self._ended(newest), now_s - self._played_s
                 news = (notice for notice in newest["notices"] if notice["age_s"] < sailed_s)  # not those of the start
                 self.troubles |= {notice["name"]: notice["reason"] for notice in news}
             if self._asked.for_s is not None and now_s - self._began_s > self._asked.for_s:
-                self.end = f"time: {self._asked.for_s:.0f} s sailed, mode {state['mode']}"
+                self.end = f"time: {self._asked.for_s:.0f} s sailed, mode {state['mode']}{self._waits and f'; {self._waits}'}"
             if self.end:
                 return
 
@@ -110,6 +110,17 @@ class Voyage:
         again = shlex.join(["delfim", *cast(list[str], self.gateway.args)[3:]])
         print(f"delfim: the console has ended, the boat sails on; again, in another terminal: {again}", file=sys.stderr)
         self.gateway, self.address = None, ""
+
+    def _play(self, operator: Link, now_s: float) -> None:
+        """Play the mission, if the boat is fit. Says why not where that lasts: a boat without a compass never is."""
+        try:
+            operator.ask("play")
+            self._played_s, self._waits = now_s, ""
+        except Refused as refused:
+            self._waits = str(refused)
+            if now_s - self._began_s > PATIENCE_S and self._waits != self._told:
+                self._told = self._waits
+                print(f"delfim: {self._waits}", file=sys.stderr, flush=True)
 
     def _ended(self, state: dict[str, Any]) -> str:
         """How the mission ended, in words. Where there is a console, its operator goes on."""
