@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from delfim.base.errors import FormatError
-from delfim.base.input.untrusted import parse_json, parse_toml, read_file
+from delfim.base.input.untrusted import parse_json, parse_toml, read_file, read_text
 
 
 def test_a_file_is_read_up_to_its_limit(tmp_path: Path) -> None:
@@ -17,6 +17,15 @@ def test_a_file_is_read_up_to_its_limit(tmp_path: Path) -> None:
     with pytest.raises(OSError, match="8 bytes: files of more than 7 are not read") as refused:
         read_file(file, 7)
     assert refused.value.filename == str(file)
+
+
+def test_a_text_may_begin_with_the_mark_of_its_encoding(tmp_path: Path) -> None:
+    """TOML has no such character: at line 1, column 1 a person sees nothing wrong."""
+    (tmp_path / "file").write_bytes(b"\xef\xbb\xbfname = 'Del\xc3\xafim'")
+    assert parse_toml(read_text(tmp_path / "file")) == {"name": "Delïim"}
+    (tmp_path / "file").write_bytes(b"name = '\xef'")
+    with pytest.raises(FormatError, match=r"not UTF-8: .* at byte 8"):
+        read_text(tmp_path / "file")
 
 
 def test_a_pipe_does_not_hold_who_opens_it(tmp_path: Path) -> None:

@@ -31,9 +31,10 @@ def read_file(path: str | Path, bytes_max: int = TEXT_BYTES) -> bytes:
 
 
 def read_text(path: str | Path) -> str:
-    """Read a file that people write. Raises OSError, FormatError."""
+    """Read a file that people write; some editors of Windows begin one with a mark of its encoding. Raises OSError,
+    FormatError."""
     try:
-        return read_file(path).decode()
+        return read_file(path).decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise FormatError(f"not UTF-8: {error.reason} at byte {error.start}") from None
 
