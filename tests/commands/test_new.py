@@ -50,6 +50,14 @@ def test_a_form_asks_what_the_command_asks_and_writes_what_it_writes(folder: Pat
     assert told["checked"] == (said.err + said.out).strip()
 
 
+def test_what_to_type_next_knows_blanks(capsys) -> None:
+    assert main(["new", "my boat.toml", "--yes", "--name", "myboat"]) == 0
+    said = capsys.readouterr().out
+    assert "  delfim check 'my boat.toml'\n  delfim sim 'my boat.toml' --console\n" in said
+    assert main(["parts", "new", "motor", "acme", "--output", "my parts"]) == 0
+    assert "  pip install -e 'my parts/delfim-acme'\n" in capsys.readouterr().out
+
+
 @given(answers=st.dictionaries(st.sampled_from([*OF_OWN, "boat", "name", "id", "where"]), st.text(max_size=40) | st.just("1")))
 @settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 def test_whatever_a_form_answers_the_next_question_or_a_file_comes(folder: Path, answers: dict[str, str]) -> None:

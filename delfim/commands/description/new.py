@@ -8,6 +8,7 @@ import math
 import sys
 from collections.abc import Callable, Mapping
 from pathlib import Path
+from shlex import quote
 from typing import Any, Final, NamedTuple, Protocol
 
 from delfim.base import parts
@@ -100,7 +101,8 @@ def _listed(kinds: dict[str, str]) -> str:
 
 def run(asked: argparse.Namespace) -> int:
     file, mission = write(Path(asked.file), asked, AsksAtTerminal(asked))
-    print(f"delfim: {file} and {mission} are written. Next:\n  delfim check {file}\n  delfim sim {file} --console")
+    typed = quote(str(file))
+    print(f"delfim: {file} and {mission} are written. Next:\n  delfim check {typed}\n  delfim sim {typed} --console")
     return 0
 
 
@@ -265,7 +267,7 @@ def _text(of: Answers, file: str, mission: str) -> str:
     """The vehicle's file."""
     buses = _buses(of)
     return f"""\
-# {of.name}. Every table and key with its range: `delfim describe`. After each change: `delfim check {file}`.
+# {of.name}. Every table and key with its range: `delfim describe`. After each change: `delfim check {quote(file)}`.
 
 [boat]
 name = "{of.name}"

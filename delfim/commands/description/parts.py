@@ -6,6 +6,7 @@ import re
 import shutil
 import sys
 from pathlib import Path
+from shlex import quote
 from typing import Final
 
 from delfim.base.errors import DelfimError
@@ -74,7 +75,7 @@ def _new(asked: argparse.Namespace) -> int:
         if example in path.name:
             path.rename(path.with_name(path.name.replace(example, asked.name)))
     print(f"{place} has a part of the kind {asked.kind} that works. Now:")
-    print(f"  pip install -e {place}")
+    print(f"  pip install -e {quote(str(place))}")
     print(f"  delfim parts check {asked.name}")
     used = f", and use it: {USED[asked.kind].format(asked.name)}" if asked.kind in USED else ""
     print(f'Then name it in the vehicle\'s file, [parts] {asked.name} = "1.0"{used}.')
