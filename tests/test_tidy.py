@@ -121,7 +121,8 @@ def test_tasks_are_born_in_the_runtime_or_in_a_group_that_sees_their_end() -> No
         and node.attr in ("create_task", "ensure_future")
         and ast.unparse(node.value) != "group"
     ]
-    assert [at for at in born if not at.startswith("delfim/services/runtime.py:")] == []
+    waits_for_them = "delfim/services/runtime.py:", "delfim/services/supervision/processes.py:"
+    assert [at for at in born if not at.startswith(waits_for_them)] == []
     groups = [node for _, node in _nodes(MODULES) if isinstance(node, ast.withitem) and "group" in ast.unparse(node).split()]
     assert {ast.unparse(node) for node in groups} == {"asyncio.TaskGroup() as group"}
 

@@ -128,7 +128,8 @@ class Payload(asyncio.SubprocessProtocol):
         self._limits.end(self._group)
         stdin, feed = os.pipe()
         try:
-            transport, _ = await loop.subprocess_exec(lambda: self, *words, stdin=stdin, start_new_session=True)
+            start = loop.subprocess_exec(lambda: self, *words, stdin=stdin, start_new_session=True)
+            transport, _ = await processes.started(start)
         except OSError as error:
             os.close(feed)
             return 127, in_words(error)

@@ -136,9 +136,10 @@ class Programs:
             feed, stdin = _pipe(ours, theirs, reads=False)
             out, stdout = _pipe(ours, theirs, reads=True)
             err, stderr = _pipe(ours, theirs, reads=True)
-            child = await asyncio.create_subprocess_exec(
+            start = asyncio.create_subprocess_exec(
                 *words, env=names, cwd=home, stdin=stdin, stdout=stdout, stderr=stderr, start_new_session=True
             )
+            child = await processes.started(start)
             theirs.close()
             return await self._attended(process, child, feed, {out: process.stdout, err: process.stderr}, theirs)
 
@@ -151,10 +152,11 @@ class Programs:
             _resize(terminal, process.term_size)
             process.on_resize = functools.partial(_resize, terminal)
             null = asyncio.subprocess.DEVNULL
-            child = await asyncio.create_subprocess_exec(
+            start = asyncio.create_subprocess_exec(
                 *ON_TERMINAL, os.ttyname(slave), *words,
                 env=names, cwd=home, stdin=null, stdout=null, stderr=null, start_new_session=True,
             )  # fmt: skip
+            child = await processes.started(start)
             return await self._attended(process, child, terminal, {terminal: process.stdout}, theirs)
 
     async def _attended(

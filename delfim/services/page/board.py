@@ -14,6 +14,7 @@ from delfim.services.access.connection_limits import ConnectionLimits
 from delfim.services.page import page
 from delfim.services.page.api import Computer, Report, Server
 from delfim.services.runtime import Runtime
+from delfim.services.supervision import processes
 from delfim.services.tables import Httpd
 from delfim.vehicle.report import BoatReport, Service, reported
 
@@ -94,7 +95,8 @@ class Lookout(asyncio.SubprocessProtocol):
         if self._transport is None:
             loop = asyncio.get_running_loop()
             self._ended.clear()
-            self._transport, _ = await loop.subprocess_exec(lambda: self, *self._command, stderr=None)
+            start = loop.subprocess_exec(lambda: self, *self._command, stderr=None)
+            self._transport, _ = await processes.started(start)
 
     async def close(self) -> None:
         """Nothing is left behind."""

@@ -3,14 +3,15 @@
 import contextlib
 import os
 import signal
-from collections.abc import Iterator
+from collections.abc import Awaitable, Iterator
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import Final, NamedTuple, TypeVar
 
 LOOK_S: Final = 0.02  # between two looks whether a session is empty
 PASSES: Final = 50  # through a session until nobody is left
 PAGE_BYTES: Final = os.sysconf("SC_PAGE_SIZE")
 TICKS_PER_S: Final = os.sysconf("SC_CLK_TCK")
+T = TypeVar("T")
 
 
 class Usage(NamedTuple):
@@ -35,6 +36,21 @@ def kill(session: int) -> None:
         end(session, signal.SIGKILL)
         if not members(session):
             return
+
+
+async def started(start: Awaitable[T]) -> T:
+    """The answer of the loop that starts a program. A cancellation waits until the program is there, and comes with the next
+    wait: asyncio kills one that it has not yet joined to its pipes, but no other of its session, and waits for it for ever."""
+    import asyncio
+
+    starting = asyncio.ensure_future(start)
+    try:
+        await asyncio.wait({starting})
+    except asyncio.CancelledError:
+        await asyncio.wait({starting})
+        if (us := asyncio.current_task()) is not None:
+            us.cancel()
+    return starting.result()
 
 
 async def empty(session: int, within_s: float) -> None:

@@ -273,6 +273,32 @@ async def test_all_of_a_program_ends_with_it_its_children_in_the_background_too(
     assert living(mark) == []
 
 
+async def test_a_service_that_ends_while_a_program_starts_leaves_none_of_it(tmp_path: Path, monkeypatch) -> None:
+    """Between its process and its pipes, when it has started others already, as it can be on a busy machine."""
+    mark = f"starts-{os.getpid()}"
+    loop, popen = asyncio.get_running_loop(), subprocess.Popen
+    services, started = list[asyncio.Task[None]](), list[int]()
+
+    def ending(*words: Any, **more: Any) -> subprocess.Popen[bytes]:
+        program = popen(*words, **more)
+        if mark in words[0]:
+            started.append(program.pid)
+            while len(living(mark)) < 2:
+                os.sched_yield()
+            loop.call_soon(services[0].cancel)
+        return program
+
+    monkeypatch.setattr(subprocess, "Popen", ending)
+    program = ("/bin/sh", "-c", "(while :; do sleep 1; done) & read line", mark)
+    settings = vehicle_file(tmp_path, payload={"starts": PayloadTable(command=program)})
+    services.append(asyncio.create_task(payload.serve(Runtime(settings, SystemClock(), alone=True))))
+    async with asyncio.timeout(200):
+        await asyncio.wait(services)
+    assert services[0].cancelled()
+    assert len(started) == 1
+    assert processes.members(started[0]) == []
+
+
 @as_root
 @pytest.mark.parametrize("user", ["no-such-user", "toor"])
 async def test_without_an_unprivileged_user_it_does_not_run_and_is_not_tried_again(tmp_path: Path, user: str) -> None:
