@@ -61,7 +61,7 @@ class Boat(NamedTuple):
         options = ("-o", "BatchMode=yes", "-o", "StrictHostKeyChecking=no", "-o", "UserKnownHostsFile=/dev/null")
         words = ("ssh", "-F", "none", *options, "-o", "IdentitiesOnly=yes", "-i", str(self.folder / key))
         return subprocess.run(
-            (*words, "-p", str(self.ports["sshd"]), "ana@127.0.0.1", "echo aboard"), capture_output=True, text=True, timeout=30
+            (*words, "-p", str(self.ports["sshd"]), "ana@127.0.0.1", "echo aboard"), capture_output=True, text=True, timeout=200
         )
 
 

@@ -99,7 +99,7 @@ def test_c_puts_together_what_python_does(programs: dict[str, Path], bus: str, t
     expected = []
     with open_can(f"canloop:{bus}") as world, loop(programs, bus, log):
         world.bind(CanAddress(BATTERIES_PORT))  # the last frame of each answer
-        world.settimeout(30.0)
+        world.settimeout(200.0)
         said = Message(NAVIGATION_PRIORITY, Node.NAVIGATION, Node.BROADCAST, NAVIGATION_ID, bytes(NAVIGATION.size))
         for frames in [*navigation_messages(random.Random(seed), 150), segments(said, 150)]:
             for frame in frames:
@@ -119,7 +119,7 @@ def test_c_steers_as_python_does(programs: dict[str, Path], bus: str, tmp_path: 
     log = tmp_path / "c.state"
     with open_can(f"canloop:{bus}") as world, loop(programs, bus, log):
         world.bind(CanAddress(PROPELLER_STARBOARD), CanAddress(PROPELLER_PORT))
-        world.settimeout(30.0)
+        world.settimeout(200.0)
         for number in range(50):
             fields = (0, 386_925_000, -92_150_000, 0, 0, 7_854, 0, 0, 0, 3, 10, 9, number)
             message = Message(NAVIGATION_PRIORITY, Node.NAVIGATION, Node.BROADCAST, NAVIGATION_ID, NAVIGATION.pack(*fields))

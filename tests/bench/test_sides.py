@@ -49,7 +49,7 @@ def navigation(bus: CanSocket, number: int) -> None:
 def commanded(bus: CanSocket, witness: CanSocket) -> None:
     """A command that is in all queues when this returns, and what was sent before it too."""
     witness.bind(CanAddress(onlooker.COMMANDS[-1]))
-    witness.settimeout(30.0)
+    witness.settimeout(200.0)
     bus.send_many([(arb, BATTERIES_COMMAND.pack(1, 0)) for arb in onlooker.COMMANDS])
     witness.recvmsg()
 

@@ -55,7 +55,7 @@ from delfim.canproxy.tables import Cantcpd
 T = TypeVar("T")
 ROOT = Path(__file__).parents[2]
 _numbers = itertools.count()
-TIMEOUT_S = 10.0
+TIMEOUT_S = 200.0
 
 
 class Loop:

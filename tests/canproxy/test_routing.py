@@ -59,7 +59,7 @@ def routed(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
 @contextlib.contextmanager
 def node(bus: str, number: int) -> Iterator[DsorSocket]:
     with open_dsor(bus, number) as opened:
-        opened.settimeout(20.0)
+        opened.settimeout(200.0)
         yield opened
 
 

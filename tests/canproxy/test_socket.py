@@ -37,7 +37,7 @@ def opened(request: pytest.FixtureRequest) -> Iterator[Callable[..., CanSocket]]
         else:
             kernel_filter = request.param == "canloop"
             one = CanSocket(CanLoop(name, receive_buffer_bytes, error_frames, kernel_filter=kernel_filter))
-        one.settimeout(30.0)
+        one.settimeout(200.0)
         sockets.append(one)
         return one
 

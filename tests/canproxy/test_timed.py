@@ -208,7 +208,7 @@ def buses() -> Iterator[tuple[CanSocket, CanSocket]]:
         service.setblocking(False)
         for each in (service, other):
             each.bind(CanAddress(TIME_FRAME))
-        other.settimeout(30.0)
+        other.settimeout(200.0)
         yield service, other
 
 
@@ -306,7 +306,7 @@ def test_the_service_runs_in_a_process_of_its_own(buses: tuple[CanSocket, CanSoc
     words = [word for override in overrides for word in ("--set", override)]
     command = [sys.executable, "-m", "delfim", "run", "etc/delfimx.toml", "--service", "timed", *words]
     with subprocess.Popen(command, cwd=ROOT, env={**os.environ, "PYTHONPATH": str(ROOT)}, stderr=subprocess.PIPE) as program:
-        other.settimeout(30.0)
+        other.settimeout(200.0)
         try:
             assert TIME.unpack(other.recvmsg().data)[0] % S < S // 4
             if mode == "redundant":

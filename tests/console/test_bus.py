@@ -29,7 +29,7 @@ from delfim.console.terminal.framefilter import Filter, Stamps, decoder, long_te
 
 ROOT = Path(__file__).parents[2]
 _numbers = itertools.count()
-TIMEOUT_S = 15.0
+TIMEOUT_S = 200.0
 ERROR = Frame(4 << 3 | CAN_IDE | CAN_ERR, b"\x00\x04\x00\x00\x00\x00\x60\x00", 1_000_000_000)
 
 

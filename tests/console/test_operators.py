@@ -37,14 +37,14 @@ class Someone:
         """The reason of a refusal, or nothing."""
         self._seq += 1
         await self._socket.send_json({"seq": self._seq, **words})
-        async with asyncio.timeout(30):
+        async with asyncio.timeout(200):
             while self._seq not in self.answers:
                 await asyncio.sleep(0.01)
         reason: str = self.answers[self._seq]["reason"]
         return reason
 
     async def until(self, **wanted: Any) -> None:
-        async with asyncio.timeout(30):
+        async with asyncio.timeout(200):
             while not self.word or any(self.word[key] != value for key, value in wanted.items()):
                 await asyncio.sleep(0.01)
 
@@ -113,7 +113,7 @@ async def test_a_deaf_page_loses_the_command_and_is_offered_none(tmp_path: Path)
         assert await ana.ask(t="handover", do="offer", page=rui.page) == ""
         await rui.until(offered=rui.page)
         rui.is_deaf = True
-        async with asyncio.timeout(30):
+        async with asyncio.timeout(200):
             while next(each["carries"] for each in ana.word["pages"] if each["name"] == "Rui"):
                 await asyncio.sleep(0.01)
         assert "cannot carry a stop" in await rui.ask(t="handover", do="accept")
@@ -128,7 +128,7 @@ async def test_a_revoked_key_closes_its_page_and_no_other(tmp_path: Path) -> Non
         await on["Rui"].until(holder=on["Ana"].page)
         revoke_operator(file, "Ana")
         await on["Rui"].until(holder=0)
-        async with asyncio.timeout(30):
+        async with asyncio.timeout(200):
             while [each["name"] for each in on["Rui"].word["pages"]] != ["Rui"]:
                 await asyncio.sleep(0.01)
         async with aiohttp.ClientSession() as session, session.get(sea.url, params={"token": sea.gateway.token}) as answer:

@@ -151,7 +151,7 @@ def test_a_killed_writer_is_followed_by_another_and_its_loss_counted(tmp_path, p
         log.put(record(number))
     os.kill(first, signal.SIGKILL)
     assert log._child
-    log._child.wait(10.0)
+    log._child.wait(200.0)
     assert not log.put(b"nobody reads this\n")
     clock.advance(0.5)
     log.poll()
@@ -175,7 +175,7 @@ def test_a_writer_killed_within_a_large_record_does_not_hold_up_the_end(pipe_log
     assert log.put(record(1, size=4_000_000))
     os.kill(pid(log), signal.SIGKILL)
     assert log._child
-    log._child.wait(10.0)
+    log._child.wait(200.0)
     log.close()
     assert log.status()[4:] == (0, 1)
 
@@ -246,7 +246,7 @@ def test_the_place_of_reports_stays_the_same(pipe_log, clock):
     fileno = log.status_fileno()
     os.kill(pid(log), signal.SIGKILL)
     assert log._child
-    log._child.wait(10.0)
+    log._child.wait(200.0)
     clock.advance(1.0)
     log.poll()
     assert log.status_fileno() == fileno
@@ -269,7 +269,7 @@ def test_the_protocol_of_the_pipe_is_as_described(tmp_path):
     messages = [json.dumps(settings).encode(), b"000001\n", b"000002\n"]
     stream = b"".join(struct.pack("=I", len(message)) + message for message in messages)
     child = subprocess.run(
-        [sys.executable, "-m", "delfim.logging.writer", "gps"], input=stream, capture_output=True, timeout=30
+        [sys.executable, "-m", "delfim.logging.writer", "gps"], input=stream, capture_output=True, timeout=200
     )
     assert child.stderr == b""
     report = json.loads(child.stdout.splitlines()[-1])

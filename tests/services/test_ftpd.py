@@ -479,7 +479,7 @@ async def test_it_goes_on_when_a_download_is_not_read(tmp_path, monkeypatch):
 
 async def test_ftps_with_curl_lftp_and_pythons_ftplib(tmp_path, certificate):
     def use(port: int) -> None:
-        with ftplib.FTP_TLS(context=ssl.create_default_context(cafile=certificate), timeout=10) as ftp:
+        with ftplib.FTP_TLS(context=ssl.create_default_context(cafile=certificate), timeout=200) as ftp:
             ftp.connect("127.0.0.1", port)
             with pytest.raises(ftplib.error_perm, match="no password in the clear"):
                 ftplib.FTP.login(ftp, "writer", "open")

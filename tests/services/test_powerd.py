@@ -179,7 +179,7 @@ def sail(tmp_path: Path, order: Frame, *, supervised: bool) -> tuple[int, bytes,
         if supervised:
             supervisor.bind(str(shutdown.socket_path(tmp_path)))
         board.bind(CanAddress(messages.SHUTDOWN_ACKNOWLEDGE))
-        board.settimeout(30.0)
+        board.settimeout(200.0)
 
         async def tell(runtime: Runtime) -> None:
             while "powerd" not in runtime.board:

@@ -33,7 +33,7 @@ def pair():
     """The model and the other program's end."""
     model = ExternalModel(Hull(), "127.0.0.1:0", 0.67, -0.16)
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
-        other.settimeout(30.0)
+        other.settimeout(200.0)
         other.connect(model._socket.getsockname())
         yield model, other
     model._socket.close()
@@ -59,7 +59,7 @@ def test_other_thrusters_are_told_by_name_as_part_of_full_command_with_their_ang
     msgspec.structs.force_setattr(row, "driver", "vesc")
     model = ExternalModel(Hull(), "127.0.0.1:0", 0.67, -0.16, (row,))
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other, contextlib.closing(model._socket):
-        other.settimeout(30.0)
+        other.settimeout(200.0)
         other.connect(model._socket.getsockname())
         model.push("motor", 0.5, -0.2)
         model.advance(10.0)

@@ -396,7 +396,7 @@ def answered(place: str, data: bytes) -> dict[str, object]:
 
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as asking:
         asking.bind("")
-        asking.settimeout(30.0)
+        asking.settimeout(200.0)
         asking.sendto(data, place)
         answer: dict[str, object] = json.loads(asking.recv(4096))
         return answer
