@@ -123,3 +123,12 @@ def test_what_is_sent_to_the_nmea_2000_bus_is_told(check):
     assert "NMEA 2000" not in out
     _, _, err = check(text + 'preferred_sources = ["c0789100"]\n')
     assert "0 to 251 or a NAME of 16 hexadecimal digits in quotes" in err
+
+
+def test_simulated_vessels_that_she_cannot_hear_are_told(check):
+    vessel = '[[simulation.traffic.vessel]]\nname = "FERRY"\ncourse_deg = 255.0\nspeed_mps = 2.0\n'
+    text = VEHICLE.read_text() + vessel
+    _, _, err = check(text)
+    assert "simulation.traffic: she hears none of these vessels: AIS comes by NMEA 2000" in err
+    _, _, err = check(text, "--set", 'sensors.names=["sysstat", "nmea2000"]')
+    assert "simulation.traffic" not in err

@@ -110,6 +110,8 @@ def _doubts(file: str, vehicle: config.Vehicle) -> Iterator[str]:
         if not os.access(payload.command[0], os.X_OK):
             yield f"payload.{name}.command: there is no program {payload.command[0]} on this computer"
     yield from _without_pictures(vehicle)
+    if vehicle.of(Simulation).traffic.vessel and not _hears(vehicle):
+        yield "simulation.traffic: she hears none of these vessels: AIS comes by NMEA 2000, sensors.names has no nmea2000"
     named, chart = vehicle.fence.chart, None
     if named and not Path(named).exists():
         yield f"fence.chart: there is no file {named} on this computer"
@@ -126,6 +128,13 @@ def _doubts(file: str, vehicle: config.Vehicle) -> Iterator[str]:
             yield str(error)
         except Refused as error:
             yield f"simulation.mission: {error}"
+
+
+def _hears(vehicle: config.Vehicle) -> bool:
+    """Whether what tells of the simulated vessels reaches her."""
+    read = {*vehicle.navigation.sources, *vehicle.sensors.names}
+    instruments = {each.rpartition(":")[2] for each in vehicle.of(Simulation).instruments} or {"ais"}  # all, on one port
+    return "nmea2000" in read or ("nmea0183" in read and not instruments.isdisjoint(("ais", "radar")))
 
 
 def _without_pictures(vehicle: config.Vehicle) -> Iterator[str]:
