@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from delfim import config
 from delfim.base.frames import Frame, extended
+from delfim.base.geodesy import origin
 from delfim.canproxy.dsor.messages import (
     BATTERIES_PORT,
     BATTERIES_STARBOARD,
@@ -135,6 +136,15 @@ def test_navigation_noise_has_the_asked_deviation() -> None:
     assert statistics.stdev(north) == pytest.approx(2.0, rel=0.2)
     assert statistics.stdev(heading) == pytest.approx(1.0, rel=0.2)
     assert statistics.stdev(speed) == pytest.approx(0.1, rel=0.2)
+
+
+def test_the_error_of_position_leads_across_the_date_line() -> None:
+    """A longitude of more than 180 degrees is refused aboard: a boat beside the line was stopped."""
+    boat = Boat(Simulation(position_noise_m=2.0))
+    boat.model.origin = origin(0.7, math.pi)
+    longitudes = [boat.nodes.navigation.measured(UTC_NS).longitude_rad or 0.0 for _ in range(1000)]
+    assert -math.pi <= min(longitudes) < -3.14
+    assert 3.14 < max(longitudes) <= math.pi
 
 
 def test_the_error_of_position_wanders_and_does_not_jump() -> None:

@@ -6,7 +6,7 @@ from typing import Final, NamedTuple
 
 from delfim import config
 from delfim.base.frames import Frame
-from delfim.base.geodesy import from_plane
+from delfim.base.geodesy import from_plane, wrap
 from delfim.canproxy.dsor.messages import NAVIGATION_ID, NAVIGATION_PRIORITY, Navigation, Node, pack_navigation
 from delfim.canproxy.dsor.protocol import Message, message_filter, segments
 from delfim.canproxy.socket import CanAddress
@@ -94,7 +94,7 @@ class NavigationNode:
         values = (
             utc_ns,
             latitude_rad + self._north_m / origin.north_m_per_rad,
-            longitude_rad + self._east_m / origin.east_m_per_rad,
+            wrap(longitude_rad + self._east_m / origin.east_m_per_rad),
             model.north_mps + gauss(0.0, noise.speed_mps),
             model.east_mps + gauss(0.0, noise.speed_mps),
             model.heading_rad + gauss(0.0, noise.heading_rad),
