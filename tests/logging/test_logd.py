@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from delfim.__main__ import main
 from delfim.base.errors import BusError
 from delfim.base.frames import Frame
 from delfim.canproxy.dsor.messages import LOG_ID, NAVIGATION_ID, Node
@@ -80,6 +81,17 @@ def test_each_node_has_its_own_log(tmp_path, wire, daemon):
     assert [row["text"] for row in told(tmp_path, "gps")] == ["rover at 38.69°", "second\n"]
     assert told(tmp_path, "node-51") == [{"t_ns": T0 + 1, "hex": "ff0001"}]
     assert daemon.messages == 3
+
+
+def test_what_it_wrote_is_printed_by_the_command(tmp_path, wire, daemon, capsys):
+    say(wire, daemon, Node.GPS, b"first")
+    say(wire, daemon, Node.GPS, b"second", 1)
+    daemon.close()
+    for words in ((), ("--from", "2010-01-01T00:00:00", "--to", "2010-01-01T00:00:01")):
+        assert main(["log", "cat", "--id", "gps", *words, str(tmp_path)]) == 0
+        rows = [json.loads(row) for row in capsys.readouterr().out.splitlines()]
+        assert [row["text"] for row in rows] == ["first", "second"]
+    assert main(["log", "cat", "--id", "gps", "--from", "2010-01-01T00:00:02", str(tmp_path)]) == 2
 
 
 def test_frames_are_answered_so_that_the_node_goes_on(wire, daemon):

@@ -147,7 +147,7 @@ def _cat_lines(chosen: Selection, *, events: bool, as_json: bool) -> Iterator[st
 
     for file in chosen.files:
         for line in read_lines(file.path):
-            match = re.match(rb'\{"t_ns": ([0-9]+)', line)
+            match = re.match(rb'\{"t_ns": ?([0-9]+)', line)
             if match and chosen.span.has(int(match[1])):
                 yield line.decode(errors="replace") + "\n"
 
