@@ -51,7 +51,8 @@ def test_what_is_not_on_this_computer_is_a_warning(check, tmp_path):
     code, out, err = check(text)
     assert (code, out) == (0, "boat.toml: x: nothing is wrong with this file\n")
     assert err.splitlines() == [
-        "delfim: warning: can.interface: this computer has no can77; the boat needs it, `delfim sim` does not",
+        "delfim: warning: can.interface: this computer has no can77; the boat needs it, `delfim sim` does not; "
+        'a boat without a bus says "canloop:nodes"',
         "delfim: warning: mavlink.key: there is no file /no/such/key on this computer",
         "delfim: warning: payload.sonar.command: there is no program /no/such/sonar on this computer",
         "delfim: warning: boat.toml: simulation.mission: there is no file away.toml; put it beside the vehicle's file",

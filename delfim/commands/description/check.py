@@ -95,7 +95,8 @@ def _doubts(file: str, vehicle: config.Vehicle) -> Iterator[str]:
 
     for key, bus in vehicle.outside("interface").items():
         if ":" not in bus and not Path("/sys/class/net", bus).exists():
-            yield f"{key}: this computer has no {bus}; the boat needs it, `delfim sim` does not"
+            without = '; a boat without a bus says "canloop:nodes"' if key == "can.interface" else ""
+            yield f"{key}: this computer has no {bus}; the boat needs it, `delfim sim` does not{without}"
     yield from (doubt for doubts in vehicle.facts("doubts") for doubt in doubts)
     if vehicle.of(Canip).enabled and vehicle.of(Canip).address:
         yield from _on_the_bus(vehicle)
