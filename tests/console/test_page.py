@@ -551,6 +551,18 @@ async def test_a_line_that_ends_at_a_hole_is_one_line_though_its_end_is_a_leg_of
     await shown(page, gateway, "document.body.innerText.includes('survey: 2 lines · ')")
 
 
+async def test_a_long_reason_of_the_check_is_not_covered_by_what_is_told_of_vessels(page: Page, gateway: Standin) -> None:
+    gateway.refusals["check"] = (
+        "mission refused: the leg to waypoint 2 leads through no-go water; " + 9 * "missions keep 6 m away, "
+    )
+    await gateway.tell({"t": "vessels", "at_s": 1.0, "heard_s": None, "vessels": []})
+    await gateway.tell({"t": "mission", "boat": 1, "where": "here", "mission": survey()})
+    await shown(page, gateway, "document.getElementById('check').textContent.includes('6 m away')")
+    box = "document.getElementById('{}').getBoundingClientRect().{}"
+    await shown(page, gateway, f"{box.format('check', 'bottom')} < {box.format('traffic', 'top')}")
+    assert await page.value(f"{box.format('check', 'height')} > 90")
+
+
 async def test_a_dry_run_says_time_and_distance(page: Page, gateway: Standin) -> None:
     await gateway.tell({"t": "mission", "boat": 1, "where": "here", "mission": survey()})
     await settled(page, gateway)

@@ -62,5 +62,6 @@ export class Check {
     attribute(this.box, "data-state", answer.ok ? "well" : "wrong");
     text(this.what, `${isSurvey(mission) ? "survey" : "plan"}: ${size}`);
     text(this.words, why ? `${words} (${why})` : words);
+    document.documentElement.style.setProperty("--check", `${this.box.offsetHeight}px`); // below it stands what is told of vessels
   }
 }
