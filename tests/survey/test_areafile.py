@@ -55,6 +55,7 @@ def read(tmp_path):
     ("name", "text"),
     [
         ("dock.geojson", POLYGON),
+        ("dock.geojson", f"\ufeff{json.dumps(POLYGON)}"),
         ("dock.json", {"type": "FeatureCollection", "features": [POINT, {**POINT, "geometry": None}, FEATURE]}),
         ("dock.geojson", {"type": "GeometryCollection", "geometries": [{"type": "MultiPolygon", "coordinates": [EAST_FIRST]}]}),
         ("dock.kml", KML),

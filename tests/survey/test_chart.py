@@ -241,6 +241,8 @@ def test_the_command_makes_a_chart_of_a_csv_and_a_table_of_the_tide(tmp_path: Pa
 def test_a_log_that_is_named_twice_counts_once(tmp_path: Path, capsys, day: Sounded) -> None:
     """Soundings that count twice look surer than they are: each line crosses itself."""
     exported(day, tmp_path / "soundings.csv")
+    saved = (tmp_path / "soundings.csv").read_text()
+    (tmp_path / "soundings.csv").write_text(f"\ufeff{saved}")  # as a spreadsheet saves it
     logs = [str(tmp_path / "soundings.csv"), f"{tmp_path}/../{tmp_path.name}/soundings.csv"]
     assert main(["survey", "chart", *logs, "-o", str(tmp_path / "out")]) == 0
     believed, _, refused, *_ = capsys.readouterr().out.replace(",", "").split()

@@ -1,5 +1,6 @@
 """GeoJSON (RFC 7946) from anybody: its geometries one by one, however they are collected."""
 
+from codecs import BOM_UTF8
 from collections.abc import Iterator
 from typing import Any, NamedTuple
 
@@ -17,7 +18,9 @@ class Geometry(NamedTuple):
 def geometries(data: bytes) -> Iterator[Geometry]:
     """What is in a file, in its order. Raises FormatError where it is no JSON, and KeyError, TypeError and the like where it is
     no GeoJSON."""
-    ahead: list[tuple[Any, dict[str, Any]]] = [(parse_json(data), {})]
+    ahead: list[tuple[Any, dict[str, Any]]] = [
+        (parse_json(data.removeprefix(BOM_UTF8)), {})
+    ]  # some editors of Windows write one
     while ahead:
         it, says = ahead.pop()
         match it["type"]:

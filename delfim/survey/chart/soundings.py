@@ -228,7 +228,7 @@ def _lines(path: str | Path, file: BinaryIO) -> Iterator[str]:
         if len(line) == LINE:
             raise FormatError(f"{path}: line {number} is longer than {LINE} bytes: no sounding")
         try:
-            yield line.decode()
+            yield line.decode("utf-8-sig" if number == 1 else "utf-8")  # spreadsheets may begin one with a mark
         except UnicodeDecodeError as error:
             raise FormatError(f"{path}: line {number} is not UTF-8: {error.reason}") from None
 
