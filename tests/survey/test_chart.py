@@ -15,6 +15,7 @@ from PIL import Image
 from delfim.__main__ import main
 from delfim.base.errors import DelfimError
 from delfim.base.projection import plane
+from delfim.commands.operation import survey
 from delfim.survey.chart import report
 from delfim.survey.chart.making import Bar, SurveyChart, Uncertainty, bar_check, made, write
 from delfim.survey.chart.passes import passes, patch_test
@@ -247,6 +248,11 @@ def test_a_log_that_is_named_twice_counts_once(tmp_path: Path, capsys, day: Soun
     assert main(["survey", "chart", *logs, "-o", str(tmp_path / "out")]) == 0
     believed, _, refused, *_ = capsys.readouterr().out.replace(",", "").split()
     assert int(believed) + int(refused) == len(day.soundings.range_m)
+
+
+def test_a_log_beside_its_folder_counts_once_and_a_table_there_for_itself(tmp_path: Path) -> None:
+    logs = [str(tmp_path / name) for name in ("", "lockstep-1", "heard.csv")]
+    assert survey._once(logs) == [logs[0], logs[2]]
 
 
 @pytest.mark.long

@@ -237,9 +237,9 @@ def _report(asked: argparse.Namespace) -> int:
 
 
 def _once(logs: list[str]) -> list[str]:
-    """The logs, none of them twice, nor beside its own folder: soundings that count twice look surer than they are."""
+    """The logs, none of them twice, nor beside its folder, where no table is read: what counts twice looks surer than it is."""
     places = {Path(log).resolve(): log for log in logs}
-    return [log for place, log in places.items() if not places.keys() & {*place.parents}]
+    return [log for place, log in places.items() if place.suffix == ".csv" or not places.keys() & {*place.parents}]
 
 
 def _chart(asked: argparse.Namespace) -> int:
