@@ -125,6 +125,7 @@ class WatchedConsole:
         self.keeper = WatchKeeper(
             lambda message: None, lambda: BEGAN_S + self.now_s, lambda number: f"boat{number}", self._place
         )
+        self.keeper.resume()
         self.desk = BridgeDesk(self._operators, lambda *words: self.keeper.note(None, *words), self._handed)
 
     def _handed(self, name: str, before: int) -> None:

@@ -16,18 +16,21 @@ from pathlib import Path
 from typing import Any
 
 import aiohttp
+import msgspec
 import pytest
 from PIL import Image
 from pymavlink.dialects.v20 import common as mavlink
 
 from delfim.base.clock import Clock, ManualClock, SystemClock, WakefulClock
 from delfim.base.errors import ConfigError
+from delfim.base.eventloop import new_event_loop
 from delfim.console.boats.boat import MEASURED_MAX, Boat
 from delfim.console.gateway import browser
 from delfim.console.gateway.gateway import PAGES_MAX, Gateway
 from delfim.console.gateway.serving import serve
 from delfim.console.pages.admission import kept_token, own_number
 from delfim.console.tapes.replay import open_tapes
+from delfim.console.watch.alerts import AlertList
 from delfim.parts.mavlink.codec import ardupilot, wire
 from tests.console.fakeboat import FakeBoat
 
@@ -437,17 +440,37 @@ def memory_kib(pid: int) -> int:
     return int(Path(f"/proc/{pid}/status").read_text().partition("VmRSS:")[2].split()[0])
 
 
+@pytest.mark.filterwarnings(
+    "ignore:.*UVHandle:pytest.PytestUnraisableExceptionWarning"
+)  # uvloop forgets the one it could not bind
 def test_a_port_that_is_taken_has_a_reason_and_what_to_do(tmp_path: Path) -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
         taken.bind(("127.0.0.1", 0))
         address = taken.getsockname()
         with pytest.raises(ConfigError, match=r"another program has it, .* choose with --boats"):
-            asyncio.run(serve(Gateway(SystemClock(), tmp_path), address, ("127.0.0.1", 0), lambda url: None))
+            served(Gateway(SystemClock(), tmp_path), address, ("127.0.0.1", 0))
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
         taken.listen()
         with pytest.raises(ConfigError, match=r"another program has it, .* choose with --page"):
-            asyncio.run(serve(Gateway(SystemClock(), tmp_path), None, taken.getsockname(), lambda url: None))
+            served(Gateway(SystemClock(), tmp_path), None, taken.getsockname())
+
+
+def served(gateway: Gateway, boats: tuple[str, int] | None, page: tuple[str, int]) -> None:
+    """As the command does: uvloop's errors are not those of asyncio."""
+    with asyncio.Runner(loop_factory=new_event_loop) as runner:
+        runner.run(serve(gateway, boats, page, lambda url: None))
+
+
+def test_a_console_goes_on_behind_one_that_ended_with_a_warning_of_its_own(tmp_path: Path) -> None:
+    """As of a radio that was not plugged in: it is over, until this console finds it again."""
+    alerts = AlertList(lambda: 1.0)
+    assert alerts.hold(None, 2, "/dev/ttyUSB9: no such port", True)
+    (tmp_path / "alerts.json").write_bytes(msgspec.json.encode(alerts.kept()))
+    gateway = Gateway(SystemClock(), tmp_path / "missions", sessions=tmp_path)
+    assert [each.text for each in gateway.watch.alerts.kept().alerts if each.lasts] == []
+    assert "/dev/ttyUSB9: no such port" in [line.text for line in gateway.watch.log.lines if line.what == "over"]
+    gateway.close()
 
 
 async def test_a_page_learns_of_charts_and_of_those_that_are_wrong(tmp_path: Path) -> None:

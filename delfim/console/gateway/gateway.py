@@ -101,6 +101,7 @@ class Gateway:
             if self.session is not None:
                 self.fleet.record = self.session.put
             self.fleet.troubles, self.watch.aboard = self.watch.alerts.troubles, self.fleet.note
+            self.watch.resume()
             if self.soundings is not None:
                 for heard in self.soundings.read():
                     self.fleet.depths.add(*heard[1:])

@@ -49,9 +49,12 @@ class WatchKeeper:
         self._tell, self._utc_s, self._name = tell, utc_s, name
         self.aboard: Callable[[int | None, str], None] = lambda boat, words: None  # the boats' own logs
         self._replayed: Path | None = None  # the table of the notes on a replay
-        self.file = AlertsFile(sessions) if sessions is not None else None
-        if self.file is not None and sessions is not None:
-            self.log.resume(sessions)
+        self._sessions, self.file = sessions, AlertsFile(sessions) if sessions is not None else None
+
+    def resume(self) -> None:
+        """Goes on where the console before this one ended, once this one can tell the time: some alerts are over by that."""
+        if self.file is not None and self._sessions is not None:
+            self.log.resume(self._sessions)
             self.file.restore(self.alerts)
 
     def greet(self, tell: Callable[[dict[str, Any]], None]) -> None:

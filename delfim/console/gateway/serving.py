@@ -102,9 +102,10 @@ def _refused(option: str, address: tuple[str, int]) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        taken = error.errno == errno.EADDRINUSE
+        cause = error.__cause__ if isinstance(error.__cause__, OSError) else error  # of uvloop's own error, which has no number
+        taken = cause.errno == errno.EADDRINUSE
         reason = (
-            f"another program has it, perhaps another console; choose with {option} ADDRESS:PORT" if taken else error.strerror
+            f"another program has it, perhaps another console; choose with {option} ADDRESS:PORT" if taken else cause.strerror
         )
         raise ConfigError(option, f"{address[0]}:{address[1]}", str(reason)) from None
 
