@@ -809,7 +809,7 @@ def test_a_boat_with_another_time_is_not_shown_but_told(tmp_path: Path) -> None:
     [
         ("key", "other", "boat 4 is heard, and signs with another key than this console's (--key)"),
         ("key", "", "boat 4 is heard, and signs nothing: a console with a key (--key) believes only who signs with it"),
-        ("", "key", "boat 4 signs, and this console has no key (--key): she obeys nothing from here, no stop either"),
+        ("", "key", "boat 4 obeys nothing from here, no STOP either: she signs, and this console has no key (--key)"),
         ("", "", ""),
         ("key", "key", ""),
     ],

@@ -157,7 +157,7 @@ class Codec:
         if self._key is None and frame[2] & mavlink.MAVLINK_IFLAG_SIGNED and message.get_srcComponent() == BOAT:
             number = message.get_srcSystem()
             self.doubt = (
-                f"boat {number} signs, and this console has no key (--key): she obeys nothing from here, no stop either"
+                f"boat {number} obeys nothing from here, no STOP either: she signs, and this console has no key (--key)"
             )
         self.counts["heard"] += 1
         return message
