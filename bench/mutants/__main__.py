@@ -29,7 +29,7 @@ from delfim.base.errors import ConfigError
 
 ALL: Final = frozenset({MODULE})
 SAMPLE: Final = 9  # tests that have to pass without a change, before any is made
-CPU_S: Final = 5.0  # of tests for a change, those that are most likely to notice it first
+CPU_S: Final = 10.0  # of tests for a change, those that are most likely to notice it first
 
 
 def _git(*words: str) -> str:

@@ -19,6 +19,10 @@ _SERVICES: Final = (
     *("access/connection_limits", "access/exposure"),
 )
 _EXPOSURES: Final = tuple(map("delfim/parts/{}/exposure.py".format, ("fleet", "mavlink", "nmea0183", "payload", "ros")))
+_HELM: Final = (  # through the loop
+    *("alone", "charted", "entrusting", "failsafe_loop", "homeward", "loop", "pause", "restart"),
+    *("reviews", "stations", "trial", "unstick"),
+)
 CORE: Final = (
     *map("delfim/vehicle/{}.py".format, _FILES),
     *map("delfim/{}.py".format, _HANDS),
@@ -51,6 +55,8 @@ ABOUT: Final = {  # the tests of what is called by a row of a table, without an 
         "tests/parts/test_orders.py",
         "tests/vehicle/test_survey_lines.py",
     ),
+    "delfim/vehicle/helm/helm.py": tuple(map("tests/vehicle/test_{}.py".format, _HELM)),
+    "delfim/vehicle/failsafe/checks.py": ("tests/parts/test_orders.py",),
     "delfim/parts/traffic/troubles.py": ("tests/vehicle/test_troubles.py",),
     **dict.fromkeys(_EXPOSURES, ("tests/services/test_exposure.py",)),
 }

@@ -4,6 +4,7 @@ from collections.abc import Iterable
 from itertools import pairwise
 from types import SimpleNamespace
 
+import msgspec
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -215,6 +216,16 @@ def test_in_idle_nothing_is_done_but_a_runaway_propeller_is_disconnected(trigger
     expected = {Trigger.THRUSTER: Action.DISCONNECT, Trigger.KILL: Action.STOP}.get(trigger, Action.WARN)
     assert watched(trigger, Mode.IDLE, 6.0).action in (expected, Action.NONE)
     assert watched(Trigger.THRUSTER, Mode.IDLE, 6.0).action is Action.DISCONNECT
+
+
+def test_no_file_decides_what_a_kill_and_a_restart_do_and_idle_warns_but_of_a_runaway_propeller():
+    for mode in Mode:
+        assert RULES.actions[Trigger.KILL][mode] is Action.STOP
+        assert RULES.actions[Trigger.RESTARTED][mode] is Action.WARN
+    idle = {each: RULES.actions[each][Mode.IDLE] for each in TRIGGERS if each is not Trigger.KILL}
+    assert idle == dict.fromkeys(idle, Action.WARN) | {Trigger.THRUSTER: Action.DISCONNECT}
+    kept = msgspec.structs.replace(RULES.table, thruster=msgspec.structs.replace(RULES.table.thruster, disconnect=False))
+    assert Rules(msgspec.structs.replace(SETTINGS, failsafe=kept)).actions[Trigger.THRUSTER][Mode.IDLE] is Action.WARN
 
 
 def test_a_propeller_that_was_stopped_just_now_may_come_to_rest_first():
