@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from delfim.__main__ import main
 from delfim.base.errors import DelfimError
 from delfim.base.frames import Frame
 from delfim.base.modes import Mode
@@ -227,6 +228,14 @@ def test_a_run_without_its_start_is_refused(day, tmp_path):
     (folder / "state/000000.meta.jsonl").write_text("")
     with pytest.raises(DelfimError, match="0 starts"):
         rerun(logged(tmp_path), None)
+
+
+def test_a_state_log_alone_of_a_boat_that_hears_lines_is_refused(tmp_path, monkeypatch, capsys):
+    """As lock step leaves it, or who copied this one: every command differed, and the boat seemed to be another one."""
+    monkeypatch.chdir(tmp_path)
+    assert main(["sim", "etc/boats/bait-boat.toml", "--lockstep", "--for", "5"]) == 0
+    assert main(["log", "replay", "run/sim"]) == 2
+    assert "what the boat heard is not beside this state log" in capsys.readouterr().err
 
 
 def test_lines_come_back_as_they_were_written(day):

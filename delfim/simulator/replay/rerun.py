@@ -361,6 +361,8 @@ def rerun(files: Sequence[LogFile], vehicle_file: str | None, span: Span = ALWAY
         run.step(each)
     run.finish(ended)
     result = run.result()
+    if not result.cycles and columns["cycle"].max() > 0:
+        raise DelfimError("what the boat heard is not beside this state log: the black boxes of its lines and buses")
     if not (result.frames or result.commands or result.differences):
         raise DelfimError("the boat commanded nothing in this time")
     return result
