@@ -133,3 +133,6 @@ def test_simulated_vessels_that_she_cannot_hear_are_told(check):
     assert "simulation.traffic: she hears none of these vessels: AIS comes by NMEA 2000" in err
     _, _, err = check(text, "--set", 'sensors.names=["sysstat", "nmea2000"]')
     assert "simulation.traffic" not in err
+    lidar = '[payload.lidar]\ncommand = ["/usr/bin/lidar"]\nmay = ["obstacles"]\n'
+    _, _, err = check(f'{text}{lidar}[[simulation.things.lookout]]\npayload = "lidar"\nkind = "lidar"\n')
+    assert "simulation.traffic" not in err, "a look-out tells of vessels, too"

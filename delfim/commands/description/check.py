@@ -135,7 +135,8 @@ def _hears(vehicle: config.Vehicle) -> bool:
     """Whether what tells of the simulated vessels reaches her."""
     read = {*vehicle.navigation.sources, *vehicle.sensors.names}
     instruments = {each.rpartition(":")[2] for each in vehicle.of(Simulation).instruments} or {"ais"}  # all, on one port
-    return "nmea2000" in read or ("nmea0183" in read and not instruments.isdisjoint(("ais", "radar")))
+    has_ais = "nmea2000" in read or ("nmea0183" in read and not instruments.isdisjoint(("ais", "radar")))
+    return has_ais or bool(vehicle.of(Simulation).things.lookout)
 
 
 def _without_pictures(vehicle: config.Vehicle) -> Iterator[str]:
