@@ -84,9 +84,10 @@ async def test_a_thing_that_stands_and_a_swimmer_say_who_saw_them(page: Page, ga
     rests = {"course_deg": None, "heading_deg": None, "speed_mps": 0.0, "margin_m": 2.0}
     buoy = vessel("lidar", north_m=60, **rests, kind="thing", length_m=2.0, beam_m=2.0) | {"key": "thing 12"}
     swimmer = vessel("camera", north_m=30, east_m=60, **rests, kind="person", length_m=1.0, beam_m=1.0) | {"key": "person 3"}
-    await tell(gateway, buoy, swimmer)
-    await shown(page, gateway, "delfim.vessels().length === 2")
-    line = "AIS: 0 targets, last report 3 s ago. Sees only who transmits. Seen by programs: 2."
+    kayak = vessel("KAYAK", north_m=-60, kind="payload") | {"key": "payload KAYAK"}  # without a transponder, seen by a lidar
+    await tell(gateway, buoy, swimmer, kayak)
+    await shown(page, gateway, "delfim.vessels().length === 3")
+    line = "AIS: 0 targets, last report 3 s ago. Sees only who transmits. Seen by programs: 3."
     await shown(page, gateway, f"{LINE} === {line!r}")
     await page.mouse(await pixel(page, 60, 0))
     told = "document.querySelector('.popup').textContent"

@@ -102,11 +102,11 @@ export class Traffic {
   private tell(): void {
     const { vessels, heard_s } = this.state;
     const lean = this.state.boats.length > 0 && this.state.boats.every(({ link }) => link.profile === "lean");
-    const things = vessels.filter(isThing).length;
-    const ships = vessels.length - things;
+    const seen = vessels.filter((each) => isThing(each) || each.kind === "payload").length;
+    const ships = vessels.length - seen;
     const count = `${ships} target${ships === 1 ? "" : "s"}`;
     const words = heard_s === null ? (lean ? "AIS: not told on a lean link." : "AIS: nobody heard yet.") : `AIS: ${count}, last report ${secondsWords(heard_s)} ago.`;
-    text(this.line, `${words} Sees only who transmits.${things ? ` Seen by programs: ${things}.` : ""}`);
+    text(this.line, `${words} Sees only who transmits.${seen ? ` Seen by programs: ${seen}.` : ""}`);
   }
 }
 
