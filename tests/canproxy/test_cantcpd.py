@@ -489,11 +489,12 @@ def test_python_can_logger_and_viewer(served: Served, bus: CanSocket, name: str,
         while not (log.exists() and log.stat().st_size):
             bus.sendto(b"\x5a", CanAddress(standard(0x5A5)))
             served.wait_for(lambda: True)
-    finally:
         logger.send_signal(signal.SIGINT)
-        viewer.terminate()
         logger.wait(TIMEOUT_S)
-        viewer.wait(TIMEOUT_S)
+    finally:
+        for each in (logger, viewer):
+            each.kill()
+            each.wait(TIMEOUT_S)
         os.close(terminal)
     assert "5A5#5A" in log.read_text()
 
