@@ -18,9 +18,8 @@ class Geometry(NamedTuple):
 def geometries(data: bytes) -> Iterator[Geometry]:
     """What is in a file, in its order. Raises FormatError where it is no JSON, and KeyError, TypeError and the like where it is
     no GeoJSON."""
-    ahead: list[tuple[Any, dict[str, Any]]] = [
-        (parse_json(data.removeprefix(BOM_UTF8)), {})
-    ]  # some editors of Windows write one
+    without_mark = data.removeprefix(BOM_UTF8)  # some editors of Windows write one
+    ahead: list[tuple[Any, dict[str, Any]]] = [(parse_json(without_mark), {})]
     while ahead:
         it, says = ahead.pop()
         match it["type"]:
