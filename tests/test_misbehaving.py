@@ -174,7 +174,7 @@ def test_one_that_blocks_in_a_process_hurts_nobody(tmp_path: Path) -> None:
         boat.misbehave("blocks")
         boat.sails_on()
         until(lambda: boat.service("process")[0]["reason"] == "does not answer")
-        assert "does not answer" in boat.page()[1]
+        assert re.search("d(oes|id) not answer", boat.page()[1])  # it may have been ended meanwhile
         until(lambda: boat.service("process")[0]["reason"].startswith("did not answer for "))
         boat.sails_on()
 
