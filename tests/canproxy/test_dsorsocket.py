@@ -520,7 +520,6 @@ def test_two_processes_on_a_bad_bus(messages: int, bytes_max: int, rates: Rates)
 
 
 HEADERS = """
-import contextlib
 import itertools
 from delfim.canproxy.dsor.protocol import Message, iter_segments
 from delfim.canproxy.opening import open_can
