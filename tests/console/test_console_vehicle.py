@@ -12,6 +12,7 @@ from delfim import config
 from delfim.base.errors import Refused
 from delfim.base.geodesy import from_plane
 from delfim.base.modes import Mode
+from delfim.canproxy.dsor import messages
 from delfim.console.boats.fleet import Fleet
 from delfim.console.link.mavlink import Key, keygen
 from delfim.console.plans import plan
@@ -410,6 +411,21 @@ def test_on_a_signed_link_commands_are_obeyed_for_as_long_as_it_lasts(boat: Any,
     sea.fleet = again
     sea.run(3.0)
     assert sea.ask("hold") == (True, "")
+
+
+@pytest.mark.parametrize("silent_s", [1.0, 20.0])
+def test_a_console_that_is_started_again_or_was_away_knows_why_the_boat_stopped(sea: Afloat, silent_s: float) -> None:
+    sea.run(3.0)
+    assert sea.ask("hold") == (True, "")
+    sea.boat.report(messages.Status.BAD, messages.Fault.OVERHEATED)
+    sea.boat.vehicle.on_watchdog()
+    sea.run(1.0)
+    assert sea.shown["forced"] == "propeller starboard bad: overheated"
+    sea.fleet = Fleet(sea.boat.clock, lambda address, data: None, sea.told.append, None)
+    sea.run(silent_s)
+    sea.fleet = Fleet(sea.boat.clock, sea._up, sea.told.append, None)
+    sea.run(3.0)
+    assert sea.shown["forced"] == "propeller starboard bad: overheated"
 
 
 BAD = {"bytes_per_s": 960.0, "loss": 0.3, "duplicates": 0.1, "jitter_s": 0.4, "outages": lambda now_s: now_s % 30.0 < 2.0}

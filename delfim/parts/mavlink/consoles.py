@@ -83,6 +83,10 @@ class Consoles:
             self.boat.on_namesakes("")
         self.peers.forget_silent(now_s)
 
+    def meet(self, peer: Peer) -> None:
+        """A console that asks for all modes has just begun: it does not know what was told before."""
+        self._news.meet(peer.address)
+
     def tell_news(self) -> None:
         self._news.tell(self.commander)
 

@@ -5,11 +5,11 @@ from typing import Final
 
 from delfim.base.modes import Mode
 from delfim.parts.mavlink.codec.plans import command_name
-from delfim.parts.mavlink.codec.wire import Speaker, dialect
+from delfim.parts.mavlink.codec.wire import Address, Speaker, dialect
 from delfim.parts.mavlink.missions import Missions
 from delfim.parts.mavlink.peers import Peers
 from delfim.vehicle.loop import VehicleLoop
-from delfim.vehicle.state import HANDSET, State
+from delfim.vehicle.state import HANDSET, Notice, State
 
 TOLD_AGAIN_S: Final = 2.0  # earliest repetition of a lasting trouble
 
@@ -20,6 +20,16 @@ def _shown(state: State) -> str:
     return f"{whose or mode}: {mode if state.reason == whose else state.reason}"
 
 
+def _severity(state: State) -> int:
+    """Of a mode: one that the boat entered by itself is an alert."""
+    calm = state.reason.startswith(("operator", "payload")) or state.reason.endswith((" done", "started"))
+    return int(dialect.MAV_SEVERITY_NOTICE if calm else dialect.MAV_SEVERITY_ALERT)
+
+
+def _gravity(notice: Notice) -> int:
+    return int(dialect.MAV_SEVERITY_WARNING if notice.action == "warn" else dialect.MAV_SEVERITY_CRITICAL)
+
+
 class News:
     """Remembers the last news, and tells the changes."""
 
@@ -28,6 +38,7 @@ class News:
         self._said: tuple[str, str, tuple[tuple[str, str], ...], str, str] | None = None
         self._told: dict[tuple[str, str], tuple[str, float]] = {}  # by trouble and action: the last text, and when it was told
         self._leg_now: tuple[int, int] = 0, 0  # the number of the plan, and its leg
+        self._met_s: dict[Address, float] = {}  # when consoles that are present were told why, and all troubles
         self._announced = self._line = 0
         self._station = ""
         self._ordered: tuple[str, float, float] | None = None
@@ -44,9 +55,9 @@ class News:
         console = commander.name if commander is not None else "no console"
         said = _shown(state), state.reason, troubles, HANDSET if state.operator == HANDSET else console, state.namesakes
         was, self._said = self._said or said, said
+        self._tell_newcomers()
         if was[:2] != said[:2]:
-            calm = state.reason.startswith(("operator", "payload")) or state.reason.endswith(" done")
-            say(dialect.MAV_SEVERITY_NOTICE if calm else dialect.MAV_SEVERITY_ALERT, said[0])
+            say(_severity(state), said[0])
         self._tell_troubles()
         if was[3] != said[3]:
             say(dialect.MAV_SEVERITY_NOTICE, f"{said[3]} commands")
@@ -54,6 +65,22 @@ class News:
             say(dialect.MAV_SEVERITY_ALERT, state.namesakes)
         if was != said:
             self._peers.hurry(dialect.MAVLINK_MSG_ID_HEARTBEAT, dialect.MAVLINK_MSG_ID_NAMED_VALUE_INT)
+
+    def meet(self, address: Address) -> None:
+        """A console that was known there has begun anew."""
+        if self._boat.clock.monotonic_s() - self._met_s.get(address, math.inf) > TOLD_AGAIN_S:
+            del self._met_s[address]
+
+    def _tell_newcomers(self) -> None:
+        """A console that starts later, or was not heard for long, has missed why the boat is in its mode, and its troubles."""
+        present, now_s = self._peers.present(), self._boat.clock.monotonic_s()
+        newcomers = [peer for peer in present if peer.address not in self._met_s]
+        self._met_s = {peer.address: self._met_s.get(peer.address, now_s) for peer in present}
+        state, say = self._boat.state, self._peers.say
+        if newcomers and _severity(state) == dialect.MAV_SEVERITY_ALERT:
+            say(dialect.MAV_SEVERITY_ALERT, _shown(state), newcomers)
+        for notice in state.notices if newcomers else ():
+            say(_gravity(notice), f"{notice.reason}: {notice.action}", newcomers)
 
     def _tell_order(self) -> None:
         """For whom the boat leaves its way, how, and that it is back."""
@@ -73,8 +100,7 @@ class News:
             trouble = notice.name, notice.action
             words, at_s = told.get(trouble, ("", -math.inf))
             if notice.reason != words and now_s - at_s >= max(at_s - notice.since_s, TOLD_AGAIN_S):
-                severity = dialect.MAV_SEVERITY_WARNING if notice.action == "warn" else dialect.MAV_SEVERITY_CRITICAL
-                self._peers.say(severity, f"{notice.reason}: {notice.action}")
+                self._peers.say(_gravity(notice), f"{notice.reason}: {notice.action}")
                 words, at_s = notice.reason, now_s
             self._told[trouble] = words, at_s
 

@@ -97,20 +97,25 @@ class Peers:
         if packed:
             self._send(packed, peer.address)
 
+    def present(self) -> list[Peer]:
+        """Those that were heard lately."""
+        now_s = self._clock.monotonic_s()
+        return [peer for peer in self.known.values() if now_s - peer.heard_s <= HEARD_S]
+
     def tell_all(self, messages: list[Message]) -> None:
         """Send messages to every console that is present."""
-        now_s = self._clock.monotonic_s()
-        for peer in self.known.values():
-            if now_s - peer.heard_s <= HEARD_S:
-                self.tell(peer, messages)
+        for peer in self.present():
+            self.tell(peer, messages)
 
-    def say(self, severity: int, text: str) -> None:
-        """Send a text to every console that is present."""
+    def say(self, severity: int, text: str, only: list[Peer] | None = None) -> None:
+        """Send a text to every console that is present, or to some of them."""
         self._text_id = self._text_id % 0xFFFF + 1
         data = text.encode("ascii", "replace")[:SAID_BYTES]
         chunks = [data[at : at + TEXT_BYTES] for at in range(0, max(len(data), 1), TEXT_BYTES)]
         number = self._text_id if len(chunks) > 1 else 0
-        self.tell_all([dialect.MAVLink_statustext_message(severity, chunk, number, i) for i, chunk in enumerate(chunks)])
+        texts = [dialect.MAVLink_statustext_message(severity, chunk, number, i) for i, chunk in enumerate(chunks)]
+        for peer in self.present() if only is None else only:
+            self.tell(peer, texts)
 
     def hurry(self, *ids: int) -> None:
         """These messages are due at once, to everybody."""

@@ -715,6 +715,36 @@ def test_reasons_come_in_plain_words_and_long_ones_in_pieces(sea):
     assert [(len(m.text), m.chunk_seq) for m in pieces] == [(50, 0), (50, 1), (20, 2)]
 
 
+def test_a_console_that_comes_later_hears_why_the_boat_stopped_and_its_troubles(sea):
+    """Once; so does one whose link was lost. Those that heard it do not hear it again; a boat that obeys has nothing to say."""
+    other = Console(sea.station, sea.radio, 251, ("127.0.0.1", 4001))
+    sail(sea, 1.0)
+    assert texts(other.beat() + other.listen()) == "", "it is idle since it started"
+    sea.console.mode(3)
+    sea.boat.report(messages.Status.BAD, messages.Fault.OVERHEATED)
+    sea.boat.vehicle.on_watchdog()
+    sail(sea, 8.0), sea.console.beat(), sail(sea, 8.0)  # the boat does not hear the other one for that long
+    sea.boat.pass_time(2.0, navigation=False), sea.station.tick()
+    assert sea.state.notices
+    before = len(sea.radio.sent)
+    sea.console.beat(), other.beat()
+    sea.station.tick(), sea.station.tick()
+    assert "idle: propeller starboard bad: overheated" in texts(other.listen(before))
+    assert all(f"{notice.reason}: {notice.action}" in texts(other.listen(before)) for notice in sea.state.notices)
+    assert "overheated" not in texts(sea.console.listen(before))
+    before = len(sea.radio.sent)
+    other.beat(), sea.station.tick()
+    assert "idle: " not in texts(other.listen(before))
+    restarted = Console(sea.station, sea.radio, 251, ("127.0.0.1", 4002))
+    restarted.beat(), sea.station.tick()
+    assert "idle: " in texts(restarted.listen(before)), "the same console, started again"
+    for seconds, words in ((1.0, 0), (2.0, 1)):  # it has just been told; at the same place another one may have begun
+        sail(sea, seconds)
+        before = len(sea.radio.sent)
+        restarted.command(512, 435), sea.station.tick()
+        assert texts(restarted.listen(before)).count("idle: ") == words
+
+
 def test_a_trouble_that_lasts_is_told_again_with_what_it_has_become(sea):
     """When it has lasted twice as long; and a number that changes ten times a second makes no heartbeat more."""
     sea.console.command(43002, 1, 0.0)

@@ -271,6 +271,8 @@ def _request(consoles: Consoles, peer: Peer, source: Speaker, order: commands.Or
         found = list(rows[0].make(view))
     elif number in ANSWERS:
         found = list(ANSWERS[number](view, index))
+        if number == dialect.MAVLINK_MSG_ID_AVAILABLE_MODES and index == 0:
+            consoles.meet(peer)
     else:
         return UNSUPPORTED
     consoles.peers.tell(peer, found)
