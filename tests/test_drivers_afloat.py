@@ -197,7 +197,7 @@ MOTORS: dict[str, Callable[[Path, contextlib.ExitStack], Motors]] = {
 
 
 @contextlib.contextmanager
-def afloat(tmp_path: Path, driver: str) -> Iterator[tuple[Motors, Path]]:
+def afloat(tmp_path: Path, driver: str, *more: str) -> Iterator[tuple[Motors, Path]]:
     with contextlib.ExitStack() as opened:
         motors = MOTORS[driver](tmp_path, opened)
         values = (
@@ -207,6 +207,7 @@ def afloat(tmp_path: Path, driver: str) -> Iterator[tuple[Motors, Path]]:
             "simulation.motors=false",
             "supervisor.deadman_s=1.0",
             *motors.values,
+            *more,
         )
         yield motors, opened.enter_context(running(tmp_path, 14550, *values))
 
@@ -295,7 +296,7 @@ def test_pulses_stop_at_the_death_of_the_runtime_and_of_the_outlet_and_go_on_whe
     "also_runtime", [pytest.param(False, id="the outlet"), pytest.param(True, id="and the runtime", marks=pytest.mark.long)]
 )
 def test_an_outlet_that_hangs_under_way_is_ended_and_the_boat_says_why(tmp_path: Path, also_runtime: bool) -> None:
-    with afloat(tmp_path, "pwm") as (motors, command):
+    with afloat(tmp_path, "pwm", "failsafe.outlet.after_s=0.5") as (motors, command):  # the dead-man ends it after 1.0 s
         sailed(motors, command, until=(1.0, -1.0))
         os.kill(process(tmp_path, "outlet"), signal.SIGSTOP)
         if also_runtime:
