@@ -99,7 +99,7 @@ def aboard(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Aboard]:
     aboard = {"mavlink.key": "mavlink.key", "ftpd.certificate": "ftpd.pem", "sshd.host_key": "ssh_host_ed25519"}
     values = {key: made / "boat" / name for key, name in aboard.items()}
     values |= dict.fromkeys(("log.directory", "ftpd.root", "sshd.root"), folder / "log")
-    values |= {"runtime.run_directory": folder / "run"}
+    values |= {"runtime.run_directory": folder / "run", "console.socket": folder / "command"}
     more = [word for key, value in values.items() for word in ("--set", f"{key}={value}")]
     start = 'echo ready; read wired; exec "$@"'
     program = [sys.executable, "-m", "delfim", "supervise", str(made / "boat/boat.toml"), *more]
