@@ -265,7 +265,7 @@ class ThrusterTable(Table, frozen=True):
 
     def __post_init__(self) -> None:
         if bool(self.curve) == (self.thrust_n != (0.0, 0.0)):
-            raise ValueError("either thrust_n = [astern, ahead] or a curve")
+            raise ValueError("either thrust_n = [astern, ahead] or a curve; not both, and not thrust_n = [0, 0]")
         astern, ahead = self.thrust_n
         if not self.curve and (astern > 0.0 or ahead <= 0.0):
             raise ValueError(f"thrust_n: [{astern:g}, {ahead:g}] has ahead and astern exchanged: astern comes first, 0 or less")

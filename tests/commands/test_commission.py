@@ -240,6 +240,7 @@ def test_a_boat_that_serves_the_page_gets_its_token_and_certificate(tmp_path: Pa
         ((*WORDS, "--fleet", "/nowhere"), 2, "/nowhere/shore/mavlink.key"),
         ((*WORDS, "--network", "10.77.0.2"), 2, "not ADDRESS/LENGTH"),
         ((*WORDS, "--console", "ashore"), 2, "slipd"),
+        ((*WORDS, "--console", "127.0.0.1"), 2, "that is the boat's own computer"),
         ((*WORDS, "--set", 'cantcpd.transmit=["10.77.0.0/24"]'), 1, "anyone in 10.77.0.0/24 may send frames"),
     ],
 )

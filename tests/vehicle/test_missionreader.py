@@ -1,6 +1,7 @@
 """A mission's text is read in a process that has bounds: whatever the text, the boat's own process reads no TOML."""
 
 import asyncio
+import sys
 from concurrent.futures import ThreadPoolExecutor, wait
 from pathlib import Path
 
@@ -40,6 +41,13 @@ def test_a_text_comes_back_as_its_mission_or_with_what_is_wrong():
     wrong = Reading("version = 2").lines()
     assert isinstance(wrong, FormatError)
     assert str(wrong).startswith("mission: version: ")
+
+
+def test_ctrl_c_at_the_terminal_is_not_for_it():
+    """It printed the traceback of its imports there."""
+    reading = Reading("")
+    reading._program = (sys.executable, "-c", "import os; print(os.getsid(0) == os.getpid())")
+    assert reading.lines() == [b"True"]
 
 
 @pytest.mark.parametrize(

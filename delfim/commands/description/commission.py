@@ -179,6 +179,8 @@ def _addresses(answers: Mapping[str, str], network: IPv4Interface, settings: con
     found: dict[str, Any] = radio if answers["radio"] else {"slipd.device": ""} if settings.of(Slipd).device else {}
     fleet, tablet = settings.of(FleetTable), settings.of(Tablet)
     here = [fleet.listen] * bool(fleet.broker) + [tablet.boats] * bool(tablet.listen)
+    if is_loopback(f"{console}:14550") and not here:
+        raise DelfimError(f"--console {console}: that is the boat's own computer, and the boat calls her consoles")
     found |= {"mavlink.peers": [f"{console}:14550", *here]}
     if settings.of(GuestTable).enabled:
         found |= {"guest.networks": [*(["127.0.0.0/8"] if settings.of(RosTable).commands else []), own]}

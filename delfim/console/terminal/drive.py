@@ -59,7 +59,7 @@ WORDS: dict[str, Word] = {
     "continue": Word("go on with what a hold interrupted, from where it was"),
     "overrule": Word("give way to nobody for a while, whatever is told of others; again: give way again"),
     "mission": Word("load a mission file", ("file",)),
-    "mode": Word("enter a mode by name", ("name",)),
+    "mode": Word("enter a mode by name, also one that a part of this boat has", ("name",)),
     "payload": Word("give the boat to a payload program; any other order takes it back", ("name",)),
     "order": Word("give an order of a part of this boat", ("name",), ("KEY=VALUE ...",)),
     "shutdown": Word("stop and shut the computer down, so that the power may be cut"),

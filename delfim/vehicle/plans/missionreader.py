@@ -47,7 +47,8 @@ class Reading:
 
     def lines(self) -> list[bytes] | DelfimError:
         """The output of the process, or why there is no mission. It waits: call it in a worker."""
-        with subprocess.Popen(self._program, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as self._child:
+        pipe = subprocess.PIPE
+        with subprocess.Popen(self._program, stdin=pipe, stdout=pipe, start_new_session=True) as self._child:  # no Ctrl-C
             if not self._is_wanted:
                 self._child.kill()
             told, _ = self._child.communicate(self._text.encode())
