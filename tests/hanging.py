@@ -11,6 +11,7 @@ from pathlib import Path
 from delfim.__main__ import main
 from delfim.services import suite
 from delfim.services.runtime import Runtime
+from delfim.services.supervision import supervisor
 
 HANG = Path(sys.argv.pop(1))
 
@@ -42,6 +43,7 @@ async def sleeper(runtime: Runtime) -> None:
 
 suite.SERVICES = (suite.Service("sleeper", "__main__:sleeper"), *suite.SERVICES)
 if sys.argv[1] == "supervise":
+    vars(supervisor)["STACKS_S"] = 3.0  # a busy machine does not give it the processor sooner; the stop does not wait for it
     file, *rest = sys.argv[2:]
     sys.exit(suite.supervise(file, rest[1::2], (sys.executable, __file__, str(HANG))))
 sys.exit(main())
