@@ -1,5 +1,5 @@
-const BUILT = "0d6cefc2";
-const FILES = ["./","console.css?0d6cefc2","console.js?0d6cefc2","harbours.tsv","land.bin","manifest.webmanifest","b612-latin-400-normal.woff2","b612-latin-700-normal.woff2","icon-192.png","icon-512.png"];
+const BUILT = "7e0a76fd";
+const FILES = ["./","console.css?7e0a76fd","console.js?7e0a76fd","harbours.tsv","land.bin","manifest.webmanifest","b612-latin-400-normal.woff2","b612-latin-700-normal.woff2","icon-192.png","icon-512.png"];
 // Wakes operators, and keeps the page itself, never a boat's state and never a command, so that it opens without its gateway. The network comes first:
 // what is kept serves only where no answer comes. build.mjs puts BUILT and FILES before this.
 const ANSWER_MS = 4000; // a network whose boat is out of reach says nothing for minutes
