@@ -23,6 +23,7 @@ from delfim.vehicle.failsafe.nodehealth import NAMES
 from delfim.vehicle.failsafe.troubles import charge
 from delfim.vehicle.loop import VehicleLoop
 from delfim.vehicle.propulsion import thrusters
+from delfim.vehicle.state import State
 
 ARRAY: Final = 58  # numbers of a DEBUG_FLOAT_ARRAY
 SELDOM: Final = 30  # arrays of a trial to one of the energy
@@ -194,12 +195,18 @@ def head_up(view: TelemetryView) -> Iterator[Message]:
     yield dialect.MAVLink_vfr_hud_message(0.0, math.hypot(m.north_mps, m.east_mps), heading, ahead, 0.0, 0.0)
 
 
+def _kept_rad(state: State) -> float:
+    """The heading that control keeps; where it keeps none, as at rest in hold and in a trial, the one that the boat has."""
+    wanted_rad = state.reference.heading_rad
+    return wanted_rad if wanted_rad is not None else state.motion.heading_rad
+
+
 def steering(view: TelemetryView) -> Iterator[Message]:
     """Where control is going; only in modes that go somewhere."""
     state, r = view.boat.state, view.boat.state.reference
     if r.heading_rad is None and r.distance_m is None:
         return
-    heading = round(math.degrees(wrap(r.heading_rad or 0.0)))
+    heading = round(math.degrees(wrap(_kept_rad(state))))
     bearing, at = heading if r.course_rad is None else round(math.degrees(wrap(r.course_rad))), state.motion
     if r.north_m is not None and r.east_m is not None:
         bearing = round(math.degrees(math.atan2(r.east_m - at.east_m, r.north_m - at.north_m)))
@@ -350,7 +357,7 @@ def all_in_one(view: TelemetryView) -> Iterator[Message]:
     known = n is not None and n.latitude_rad is not None and n.longitude_rad is not None
     place = (_e7(n.latitude_rad or 0.0), _e7(n.longitude_rad or 0.0)) if n is not None and known else (0, 0)
     heading = 0 if n is None or n.heading_rad is None else round(math.degrees(compass(n.heading_rad)) / 2) % 180
-    target = 0 if r.heading_rad is None else round(math.degrees(compass(r.heading_rad)) / 2) % 180
+    target = round(math.degrees(compass(_kept_rad(state))) / 2) % 180
     least, name = charge(state)
     left = round(least * 100) if name else _I8
     port, starboard = (round(100 * part) for part in _thrust(view))

@@ -635,6 +635,25 @@ def test_what_is_told_is_what_is(sea):
     assert newest(heard, "MISSION_CURRENT").mission_state == dialect.MISSION_STATE_NO_MISSION
 
 
+def test_where_no_heading_is_kept_the_boats_own_is_told(sea):
+    """At rest in hold a page drew a set heading of 000."""
+    sea.console.mode(5)
+    for _ in range(30):
+        sea.boat.pass_time(0.1)
+        sea.boat.navigate(heading_rad=math.radians(70.0))
+        sea.boat.report()
+        sea.station.tick()
+    assert sea.state.reference.heading_rad is None
+    heard = sea.console.listen()
+    assert newest(heard, "NAV_CONTROLLER_OUTPUT").nav_bearing == 70
+    assert sea.console.command(2600, 1)[0] == ACCEPTED
+    for _ in range(30):
+        sea.boat.pass_time(0.1)
+        sea.boat.navigate(heading_rad=math.radians(70.0))
+        sea.station.tick()
+    assert newest(sea.console.listen(), "HIGH_LATENCY2").target_heading == 35
+
+
 @pytest.mark.parametrize(("fix", "told"), [(0, 1), (2, 2), (3, 3), (4, 4), (5, 6), (6, 5), (9, 1)])
 def test_the_kind_of_fix_is_the_protocols(sea, fix, told):
     """RTK is 6 there and RTK float 5; what is not known is no fix."""
