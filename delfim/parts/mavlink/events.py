@@ -12,6 +12,7 @@ from delfim.vehicle.loop import VehicleLoop
 from delfim.vehicle.state import HANDSET, Notice, State
 
 TOLD_AGAIN_S: Final = 2.0  # earliest repetition of a lasting trouble
+LASTING_S: Final = 10.0  # a younger trouble is told again soon, if it lasts
 
 
 def _shown(state: State) -> str:
@@ -79,7 +80,7 @@ class News:
         state, say = self._boat.state, self._peers.say
         if newcomers and _severity(state) == dialect.MAV_SEVERITY_ALERT:
             say(dialect.MAV_SEVERITY_ALERT, _shown(state), newcomers)
-        for notice in state.notices if newcomers else ():
+        for notice in (each for each in state.notices if newcomers and now_s - each.since_s > LASTING_S):
             say(_gravity(notice), f"{notice.reason}: {notice.action}", newcomers)
 
     def _tell_order(self) -> None:

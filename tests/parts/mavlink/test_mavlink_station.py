@@ -743,8 +743,9 @@ def test_a_console_that_comes_later_hears_why_the_boat_stopped_and_its_troubles(
     sea.boat.report(messages.Status.BAD, messages.Fault.OVERHEATED)
     sea.boat.vehicle.on_watchdog()
     sail(sea, 8.0), sea.console.beat(), sail(sea, 8.0)  # the boat does not hear the other one for that long
-    sea.boat.pass_time(2.0, navigation=False), sea.station.tick()
-    assert sea.state.notices
+    for _ in range(70):
+        sea.boat.pass_time(0.2, navigation=False), sea.console.beat(), sea.station.tick()
+    assert [notice.action for notice in sea.state.notices] == ["warn"]
     before = len(sea.radio.sent)
     sea.console.beat(), other.beat()
     sea.station.tick(), sea.station.tick()
