@@ -117,6 +117,7 @@ RUN = [path for path in DOCUMENTS if any(block.mark == "run" for block in blocks
 
 
 @pytest.mark.long
+@pytest.mark.timeout(1200)  # a chart's cell takes minutes of processor
 @pytest.mark.parametrize("path", RUN, ids=lambda path: path.name)
 def test_what_is_marked_runs(path: Path, tmp_path: Path) -> None:
     """All marked blocks of a document, one after the other, as a reader types them."""
