@@ -512,8 +512,9 @@ def test_savvycan(served: Served, bus: CanSocket, name: str) -> None:
             savvy.sendall(f"< open {name} >".encode())
             assert savvy.recv(4096) == b"< ok >"
             savvy.sendall(b"< rawmode >")
-            bus.sendto(b"\1", CanAddress(standard(1)))
+            bus.sendto(b"\1", CanAddress(standard(1)))  # it may come before the mode, and is not passed on then
             assert savvy.recv(4096) == b"< ok >"
+            bus.sendto(b"\1", CanAddress(standard(1)))
             assert savvy.recv(4096).startswith(b"< frame 001 ")
             savvy.sendall(b"< send 12 2 ffffff80 7f >< send ffffffff92345678 1 ffffffffffffffff >")
             assert bus.recvmsg()[:2] == (standard(0x12), b"\x80\x7f")
