@@ -139,8 +139,7 @@ async def walked(folder: Path, sea: Sea, chart: Path, picture: Picture) -> None:
     await asyncio.to_thread(sea.gateway.start)
     await sea.load()
     await page.until(f"delfim.why({BESIDE[0]}, {BESIDE[1]})?.includes('update 1') ?? false", PATIENCE_S)
-    assert all("/ws" in each for each in page.complaints), "it called for the gateway, and for nothing else"
-    page.complaints.clear()
+    page.calls_in_vain = True
     sea.radios[0].cut()
     await page.until("document.getElementById('bar').textContent.includes('link lost')", PATIENCE_S)
     await dropped(page, ("set.zip", exchange_set(cell(folder / "cells"))))

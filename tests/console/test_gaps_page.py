@@ -139,8 +139,7 @@ async def voyage(folder: Path, size: Size, picture: Picture) -> None:
         await asyncio.to_thread(gateway.start)
         await another_operator(you, boat, len(lines))
         await forgotten(you, folder, boat)
-        assert all("/ws" in each for each in you.page.complaints), "it called for the gateway, and for nothing else"
-        you.page.complaints.clear()
+        you.page.calls_in_vain = True
 
 
 @pytest.mark.long

@@ -441,8 +441,7 @@ async def test_a_gateway_that_is_killed_ends_thrust(sea: Sea) -> None:
         await sea.found()
 
     await cut(sea, "gateway killed", away, back)
-    assert all("/ws" in each for each in sea.page.complaints), "it called for the gateway, and for nothing else"
-    sea.page.complaints.clear()
+    sea.page.calls_in_vain = True
 
 
 @pytest.mark.long

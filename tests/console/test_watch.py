@@ -176,8 +176,7 @@ async def killed(folder: Path) -> None:
         await page.press("Escape")
         await noted(sea, why)
         await alert(sea, why, "acknowledged")
-        assert all("/ws" in each for each in page.complaints), "it called for the gateway, and for nothing else"
-        page.complaints.clear()
+        page.calls_in_vain = True
 
 
 @pytest.mark.long
