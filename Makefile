@@ -41,8 +41,8 @@ run: $(BOAT) ## sail the whole DelfimX in simulation, with the console in the br
 test: $(MORE) system ## run the tests, those on a real SocketCAN bus included, so many side by side (WORKERS=3)
 	$(BIN)/pytest $(BESIDE) -m "not long" $(ARGS)
 
-test-long: $(MORE) $(OTHERS) $(MANUAL) $(FILM) system ## run the tests that take longest, two side by side: images, power cuts, failing disks, bad neighbours, benchmarks
-	$(BIN)/pytest -n 2 --no-loadscope-reorder -m long $(ARGS)
+test-long: $(MORE) $(OTHERS) $(MANUAL) $(FILM) system ## run the tests that take longest, three side by side: images, power cuts, failing disks, bad neighbours, benchmarks
+	$(BIN)/pytest -n 3 --no-loadscope-reorder -m long $(ARGS)
 
 again: $(MORE) $(OTHERS) $(FILM) ## run the tests that failed last, alone
 	$(BIN)/pytest -n 1 --no-loadscope-reorder --last-failed --last-failed-no-failures none -rA $(ARGS)
