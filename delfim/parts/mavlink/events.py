@@ -23,7 +23,7 @@ def _shown(state: State) -> str:
 
 def _severity(state: State) -> int:
     """Of a mode: one that the boat entered by itself is an alert."""
-    calm = state.reason.startswith(("operator", "payload")) or state.reason.endswith((" done", "started"))
+    calm = state.reason.startswith(("operator", "payload")) or state.reason.endswith(" done") or state.reason == "started"
     return int(dialect.MAV_SEVERITY_NOTICE if calm else dialect.MAV_SEVERITY_ALERT)
 
 
